@@ -146,7 +146,7 @@ def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.startswith("Nothing is wrong with ")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["diagnosis"]
-    assert answer["schema"] == "jointid.Diagnosis/2" and answer["explained"] and answer["as_declared"] is None
+    assert answer["explained"] and answer["as_declared"] is None
     known = {one["name"]: one["known"] for one in answer["axes"][1]["parameters"]}
     assert known["joint2.viscous"] == "told"
 
@@ -181,13 +181,13 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = " ".join(capsys.readouterr().out.split())
     assert re.match(r"The payload weighs 3\.0\d* ± [\d.]+ kg, 2 sigma, with its centre at \(.*\) m of link6\. ", said)
     answer = json.loads(found.read_text(encoding="utf-8"))
-    mass = answer["parameters"]["mass"]
-    assert answer["link"] == "link6" and answer["ways_agree"] and mass["unit"] == "kg"
+    mass = answer["rows"]["mass"]
+    assert answer["link"] == "link6" and answer["agrees"] and mass["unit"] == "kg"
     assert mass["value"] == pytest.approx(3.0, rel=0.01) == mass["by_difference"]
     saved = tmp_path / "saved.json"
     run("identify", joint, "--json", saved)
     run("payload", joint, "--estimate", saved, *records[2:], "--json", found)
-    alone = json.loads(found.read_text(encoding="utf-8"))["parameters"]["mass"]
+    alone = json.loads(found.read_text(encoding="utf-8"))["rows"]["mass"]
     assert alone["value"] == pytest.approx(mass["by_difference"], rel=1e-3)
     assert 0.5 < alone["std"] / mass["by_difference_std"] < 1.5
     for given in ((*records, "--estimate", saved), records[2:]):

@@ -175,7 +175,7 @@ def test_a_payload_is_weighed_by_didim(tmp_path: Path, capsys: pytest.CaptureFix
     run("payload", joint, *records, "--json", tmp_path / "found.json", "--quiet")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.Payload/2"
-    mass = answer["parameters"]["mass"]
+    mass = answer["rows"]["mass"]
     assert abs(mass["value"] - 3.0) < 4 * mass["std"] < 0.02
     assert f"The payload weighs {mass['value']:.4f}" in " ".join(capsys.readouterr().out.split())
 
