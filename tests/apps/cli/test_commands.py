@@ -335,53 +335,6 @@ name = "idim"
     assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
 
 
-<<<<<<< HEAD
-=======
-def test_from_an_unknown_controller_to_an_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The joint file has channels and a drive only; the log that is identified then, torque and reference only."""
-    near = {
-        "position_gain": 29000.0, "derivative_gain": 510.0, "integral_gain": 1.9e5, INTEGRAL: 0.0,
-        "velocity_filter.time_constant": 1.9e-3,
-    }  # fmt: skip
-    find_law(monkeypatch, Structure("PID", velocity_filter="first order"), near)
-    controller = PID(
-        position_gain=30000.0, derivative_gain=500.0, integral_gain=2e5, velocity_filter=FirstOrder(2e-3),
-        reference_velocity="none",
-    )  # fmt: skip
-    reference = trapezoids([0.2, 0.5], 2.0, 0.05, 1e-3, 0.05, 2.0)
-    error = 0.02 * np.random.default_rng(3).standard_normal(reference.size)
-    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
-    loop = ClosedLoop(RigidJoint("prismatic"), controller)
-    log = simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7, torque_noise=error)
-    channels = (
-        "torque = { column = 'u', unit = 'N', timing = 'held', tap = 'command' }\n"
-        "reference = { column = 'r', unit = 'm' }\n"
-        "motor_position = { column = 'q', unit = 'm', optional = true }\n"
-    )
-    (tmp_path / "joint.toml").write_text(
-        f"[joint]\nkind = 'prismatic'\n[record]\nfile = 'none.csv'\ntime = 't'\n[record.channels]\n{channels}[drive]\n",
-        encoding="utf-8",
-    )
-    load(tmp_path / "joint.toml").write(log, tmp_path / "log.csv")
-    written = tmp_path / "made" / "learned.toml"
-    written.parent.mkdir()
-    assert run("learn-controller", tmp_path / "joint.toml", "--record", tmp_path / "log.csv", "--write", written) == 0
-    said = capsys.readouterr()
-    assert "PID" in said.out
-    made = load(written)
-    assert made.controller is not None
-    assert all("#" in line for line in written.read_text().splitlines() if "_gain = " in line)
-    answer = tmp_path / "answer.json"
-    assert run("identify", written, "--json", answer, "-q") == 0
-    found = {name: one["value"] for name, one in json.loads(answer.read_text())["parameters"].items()}
-    assert json.loads(answer.read_text())["settings"]["method"] == "didim"
-    assert found["inertia"] == pytest.approx(5.0, rel=5e-3)
-    assert found["viscous"] == pytest.approx(20.0, rel=3e-2)
-
-
->>>>>>> 7eb31904 (Tests read an answer's own keys)
 def test_an_interrupted_search_is_written_and_said(
     tmp_path: Path, learned: Cascade, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
