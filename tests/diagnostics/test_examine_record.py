@@ -280,6 +280,6 @@ def test_each_joint_of_a_robot_is_looked_over_under_its_name_and_the_clock_once(
     spoiled = examine(records, arm(), IDIM())
     assert {one.axis for one in spoiled.faults if one.question is Question.TORQUE} == {"joint3"}
     assert ": joint3: the torque changes only every 10 samples" in spoiled.sentence
-    assert to_dict(spoiled)["questions"][0]["axis"] == ""
+    assert to_dict(spoiled)["answers"][0]["axis"] == ""
     with pytest.raises(MethodError, match="A robot of 6 joints is examined with as many records"):
         examine(records[:2], arm())

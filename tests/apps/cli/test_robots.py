@@ -122,12 +122,14 @@ def test_a_saved_estimate_is_taken_by_every_command(
     capsys.readouterr()
     run("compare", found, other, "--json", tmp_path / "compared.json")
     assert re.match(r"\d+ of \d+ quantities changed significantly: |None of \d+ quantities", capsys.readouterr().out)
-    rows = json.loads((tmp_path / "compared.json").read_text("utf-8"))["quantities"]
+    rows = {row["name"]: row for row in json.loads((tmp_path / "compared.json").read_text("utf-8"))["rows"]}
     viscous, lumped = (
         rows["joint2.viscous"],
         next(row for name, row in rows.items() if name.startswith("Izz1 with Ia1")),
     )
-    assert viscous["p_value"] > 0.01 and viscous["a"] == pytest.approx(8.0, rel=0.01) and lumped["symbol"] == "Izz1"
+    assert (
+        viscous["p_value"] > 0.01 and viscous["before"] == pytest.approx(8.0, rel=0.01) and lumped["symbol"] == "Izz1"
+    )
 
 
 def test_listed_records_alone_are_exported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

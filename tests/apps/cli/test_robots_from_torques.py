@@ -93,7 +93,7 @@ def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     one, two_ = tmp_path / "one.csv", tmp_path / "two.csv"
     run("identify", joint, "--record", one, "--json", tmp_path / "found.json")
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.Estimate/2" and answer["converged"]
+    assert answer["schema"] == "jointid.Estimate/2" and answer["fit"]["converged"]
     units = {name: row["unit"] for name, row in answer["parameters"].items()}
     assert units["mx2"] == "kg m" and units["Iyy2"] == "kg m2"
     for one_joint in truth:
@@ -107,7 +107,7 @@ def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     bare.write_text("\n".join(lines), encoding="utf-8")
     run("identify", bare, "--record", one, "--json", tmp_path / "bare.json")
     bare_answer = json.loads((tmp_path / "bare.json").read_text(encoding="utf-8"))
-    assert bare_answer["robot"]["nominal_left"] == pytest.approx(answer["robot"]["nominal_left"], rel=1e-3)
+    assert bare_answer["robot"]["nominal_errors"] == pytest.approx(answer["robot"]["nominal_errors"], rel=1e-3)
     run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
     said = " ".join(capsys.readouterr().out.split())
     assert "The estimate predicts this record better than the nominal model" in said
