@@ -15,15 +15,11 @@ from enum import Enum, StrEnum
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from jointid.common.files import write_whole
-
-T = TypeVar("T")
-
-_ARRAYS = ("FloatArray", "ComplexArray", "NDArray")
 
 
 def plain(value: Any) -> Any:
@@ -44,11 +40,11 @@ def plain(value: Any) -> Any:
 @cache
 def _names(kind: Any) -> tuple[str, ...]:
     said = getattr(kind, "in_json", "").split()
-    every = [field.name for field in fields(kind) if not str(field.type).startswith(_ARRAYS)]
+    every = [field.name for field in fields(kind) if "Array" not in str(field.type)]
     return tuple(dict.fromkeys(name for name in (*every, *said) if name[0] != "-" and f"-{name}" not in said))
 
 
-def read(kind: type[T], raw: Any, **given: object) -> T:
+def read(kind: Any, raw: Any, **given: object) -> Any:
     """Return a value of JSON as one of a type, a data class from its fields; those it has beside them are not read.
 
     Args:
@@ -59,28 +55,23 @@ def read(kind: type[T], raw: Any, **given: object) -> T:
     Raises:
         ValueError, TypeError: it is no such value.
     """
-    found: T = _read(kind, raw, **given)
-    return found
-
-
-def _read(kind: Any, raw: Any, **given: object) -> Any:
     origin, parts = get_origin(kind), get_args(kind)
     found: Any
     if is_dataclass(kind):
         hints = get_type_hints(kind)
         names = [field.name for field in fields(kind) if field.name in _require(raw, Mapping)]
-        own = {name: _read(hints[name], raw[name]) for name in names if name not in given}
-        found = kind(**own, **given)  # type: ignore[operator]
+        own = {name: read(hints[name], raw[name]) for name in names if name not in given}
+        found = kind(**own, **given)
     elif origin in (Union, UnionType):
         kinds = [part for part in parts if part is not NoneType]
-        found = None if raw is None and len(kinds) < len(parts) else _read(kinds[0], raw)
+        found = None if raw is None and len(kinds) < len(parts) else read(kinds[0], raw)
     elif origin is tuple:
         each = [parts[0]] * len(_require(raw, list)) if parts[-1] is ... else parts
-        found = tuple(_read(part, item) for part, item in zip(each, raw, strict=True))
+        found = tuple(read(part, item) for part, item in zip(each, raw, strict=True))
     elif origin is Literal:
         found = parts[parts.index(raw)]
     elif origin is not None:  # a mapping by names
-        found = {str(key): _read(parts[1], item) for key, item in _require(raw, Mapping).items()}
+        found = {str(key): read(parts[1], item) for key, item in _require(raw, Mapping).items()}
     elif kind is float:
         found = finite(raw)
     else:

@@ -97,7 +97,6 @@ class LearnedController(Documented):
         regression_share: of the torque's rms, what a plain regression on reference and position leaves of it.
     """
 
-    in_json = "correlation"
     controller: Controller
     structure: Structure
     numbers: tuple[LearnedNumber, ...]

@@ -202,11 +202,8 @@ def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: 
     return replace(found, rows=rows, notes=tuple(notes))
 
 
-def _system(estimate: ReportedEstimate) -> str:
-    return "robot" if estimate.model == "robot" else "joint"
-
-
 def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> None:
+    system = "robot" if before.model == "robot" else "joint"
     for what, one, other in (
         ("model", before.model, after.model),
         ("kind", before.kind, after.kind),
@@ -216,8 +213,8 @@ def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> No
     ):
         if one != other:
             raise MethodError(
-                f"{before.label} and {after.label} do not describe the same {_system(before)}: the {what} is {one} in "
-                f"the one and {other} in the other; identify both with the same {_system(before)} file and options."
+                f"{before.label} and {after.label} do not describe the same {system}: the {what} is {one} in "
+                f"the one and {other} in the other; identify both with the same {system} file and options."
             )
     units = {q.name: q.unit for q in before.quantities}
     wrong = [q for q in after.quantities if units.get(q.name, q.unit) != q.unit]

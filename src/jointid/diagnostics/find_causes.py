@@ -435,9 +435,8 @@ def explain_misfit(
 
 def _is_doubtful(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
     """Test for a residual far above that of free linear responses, or for steps of the torque."""
-    if find_steps(record) is not None:
-        return True
-    return estimate.fit.filtered_error > _FAR_MORE * _response_residual(estimate, record, loop) > 0
+    far = _FAR_MORE * _response_residual(estimate, record, loop)
+    return find_steps(record) is not None or estimate.fit.filtered_error > far > 0
 
 
 def _response_residual(estimate: Estimate, record: Record, loop: ClosedLoop) -> float:

@@ -86,7 +86,6 @@ class JudgedLaw:
         words: the same in a sentence.
     """
 
-    in_json = "predicts_as_well"
     name: str
     parameters: int
     values: Mapping[str, float]

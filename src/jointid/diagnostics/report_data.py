@@ -270,8 +270,6 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
         spread = np.sqrt(np.maximum(np.einsum("pf,pq,qf->f", J, covariance, J), 0.0))
         size, factor = np.abs(H), np.exp(np.minimum(2 * spread, 50.0))
         curves.append(Curve(side, size, size / factor, size * factor, np.degrees(np.unwrap(np.angle(H)))))
-    torque_unit = estimate.data.torque_unit
-    if " " in torque_unit:
-        torque_unit = f"({torque_unit})"
+    torque_unit = f"({own})" if " " in (own := estimate.data.torque_unit) else own
     unit = f"({POSITION_UNIT[joint.kind]}/s)/{torque_unit}"
     return FrequencyResponse(frequency, tuple(curves), unit, modes)

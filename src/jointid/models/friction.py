@@ -167,13 +167,8 @@ class Friction:
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
         """Return the coefficients for both directions of motion."""
-        a, b, c, d = _slots(self)
-        return (
-            values[prefix + a] if a else 0.0,
-            values[prefix + b] if b else 0.0,
-            values[prefix + c] if c else 0.0,
-            values[prefix + d] if d else 0.0,
-        )
+        one, other, forwards, backwards = (values[prefix + name] if name else 0.0 for name in _slots(self))
+        return one, other, forwards, backwards
 
     @property
     def lines(self) -> Friction:

@@ -213,7 +213,7 @@ class PositionHarmonics:
 
     def columns_at(self, position: FloatArray) -> FloatArray:
         """Return the columns at positions, (samples,)."""
-        phases = self._phases(position)
+        phases = np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
         return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
 
     def require(self, model: str) -> None:
@@ -227,6 +227,3 @@ class PositionHarmonics:
         waves = 2 * math.pi / self.period * np.arange(1, self.harmonics + 1)
         side = np.full(self.harmonics, float(self.side == "load"))
         return np.column_stack([amplitudes, np.zeros(self.harmonics), waves, side])
-
-    def _phases(self, position: FloatArray) -> FloatArray:
-        return np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
