@@ -61,7 +61,7 @@ def read(kind: Any, raw: Any, **given: object) -> Any:
         hints = get_type_hints(kind)
         names = [field.name for field in fields(kind) if field.name in _require(raw, Mapping)]
         own = {name: read(hints[name], raw[name]) for name in names if name not in given}
-        found = kind(**own, **given)
+        found = kind(**own, **given)  # type: ignore[operator]
     elif origin in (Union, UnionType):
         kinds = [part for part in parts if part is not NoneType]
         found = None if raw is None and len(kinds) < len(parts) else read(kinds[0], raw)

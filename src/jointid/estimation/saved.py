@@ -107,7 +107,7 @@ def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: Cl
         settings=Settings(
             settings["method"], str(settings["variant"]), robot or system,  # type: ignore[arg-type]
             loop if method_of(settings["method"]).needs_controller else None, filtering, finite(settings["delay"]),
-            tuple(map(_effect, settings["effects"])), timing=read(Timing | None, settings["timing"]),  # type: ignore[arg-type]
+            tuple(map(_effect, settings["effects"])), timing=read(Timing | None, settings["timing"]),
             controller=str(answer["controller_sha256"]),
         ),
         robot=part,
