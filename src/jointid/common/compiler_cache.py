@@ -58,7 +58,7 @@ class KernelCache(FunctionCache):
         try:
             if not self.holds_any():
                 for former in Path(self.cache_path).glob(self._every):
-                    former.unlink()
+                    former.unlink(missing_ok=True)
             super().save_overload(sig, data)
         except Exception as error:
             reason = str(getattr(error, "strerror", None) or type(error).__name__).lower()

@@ -53,8 +53,12 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
             fresh = room / place.name
             yield fresh
             if fresh.is_file():
-                with fresh.open("rb+") as file:
-                    os.fsync(file.fileno())  # a full disk fails here
+                try:
+                    with fresh.open("rb+") as file:
+                        os.fsync(file.fileno())  # a full disk fails here
+                except OSError as error:
+                    if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # no such order on some disks
+                        raise
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(place, fresh)
             fresh.replace(place)

@@ -92,8 +92,7 @@ def identify(
         several: what the records share, and what was added to the load; see `SeveralRecords`.
         windows: of a log; see `Windowing`. With it records in memory are identified in windows, too: of a joint by
             DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
-            windows without it, and checked in a part; whole where windows do not identify them. False identifies all
-            of them at once.
+            windows without it, and checked in a part. False identifies all of them at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.

@@ -303,7 +303,7 @@ def simulate(
 
     Exact to rounding for held torques and piecewise linear laws. Position-dependent gravity is held over each part of a
     period, with second-order error. Laws that are not lines (`Joint.stepped`) use a Runge-Kutta method, whose torque is
-    within some 1e-6 of its peak.
+    within some 1e-5 of its peak.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
 

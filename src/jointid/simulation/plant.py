@@ -52,6 +52,8 @@ def plant_of(joint: Joint, values: Mapping[str, Any]) -> Plant:
 def plant_of_numbers(drive: FloatArray, laws: SmoothLaws, places: FloatArray, flexible: bool) -> Plant:
     """Return the numbers from the coefficients of a joint, (14,), and what its laws have beside their lines."""
     spring = laws.spring
+    if np.real(spring.swing_share) < 0.0:
+        drive = np.full(drive.shape, math.nan)
     masses, springs = [_mass(drive[0], drive[12], drive[4:8], laws.motor)], []
     if flexible:
         slides = spring.slider / spring.slips if spring.slips != 0.0 else (math.nan if spring.slider != 0.0 else 0.0)

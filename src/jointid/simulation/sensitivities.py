@@ -25,7 +25,6 @@ from jointid.simulation.closed_loop import (
     Initial,
     Outcome,
     Response,
-    Simulation,
     first_state,
     run,
 )
@@ -95,18 +94,6 @@ def simulate_sensitivities(
     velocity includes a load that moves along.
     """
     return _differentiate(_run_with_tape(loop, experiment, values, names, initial), names, positions)
-
-
-def simulate_with_sensitivities(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    initial: Initial | None = None,
-) -> tuple[Simulation, FloatArray]:
-    """Result of `simulate`, and the torque's derivatives from the same run."""
-    out = _run_with_tape(loop, experiment, values, names, initial)
-    return out.simulation(), _differentiate(out, names, positions=False).torque
 
 
 def _run_with_tape(

@@ -98,10 +98,6 @@ class Reason(StrEnum):
     SCALE_KNOWN = "scale_known"
 
 
-CAUSES = (Reason.CAUSE_FOUND, Reason.NO_CAUSE_FOUND, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES)
-"""Reasons that stand in the place of what the tests of small deviations find."""
-
-
 MOTION_MEASURED = (
     "the motion was measured under control: what disturbs it biases these values; identify by DIDIM, or with the "
     "reference as instrument"

@@ -37,8 +37,8 @@ class Limits:
 
     Attributes:
         upload: bytes of one upload.
-        memory: bytes of memory of each process that reads or identifies, beside its libraries; see
-            `jointid.common.bounds`. What the compiled simulation reserves is in it.
+        memory: bytes of memory of each process that reads or identifies, beside its libraries. What the compiled
+            simulation reserves is in it.
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
     """

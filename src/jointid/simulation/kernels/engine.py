@@ -8,7 +8,7 @@ of an elastic load the part that swings, each tied to the next by a spring::
     J3 a3 = -T23
 
 Between two events this is smooth, and integrated by the classical method of order 4. A step is a share of the time in
-which the fastest part of the motion turns by one radian, so that the torque is within some 1e-6 of its peak.
+which the fastest part of the motion turns by one radian, so that the torque is within some 1e-5 of its peak.
 
 What winds up over a displacement is a state w of its own, by the law of P. R. Dahl (Solid friction damping of
 mechanical vibrations, AIAA Journal 14, 1976). With the direction d of the motion, and the displacement x since the
