@@ -86,11 +86,7 @@ def _require(raw: Any, kind: Any) -> Any:
 
 
 def finite(value: object) -> float:
-    """Return a number of a JSON document.
-
-    Raises:
-        ValueError: it is no number, or not finite.
-    """
+    """Return a number of a JSON document; raise a ValueError unless it is finite."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{value!r:.60} is no number")
     return float(value)
