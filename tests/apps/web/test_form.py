@@ -77,6 +77,8 @@ def test_a_field_that_no_longer_counts_takes_its_value_with_it() -> None:
         ({"controller.law": "pd"}, "controller.derivative_gain"),
         ({"joint.friction": "none"}, "joint.friction"),
         ({"extra": "[parameters"}, "extra"),
+        ({"extra": "record = 3"}, "extra"),
+        ({"extra": "record.channels = 3"}, "extra"),
     ],
 )
 def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str) -> None:
@@ -91,7 +93,6 @@ def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str) -> 
         ("[[records]]\nfile = '/etc/passwd'", ["passwd", "a.csv"]),
         ("[record]\nfiles = ['x/a.csv', '../passwd']", ["a.csv", "passwd"]),
         ("[record]\nfile = '/etc/passwd'", ["a.csv"]),
-        ("record = 3", ["a.csv"]),
         ("records = 3\nrobot = 3", ["a.csv"]),
     ],
 )

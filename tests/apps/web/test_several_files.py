@@ -51,6 +51,27 @@ def test_what_was_said_of_a_record_stays_for_one_with_the_same_columns(asker: As
     assert "channels" not in asker.folder.now.tables["record"]
 
 
+@pytest.mark.slow
+def test_a_mistake_in_the_text_is_refused_and_leaves_the_forms(asker: Asker, log: bytes, tmp_path: Path) -> None:
+    assert send(asker, {"r.toml": ROBOT.encode(), "arm.xml": b"<robot/>", "one.csv": log}) == "joint"
+    for text in ("[robot", ROBOT.replace("one.csv", "other.csv"), ROBOT.replace("one.csv", "a" * 999), "record = [1"):
+        assert asker.post("/joint", {"extra": text})[0] == 422
+        assert "joint2" in asker.get("/joint")
+    assert send(asker, {"one.csv": log}) == "channels"
+    assert "robot" not in asker.folder.now.tables
+    for text in ("[[records]]\nfile = 'other.csv'", "record = 5", "[a"):
+        assert asker.post("/joint", {"extra": text})[0] == 422
+    assert asker.post("/draft/joint", {"extra": "record.channels = 4"})[0] == 200
+    assert asker.post("/channels", {"joint.kind": "prismatic"})[0] == 422
+    for text in ("[a", "record = 3", "record.file = 'gone.csv'"):
+        (asker.folder.now.path / "joint.toml").write_text(text)
+        assert 'name="record.time"' in asker.get("/channels")
+        assert asker.post("/draft/joint", {"extra": ""})[0] == 200
+    (asker.folder.now.path / "_log.txt").unlink()
+    (asker.folder.now.path / "_log.txt").symlink_to(tmp_path / "elsewhere.txt")
+    assert asker.post("/channels", UNITS)[0] == 422 and not (tmp_path / "elsewhere.txt").exists()
+
+
 def answers_of(run: Draft, folder: Path) -> tuple[Any, Any]:
     """Return the answers of the page and of the command in the folder of the run."""
     with pytest.raises(SystemExit) as end:

@@ -170,7 +170,7 @@ def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(f
     "words",
     [
         ("a.pdf",), ("a.mat", "--set", "export.timestep=1e-4"), ("a.xml", "--side", "motor"), ("nowhere/a.xml",),
-        ("out.json",), ("a.xml", "--format", "word"),
+        ("out.json",), ("a.xml", "--format", "word"), ("a.xml", "--set", "export.timestep=abc"),
     ],
 )  # fmt: skip
 def test_mistakes_are_refused(folder: Path, words: tuple[object, ...]) -> None:

@@ -154,7 +154,9 @@ def _explain(error: Exception) -> int:
     if isinstance(error, JointidError):
         return _say(str(error), USERS_MISTAKE)
     if isinstance(error, CycloptsError):
-        return _say(f"{error} A setting of the joint file is given by --set. See jointid --help.", USERS_MISTAKE)
+        options = [name for one in getattr(error, "argument_collection", ()) for name in one.names]
+        hint = "A setting of the joint file is given by --set. " if "--set" in options else ""
+        return _say(f"{error} {hint}See jointid --help.", USERS_MISTAKE)
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # of any path that is opened
         return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
     return _say(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import socket
 import webbrowser
@@ -10,7 +11,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import make_folder, show
+from jointid.apps.cli.console import make_folder, show, tell
 from jointid.common.errors import JointidError, extra
 from jointid.common.files import require_room
 
@@ -52,13 +53,13 @@ def serve(
             raise JointidError(f"Port {port} cannot be listened at ({reason}); choose another --port.") from None
         address = f"http://{_HOST}:{listening.getsockname()[1]}/{token}/"
         show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
+        if os.name == "posix" and folder.stat().st_mode & 0o077:
+            tell(f"Warning: other users of this machine may reach {folder} and its records; set its mode (chmod 700).")
         if open_:
             # Others on the machine see how a browser is started, and must not see the token there.
             path = folder.absolute() / "open.html"
             path.unlink(missing_ok=True)
-            path.touch(0o600)
-            path.write_text(
-                f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n', encoding="utf-8"
-            )
+            with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w", encoding="utf-8") as file:
+                file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n')
             webbrowser.open(path.as_uri())
         run(build_application(folder, token), listening)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping
@@ -88,9 +89,9 @@ class Draft:
 
     @property
     def records(self) -> list[str]:
-        """The names of its records; empty where one is missing."""
-        named = list_records(self.tables)
-        return named if all(map(self.has, named)) else []
+        """The names of the records that are there, those that its file names first."""
+        there = [name for name in self.files() if not name.lower().endswith((".toml", *MODELS))]
+        return list(dict.fromkeys([*(name for name in list_records(self.tables) if name in there), *there]))
 
     def has(self, name: str) -> bool:
         """Return whether it has a file of its own by this name."""
@@ -99,7 +100,7 @@ class Draft:
 
     def files(self) -> list[str]:
         """Return the names of the files that are not the page's own."""
-        return sorted(one.name for one in self.path.iterdir() if not one.name.startswith("_") and self.has(one.name))
+        return sorted(one.name for one in self.path.glob("*") if not one.name.startswith("_") and self.has(one.name))
 
     def write(self, text: str, name: str = "joint.toml") -> None:
         """Write its file."""
@@ -168,7 +169,10 @@ class Folder:
         with beside(run.path) as fresh:
             fresh.mkdir()
             for name in self.now.files():
-                shutil.copyfile(self.now.path / name, fresh / name)
+                try:
+                    os.link(self.now.path / name, fresh / name)
+                except OSError:  # the disk has no links
+                    shutil.copyfile(self.now.path / name, fresh / name)
             Draft(fresh).write(text, self.now.file)
         return run
 

@@ -231,7 +231,6 @@ def make_reading_tables(tables: Tables) -> Tables:
     """
     kind, profile = at(tables, KIND), at(tables, "drive.profile")
     faults = [] if kind in _KINDS else [_fault(KIND, "is not chosen; say whether it turns or moves straight.")]
-    channels = at(tables, "record.channels") or {}
     for channel in CHANNELS if profile is None else ():
         column = at(tables, f"record.channels.{channel}.column")
         if column is not None and at(tables, f"record.channels.{channel}.unit") is None:
@@ -243,7 +242,7 @@ def make_reading_tables(tables: Tables) -> Tables:
         raise JointFileError(faults)
     made: Tables = {key: tables[key] for key in ("transmission", "record", "drive") if key in tables}
     made["joint"] = {key: tables["joint"][key] for key in ("kind", "torque_constant") if key in tables["joint"]}
-    if "reference" in channels or profile is not None:
+    if at(tables, "record.channels.reference") is not None or profile is not None:
         return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
     return made | {"method": {"name": "idim"}}
 
@@ -287,9 +286,18 @@ def list_records(tables: Tables) -> list[str]:
     return [str(name) for name in named if name]
 
 
+def require_records(tables: Tables, records: Sequence[str]) -> None:
+    """Raise a `JointFileError` where a joint file or robot file names a record that is not there."""
+    for name in list_records(tables):
+        if name not in records:
+            there = f"expected one of {', '.join(records)}" if records else "none is there"
+            raise JointFileError(Fault(f"{name} is no record that was sent; {there}. Correct the name.", (EXTRA,)))
+
+
 def clean_name(raw: str) -> str:
     """Return the last part of a path without any character that has a meaning, and unlike names of the page's own."""
-    return _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])[-_NAME:].strip(" ._") or "record"
+    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])[-_NAME:].strip(" ._") or "record"
+    return f"record-{name}" if name.lower() in ("answer.json", "report.html") else name
 
 
 def at(tables: Any, key: str) -> Any:
@@ -300,12 +308,16 @@ def at(tables: Any, key: str) -> Any:
 
 
 def put(tables: Tables, key: str, value: Any) -> None:
-    """Set a key, with the tables on the way to it."""
+    """Set a key, with the tables on the way to it.
+
+    Raises:
+        JointFileError: a table on the way has a value.
+    """
     *path, last = key.split(".")
     for name in path:
-        if not isinstance(tables.get(name), dict):
-            tables[name] = {}
-        tables = tables[name]
+        tables = tables.setdefault(name, {})
+        if not isinstance(tables, dict):
+            raise JointFileError(Fault(f"{name} is a value; expected the table that holds {key}; remove it.", (EXTRA,)))
     tables[last] = value
 
 

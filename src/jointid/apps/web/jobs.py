@@ -50,7 +50,7 @@ class Jobs:
         if self.is_running(run):
             return {"state": "running", "sentence": "", "seconds": round(time.monotonic() - self._began)}
         found = run.json("_run.json")
-        known = isinstance(found.get("state"), str) and isinstance(found.get("sentence"), str)
+        known = all(type(found.get(key)) is str for key in ("state", "sentence"))
         return found if known else {"state": "refused", "sentence": _STOPPED}
 
     def start(self, run: Draft, *, learn: bool) -> None:
@@ -103,8 +103,11 @@ class Jobs:
         """Run a worker in a folder to its end; what leaves this early, as a cancellation does, ends it.
 
         Raises:
-            PageError: it was refused; the sentences are its own.
+            PageError: it was refused, in its own sentences, or a link leads what is written out of the folder.
         """
+        for path in folder.iterdir():
+            if path.is_symlink():
+                raise PageError(f"{path} is a symbolic link, which may lead out of the page's folder; remove it.")
         with (folder / "_progress.txt").open("ab") as progress, (folder / out).open("wb") as answer:
             begun = progress.tell()
             process = await asyncio.create_subprocess_exec(

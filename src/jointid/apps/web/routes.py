@@ -123,15 +123,20 @@ async def _save(request: Request) -> Draft:
     """Set the entries of a form in the joint file; of a robot its text is the whole file.
 
     Raises:
-        JointidError: the form is too large or damaged, or its further lines are no TOML.
+        JointidError: the form is too large or damaged, or its further lines are no TOML or name a record
+            that is not there.
     """
     entries, _ = await _receive(request, _FORM, None)
     request.state.entries = dict(entries)
     now = _page(request).folder.now
-    if not now.robot:
-        now.write(form.write(form.enter(now.tables, entries, now.records)))
-    elif form.EXTRA in request.state.entries:
-        now.write(request.state.entries[form.EXTRA].replace("\r\n", "\n"), now.file)
+    if now.robot:
+        text = request.state.entries.get(form.EXTRA, now.text).replace("\r\n", "\n")
+        tables = form.confine(form.parse_lines(text), [])
+    else:
+        tables = form.enter(now.tables, entries, now.records)
+        text = form.write(tables)
+    form.require_records(tables, now.records)
+    now.write(text, now.file)
     return now
 
 
@@ -169,7 +174,8 @@ async def _keep(
             fresh.write(form.write(form.enter(tables or {"joint": {}}, options, records)))
         await page.jobs.read(fresh.path, "preview")
         if tables is None:
-            columns, before = fresh.json("_columns.json"), page.folder.now.tables or {"joint": {}}
+            columns, now = fresh.json("_columns.json"), page.folder.now
+            before = {"joint": {}} if now.robot else now.tables or {"joint": {}}
             named = {one for name in CHANNELS if (one := form.at(before, f"record.channels.{name}.column"))}
             if not named or not named <= {one["name"] for one in columns["columns"]}:
                 before |= {"record": {}, "drive": columns["drive"]}
@@ -209,7 +215,7 @@ async def identify(request: Request) -> Response:
         learn = form.at(tables, form.LAW) == form.LEARN
         if learn:
             form.drop(tables, form.LAW)
-        text = form.write(form.confine(tables, now.records))
+        text = form.write(form.confine(tables, [] if now.robot else now.records))
         now.write(text, "_order.toml")
         if not now.robot:  # whose model is read in a process of its own
             await run_in_threadpool(load_to_learn if learn else load, now.path / "_order.toml")

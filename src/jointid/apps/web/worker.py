@@ -127,7 +127,8 @@ def _act(words: list[str]) -> None:
         try:
             action(Draft(Path.cwd()))
         except JointidError as error:
-            sys.exit("\n".join(f"jointid: {line}" for line in str(error).splitlines()))
+            sys.stderr.writelines(f"jointid: {line}\n" for line in str(error).splitlines())
+            sys.exit(2)
 
 
 if __name__ == "__main__":
