@@ -20,7 +20,7 @@ from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Channel, Record, Timing
-from jointid.records.resampling import Resampling, update_interval
+from jointid.records.resampling import Resampling, find_refreshes, update_interval
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -195,6 +195,12 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
         path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)}, kind="prismatic"
     )
     assert record.resampled is not None and record.resampled.sample_time == pytest.approx(2 * T)
+
+
+@pytest.mark.parametrize(("stated", "remedy"), [(2, "update_time = 0.004"), (8, "leave it out")])
+def test_another_rhythm_than_the_stated_one_is_refused(stated: int, remedy: str) -> None:
+    with pytest.raises(RecordError, match=remedy):
+        find_refreshes("torque", slow(4, 0), T, stated * T)
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:

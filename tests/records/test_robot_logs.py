@@ -88,6 +88,8 @@ def test_a_folder_of_texts_is_one_record(tmp_path: Path) -> None:
     assert table.clocks["state_motor/positions/hip"] == "state_motor/timestamp"
     assert table.passed["event/timestamp"] == "its file has no channel"
     unnamed = read_table(sage(tmp_path / "other", named=False))
+    (tmp_path / "run" / "joint_list.txt").write_text("hip\nhip\n")
+    assert read_table(tmp_path / "run").columns.keys() == unnamed.columns.keys()
     np.testing.assert_array_equal(
         unnamed.columns["state_motor/positions[1]"], table.columns["state_motor/positions/knee"]
     )
@@ -107,7 +109,10 @@ def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
     assert table.columns["observation.state.hip.pos"].size == 2 * TIME.size
     alone = read_table(tmp_path / "set" / "data" / "chunk-000" / "file-000.parquet")
     np.testing.assert_array_equal(alone.columns["action[1]"], table.columns["action.knee.pos"])
-    (tmp_path / "set" / "meta" / "info.json").write_text("[]")
+    info = tmp_path / "set" / "meta" / "info.json"
+    info.write_text(json.dumps({"features": {"action": {"names": ["j", "j"]}}}))
+    np.testing.assert_array_equal(read_table(tmp_path / "set").columns["action[1]"], alone.columns["action[1]"])
+    info.write_text("[]")
     with pytest.raises(RecordError):
         read_table(tmp_path / "set")
 

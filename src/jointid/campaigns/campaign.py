@@ -98,14 +98,15 @@ class CampaignTable:
 
     name: str | None = setting(None, "what reports call the campaign")
     fleet: FleetTable = setting(MISSING, "joints, and the records that were logged of them")
-    sweep: Mapping[str, tuple[Any, ...]] = field(
+    sweep: Mapping[str, Any] = field(
         default_factory=dict, metadata=declare("keys of the joint file, each with a list of values")
     )
 
     def __post_init__(self) -> None:
         for key, values in self.sweep.items():
-            if not values:
-                raise key_error("sweep", f".{key} is an empty list; expected one or more values: correct it.")
+            if type(values) is not list or not values:
+                rest = f".{key} is no list of values; expected one or more of them, as [20, 30]: correct it."
+                raise key_error("sweep", rest, "value")
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,9 @@ def read_text(path: Path) -> str:
             raw = file.read(_LARGEST + 1)
         if len(raw) > _LARGEST:
             size = max(path.stat().st_size, len(raw))
-            raise JointFileError(f"{path} has {size} bytes (a joint file has at most {_LARGEST}); is it the record?")
+            raise JointFileError(
+                f"{path} has {size} bytes; expected at most {_LARGEST}, of a joint file or a table: is it a record?"
+            )
         return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         reason = (error.strerror or type(error).__name__).lower()

@@ -300,8 +300,7 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     """
     if stamps.size < 2:
         return [f"{name} has a single stamp, which tells no sample time; give sample_time."]
-    faults = finite_faults(name, stamps)
-    if faults:
+    if faults := finite_faults(name, stamps):
         return faults
     steps = np.diff(stamps)
     largest, sample_time = float(np.max(np.abs(stamps))), float(np.median(steps))

@@ -156,16 +156,16 @@ def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> st
     return columns[channel].stated_unit(known) or default
 
 
-def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None) -> list[str]:
+def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None, *, sparse: bool = False) -> list[str]:
     """Faults of non-finite raw values (samples,): an early end, and gaps.
 
     Args:
         name: of the values, in sentences.
         values: (samples,).
         time: instants [s], (samples,), if known.
+        sparse: whether resampling would take the rows without NaN.
     """
-    bad = np.flatnonzero(~np.isfinite(values))
-    rows = np.flatnonzero(~np.isnan(values))
+    bad, rows = np.flatnonzero(~np.isfinite(values)), np.flatnonzero(~np.isnan(values))
     if bad.size == 0:
         return []
     if bad.size == values.size:
@@ -179,10 +179,11 @@ def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None)
     bad = bad[bad < end]
     if bad.size:
         first = int(bad[0])
+        more = ", or give resample, which takes every channel at the rows in which it has a number"
         faults.append(
             f"{name} has {pluralise(bad.size, 'sample')} without a finite number, the first {values[first]} at "
-            f"sample {first}{format_instant(time, first)}; mend them, cut the record there, or give resample, which "
-            "takes every channel at the rows in which it has a number."
+            f"sample {first}{format_instant(time, first)}; mend them, or cut the record there"
+            f"{more if sparse and not np.isinf(values).any() else ''}."
         )
     return faults
 

@@ -63,8 +63,8 @@ def read(
     The clock is `sample_time`, or the time column: named by `time`, or the only one called t or time (as "Time [ms]").
     Channels of different rates end at their last number; otherwise an early end is a fault. A jump of the
     clock is a fault unless `resample` or `part` is given. Where stamps jitter, a position tells whether samples follow
-    them. Channels without a common instant are resampled to the fastest of their clocks, with a remark. The file's own
-    unit applies where neither `columns` nor the column's name states one.
+    them. Clocks that begin apart, and channels without a common instant, are resampled to the fastest, with a remark.
+    The file's own unit applies where neither `columns` nor the column's name states one.
 
     Args:
         path: the file; its suffix selects the format.
@@ -116,8 +116,7 @@ class RecordReader:
     gains: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        unknown = [channel for channel in self.columns if channel not in CHANNELS]
-        if unknown:
+        if unknown := [channel for channel in self.columns if channel not in CHANNELS]:
             raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
         if self.kind not in units.POSITION_UNITS:
             raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
@@ -238,8 +237,7 @@ class _Steps:
                 f'torque_constant, or unit = "A" with the column to identify per ampere.'
             )
         missing = {n: column for n, column in found.items() if column.column not in table.columns}
-        needed = {n: column.column for n, column in missing.items() if not column.optional}
-        if needed:
+        if needed := {n: column.column for n, column in missing.items() if not column.optional}:
             listed = " and no ".join(f'"{column}" (for {n})' for n, column in needed.items())
             why = table.explain_missing(needed.values())
             self.faults.append(f"{table.source} has no column {listed}{why}; it has {table.list_columns()}.")
@@ -286,7 +284,8 @@ class _Steps:
         if rows is not None:
             self._judge_rate(what, column, clock, rows)
         else:
-            self.faults += finite_faults(what, values, None if clock is None else clock.stamps)
+            stamps = None if clock is None else clock.stamps
+            self.faults += finite_faults(what, values, stamps, sparse=self.reader.resample is None)
             if column.update_time is not None and clock is not None and np.isfinite(values).all():
                 with self._collecting():
                     rows = find_refreshes(what, values, clock.sample_time, column.update_time)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
+from jointid.common.text import pluralise
 from jointid.records.clock import Clock, measure_irregularity
 from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
@@ -104,7 +105,7 @@ def bring_together(
 
     Args:
         signals: by channel.
-        how: rules of resampling; None keeps each rate if the samples are uniform and have an instant in common.
+        how: rules of resampling; None keeps each rate if uniform clocks begin together and have a common instant.
         tolerance: within which two instants are one, as a share of the shortest sample time.
 
     Returns:
@@ -118,9 +119,8 @@ def bring_together(
         if (aligned := _align(signals, tolerance)) is not None:
             return *aligned, None, tuple(remarks)
         how = Resampling(min(one.clock.sample_time for one in signals.values()), "linear")
-        remarks.append(f"the channels have no instant in common: they are resampled to {how.sample_time:g} s (linear)")
-    channels, begin, done = resample_together(signals, how)
-    return channels, begin, done, tuple(remarks)
+        remarks.append(f"the channels begin apart: they are resampled to {how.sample_time:g} s (linear)")
+    return *resample_together(signals, how), tuple(remarks)
 
 
 def _align(signals: Mapping[str, Signal], tolerance: float) -> tuple[dict[str, Channel], float] | None:
@@ -246,10 +246,11 @@ def _follows_stamps(one: Signal) -> bool | None:
 def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
     if not clock.backward and clock.longest_gap <= how.longest_gap:
         return []
+    bridge = "" if clock.backward else f" set longest_gap = {clock.longest_gap},"
     return [
-        f'The time column "{name}" steps back {clock.backward} times and leaves out up to {clock.longest_gap} samples '
-        f"in a row (at most {how.longest_gap} are bridged); cut the record there, set longest_gap, or give sample_time "
-        "without time if only the stamps are wrong."
+        f'The time column "{name}" steps back {pluralise(clock.backward, "time")} and leaves out up to '
+        f"{clock.longest_gap} samples in a row (at most {how.longest_gap} are bridged); cut the record there,{bridge} "
+        "or give sample_time without time if only the stamps are wrong."
     ]
 
 
@@ -324,10 +325,10 @@ def find_refreshes(what: str, values: FloatArray, period: float, update_time: fl
     phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
     wrong, longer = changes[changes % every != phase], update_interval(values)
     if wrong.size or longer > every:
-        raise RecordError(
-            f"{what} is said to be refreshed every {every} samples, but {wrong.size} of its {changes.size} changes "
-            f"come between, and all are {longer} samples apart; correct update_time, or leave it out."
-        )
+        said = f"{wrong.size} of its {changes.size} changes come between; correct update_time, or leave it out"
+        if longer > every:
+            said = f"its changes are {longer} samples apart; give update_time = {longer * period:g}"
+        raise RecordError(f"{what} is said to be refreshed every {every} samples, but {said}.")
     return np.asarray(np.arange(values.size) % every == phase)
 
 

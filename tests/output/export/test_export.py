@@ -125,6 +125,13 @@ def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> Non
         ji.export(model(file.joint, values), "mjcf")
 
 
+@pytest.mark.parametrize("name", ["motor_inertia", "load_viscous", "load_coulomb", "stiffness", "damping"])
+def test_a_value_that_no_joint_can_have_is_named(name: str) -> None:
+    for kind in ("mjcf", "urdf", "state-space"):
+        with pytest.raises(ji.MethodError, match=f"{name} is -4"):
+            ji.export(model(ji.FlexibleJoint("prismatic"), {**TABLE_2, name: -4.0}), kind)
+
+
 def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
     file = loads(JOINT_FILE)
     made = ji.export(model(file.joint, TABLE_2), "joint-file", file=file)

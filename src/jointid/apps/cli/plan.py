@@ -125,9 +125,12 @@ def _read(motion: Path, file: File) -> Record:
 
     try:
         past: Record = file.driving(motion)
-    except RecordError:
+    except RecordError as error:
         if not {"t", "reference"} <= {one.name for one in inspect(motion).channels} <= {"t", "reference", "injected"}:
-            raise
+            raise RecordError(
+                f"{error} It was read as a past record; a test of your own has the columns t, reference and, if a "
+                "signal is added, injected, and no others."
+            ) from None
     else:
         return past
     columns = {

@@ -150,15 +150,18 @@ class JointModel:
         values, found = self.values, dict[str, Mass]()
         for name, prefix in zip(("motor", "load"), ("motor_", "load_") if self.flexible else ("",), strict=False):
             one, other, forwards, backwards = self.joint.friction.directions(values, prefix)
-            inertia, held = values[f"{prefix}inertia"], forwards + backwards
-            if not inertia > 0 or held < 0 or values.get("stiffness", 0.0) < 0:
+            inertia, viscous, coulomb = values[f"{prefix}inertia"], 0.5 * (one + other), 0.5 * (forwards + backwards)
+            least = {f"{prefix}viscous": viscous, f"{prefix}coulomb": coulomb}  # means of both directions
+            least |= {spring: values[spring] for spring in ("stiffness", "damping") if spring in values}
+            wrong = [] if inertia > 0 else [f"{prefix}inertia is {inertia:g}"]
+            wrong += [f"{key} is {value:g}" for key, value in least.items() if value < 0]
+            if wrong:
                 raise MethodError(
-                    f"{prefix}inertia is {inertia:g}, the Coulomb forces of both ways add up to {held:g}; expected a "
-                    "positive inertia, a friction that holds and no negative stiffness: identify again, from a motion "
-                    "that tells more."
+                    f"{text.join(wrong)}; expected a positive inertia, and no negative friction, stiffness or damping: "
+                    "identify again, from a motion that tells more."
                 )
             force = 0.5 * (forwards - backwards) + (values["offset"] if name == "motor" else 0.0)
-            found[name] = Mass(inertia, 0.5 * (one + other), 0.5 * held, one == other, force)
+            found[name] = Mass(inertia, viscous, coulomb, one == other, force)
         return found
 
     @property
@@ -233,7 +236,7 @@ class JointModel:
         if joint.ripple is not None:
             yield "", "the ripple over the position"
         if weight.is_body and weight.turns:
-            yield "weight", "the weight of the link, which is that of a body in the simulator's model"
+            yield "weight", "the weight of the link, which changes with the position"
         elif weight.turns:
             yield (
                 "turned weight",

@@ -52,7 +52,8 @@ def torque_chart(answer: Estimate | Validation) -> Chart:
 def residual(validation: Validation) -> Figure:
     """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
     source = "simulated" if validation.method == "didim" else "measured"
-    return _draw(charts.residual_chart(AxisSignals.of_validation(validation), source, validation))
+    why = "the validation has no position and velocity; validate by a record that has them"
+    return _draw(charts.residual_chart(AxisSignals.of_validation(validation), source, validation), why)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +86,10 @@ class Plots:
         """
         self.estimate.require_joint()
         cutoff, axis = self.estimate.settings.filtering.cutoff, AxisSignals.of(self.estimate)
-        return _draw(charts.spectra_chart([axis], cutoff, self.estimate.frequencies), "its record is too short")
+        return _draw(
+            charts.spectra_chart([axis], cutoff, self.estimate.frequencies),
+            "its record is too short; identify from a longer one",
+        )
 
     def response(self) -> Figure:
         """Return the frequency response of the joint, with the band of the estimate's covariance.
@@ -95,7 +99,8 @@ class Plots:
         """
         from jointid.diagnostics.report_data import compute_response
 
-        return _draw(charts.response_chart(self.estimate, compute_response(self.estimate)))
+        why = "the response is not known; identify from a motion that tells every parameter"
+        return _draw(charts.response_chart(self.estimate, compute_response(self.estimate)), why)
 
     def profile(self, record: Record, quantities: Sequence[str]) -> Figure:
         """Return the profiles of quantities, as `jointid.intervals` takes them.
@@ -105,12 +110,13 @@ class Plots:
         """
         from jointid.diagnostics.intervals import intervals
 
-        return _draw(charts.profiles_chart(self.estimate, intervals(self.estimate, record, quantities)))
+        why = "no quantity has a profile; name others, or identify from a motion that tells these"
+        return _draw(charts.profiles_chart(self.estimate, intervals(self.estimate, record, quantities)), why)
 
 
-def _draw(chart: Chart | None, why: str = "nothing is known of it") -> Figure:
+def _draw(chart: Chart | None, why: str) -> Figure:
     if chart is None:
-        raise RecordError(f"This figure cannot be drawn: {why}; identify from a longer record.")
+        raise RecordError(f"This figure cannot be drawn: {why}.")
     return chart.plot()
 
 

@@ -36,7 +36,8 @@ def read_folder(path: Path) -> Table:
         return _read_data_set(path)
     whole = Found(path)
     joints = _read_names(path / _JOINTS).split("\n") if (path / _JOINTS).is_file() else []
-    ends = {f"[{k}]": f"/{name.strip()}" for k, name in enumerate(filter(str.strip, joints))}
+    names = [*filter(None, map(str.strip, joints))]
+    ends = {f"[{k}]": f"/{name}" for k, name in enumerate(names)} if len(set(names)) == len(names) else {}
     for file in sorted(one for one in path.iterdir() if one.suffix.lower() == ".csv" and not one.is_dir()):
         require_file(file)
         table = read_text(file)
@@ -88,4 +89,5 @@ def _feature_ends(about: Any) -> dict[str, str]:
     names = about.get("names")
     if isinstance(names, dict) and len(names) == 1:  # such as {"motors": [...]}
         (names,) = names.values()
-    return {f"[{k}]": f".{name}" for k, name in enumerate(names)} if isinstance(names, list) else {}
+    unique = isinstance(names, list) and len(set(map(str, names))) == len(names)
+    return {f"[{k}]": f".{name}" for k, name in enumerate(names)} if unique else {}

@@ -213,7 +213,7 @@ class Layout:
         except ValueError:
             kind = _commonest(map(dialect.kind, islice(filter(None, cells), _FILLED)))
         if kind in "dw":
-            return f'it holds words, such as "{short(next(cell for cell in cells if dialect.kind(cell) == kind))}"'
+            return f'it holds text, such as "{short(next(cell for cell in cells if dialect.kind(cell) == kind))}"'
         try:
             if kind == "t":
                 if place not in self.stamps:
@@ -416,7 +416,8 @@ def _find_names(file: str, above: Sequence[Line], fit: Fit, closed: bool, header
     if (header is None and number) or not fits:
         raise RecordError(
             f'{file}: line {line.number} ("{short(line.text)}") stands above the first row of '
-            f"{pluralise(fit.width, 'column')} and does not name them; mend it, or give header = false."
+            f"{pluralise(fit.width, 'column')} and does not name them; mend it, or give header = "
+            f"{'true if it holds names, false if it is a remark' if fits else 'false'}."
         )
     return names if len(above) == 1 else _add_units(fit.dialect.split(above[-2].text), names)
 
