@@ -127,10 +127,11 @@ def _read(motion: Path, file: File) -> Record:
         past: Record = file.driving(motion)
     except RecordError as error:
         if not {"t", "reference"} <= {one.name for one in inspect(motion).channels} <= {"t", "reference", "injected"}:
-            raise RecordError(
-                f"{error} It was read as a past record; a test of your own has the columns t, reference and, if a "
-                "signal is added, injected, and no others."
-            ) from None
+            said = (
+                f"{motion.name} was read as a past record; a test of your own has the columns t, reference and, if a "
+                "signal is added, injected, and no others: rename its columns."
+            )
+            raise RecordError([*error.faults, said]) from None
     else:
         return past
     columns = {
