@@ -18,7 +18,7 @@ from jointid.common.transmission import SIDES
 from jointid.common.units import Kind
 from jointid.config.declaration import TIMES, fault_at, keys_of
 from jointid.config.quantities import OUTPUTS, in_controller_units, is_quantity, list_units, misfit, output_of
-from jointid.config.rules import Said, torque_unit
+from jointid.config.rules import Declaration, torque_unit
 from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
@@ -48,7 +48,7 @@ def texts_with_units(raw: Any, before: str = "") -> Iterator[tuple[str, str]]:
         yield from texts_with_units(value, f"{before}.{key}" if before else str(key))
 
 
-def unit_faults(said: Said) -> Iterator[Fault]:
+def unit_faults(said: Declaration) -> Iterator[Fault]:
     """Yield numbers of joint and controller in units of another motion or output."""
     constant = said.raw["joint"].get("torque_constant")
     if isinstance(constant, str):
@@ -66,7 +66,7 @@ def unit_faults(said: Said) -> Iterator[Fault]:
             yield from error.faults
 
 
-def _channel_faults(said: Said, constant: object) -> Iterator[Fault]:
+def _channel_faults(said: Declaration, constant: object) -> Iterator[Fault]:
     """Yield contradictions between the torque constant and the torque's channel."""
     torque, per, unit = said.columns.get("torque"), _per(constant), torque_unit(said)
     if torque is None or constant is None:
@@ -81,7 +81,7 @@ def _channel_faults(said: Said, constant: object) -> Iterator[Fault]:
         yield said.fault((*place, "gain"), f'{rest}leave gain out and give unit = "{per}", or correct the wrong one.')
 
 
-def _misfits(said: Said) -> Iterator[Fault]:
+def _misfits(said: Declaration) -> Iterator[Fault]:
     """Yield numbers in units of the other kind of motion, and those of two outputs."""
     outputs, kind = dict[str, str](), said.kind_of(said.law_side)
     for name, text, declared in _numbers(said):
@@ -94,7 +94,7 @@ def _misfits(said: Said) -> Iterator[Fault]:
         yield said.fault(("controller",), rest, "unit")
 
 
-def _numbers(said: Said) -> Iterator[tuple[str, str, str]]:
+def _numbers(said: Declaration) -> Iterator[tuple[str, str, str]]:
     """Yield a law's numbers that have a unit: their key, their text, and the unit of their declaration."""
     given, kind = said.raw.get("controller", {}), None if said.law is None else type(said.law)
     for one in keys_of(kind).values() if kind is not None else ():
@@ -102,7 +102,7 @@ def _numbers(said: Said) -> Iterator[tuple[str, str, str]]:
             yield one.name, given[one.name], one.setting.unit
 
 
-def controller_gain(said: Said) -> float:
+def controller_gain(said: Declaration) -> float:
     """Return the gain from the controller's output to torque on its side.
 
     Raises:
@@ -136,7 +136,7 @@ def controller_gain(said: Said) -> float:
     )
 
 
-def _torque_per_output(said: Said, unit: str, through: float, gain_is_given: bool) -> float | None:
+def _torque_per_output(said: Declaration, unit: str, through: float, gain_is_given: bool) -> float | None:
     """Return the torque per unit of the output; None where only the given gain defines it.
 
     Raises:
@@ -162,12 +162,12 @@ def _torque_per_output(said: Said, unit: str, through: float, gain_is_given: boo
     return _share(said) * through if unit == "%" else 1.0
 
 
-def _share(said: Said) -> float:
+def _share(said: Declaration) -> float:
     """Return the torque of 1 % of the rated torque, on the motor's side."""
     return said.drive.resolve_unit(units.unit("%"), said.kind_of("motor")).factor
 
 
-def _is_share(said: Said, gain: float) -> bool:
+def _is_share(said: Declaration, gain: float) -> bool:
     """Return True for the gain of a controller that gives out a share of the rated torque."""
     try:
         return abs(gain / _share(said) - 1) <= _AGREES

@@ -13,19 +13,19 @@ from jointid.common.units import unit
 from jointid.config.axis_units import controller_gain, texts_with_units, unit_faults, with_constant
 from jointid.config.declaration import (
     TIMES,
-    FileSaid,
+    FileTable,
     make_method,
 )
 from jointid.config.file import Axis, File
-from jointid.config.rules import RULES, Said, change_parameter, choose_method
+from jointid.config.rules import RULES, Declaration, change_parameter, choose_method
 from jointid.estimation.methods.registry import method_of
 from jointid.models.controllers import Controller
 
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 
 
-def said_of_joint(file: FileSaid, raw: Mapping[str, Any]) -> Said:
-    """Return what a joint file says of its axis, with the drive and the transmission.
+def declare_joint(file: FileTable, raw: Mapping[str, Any]) -> Declaration:
+    """Declare the axis of a joint file, with its drive and its transmission.
 
     Args:
         file: what its tables say.
@@ -36,14 +36,14 @@ def said_of_joint(file: FileSaid, raw: Mapping[str, Any]) -> Said:
     """
     axis = file.joints[0]
     assert axis.kind is not None
-    return complete(Said(
+    return complete(Declaration(
         file=file, axis=axis, raw=raw, kind=axis.kind, columns=file.columns, drive=file.drive, gear=None,
         method=file.method,
     ))  # fmt: skip
 
 
-def complete(said: Said) -> Said:
-    """Return what is said of an axis with its torque constant and its transmission."""
+def complete(said: Declaration) -> Declaration:
+    """Return a declaration with the torque constant and the transmission of its axis."""
     stated, raw, constant = said.axis.transmission, said.raw.get("transmission", {}), said.axis.torque_constant
     gear: Transmission | None = None
     try:
@@ -65,7 +65,7 @@ def complete(said: Said) -> Said:
     return replace(said, drive=drive, gear=gear)
 
 
-def axis_of(said: Said) -> Axis:
+def axis_of(said: Declaration) -> Axis:
     """Return an axis from what is said of it.
 
     Raises:
@@ -97,7 +97,7 @@ def axis_of(said: Said) -> Axis:
     )
 
 
-def joint_file(said: Said, path: Path) -> File:
+def joint_file(said: Declaration, path: Path) -> File:
     """Return a joint file from what it says of its axis; see `axis_of`."""
     axis = axis_of(said)
     return File(
@@ -112,13 +112,13 @@ def joint_file(said: Said, path: Path) -> File:
     )
 
 
-def _method_name(said: Said) -> str:
+def _method_name(said: Declaration) -> str:
     name = choose_method(said)
     assert name is not None
     return name
 
 
-def robot_method(said: FileSaid) -> str:
+def robot_method(said: FileTable) -> str:
     """Return the name of the given method of a robot, or of the default one for its channels."""
     if name := said.method.get("name"):
         return str(name)

@@ -206,7 +206,7 @@ _TRANSMISSION = Table(
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterSaid:
+class ParameterTable:
     """[parameters.inertia] and its like: what is known of one parameter; a bare number is a value."""
 
     value: float | None = setting(None, "what the parameter is fixed at")
@@ -230,7 +230,7 @@ class ParameterSaid:
             raise key_error("value", rest)
 
 
-_PARAMETER = Table(keys_of(ParameterSaid), ParameterSaid, shorthand="value")
+_PARAMETER = Table(keys_of(ParameterTable), ParameterTable, shorthand="value")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,8 +255,8 @@ class JointKeys:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AxisSaid(JointKeys):
-    """What a file says of one axis, each key and table right in itself.
+class AxisTable(JointKeys):
+    """Keys and tables of one axis, each valid by itself.
 
     Attributes:
         numbers: of the motor of a robot's joint, by the settings of `RobotJoint`.
@@ -268,7 +268,7 @@ class AxisSaid(JointKeys):
     gravity: Gravity | None = None
     ripple: PositionHarmonics | None = None
     controller: Controller | None = None
-    parameters: Mapping[str, ParameterSaid] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterTable] = field(default_factory=dict)
     limits: AxisLimits = field(default_factory=AxisLimits)
     zero: float = 0.0
     numbers: Mapping[str, Any] = field(default_factory=dict)
@@ -506,7 +506,7 @@ def make_method(name: str, given: Mapping[str, Any]) -> Method:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotSaid:
+class RobotTable:
     """[robot]: its model, and how it stands."""
 
     model: str = setting(MISSING, "path of its URDF or MJCF file, from the robot file's folder")
@@ -557,12 +557,12 @@ class RobotJointKeys:
     )
 
 
-def _make_robot_axis(spring: tuple[str, dict[str, float]] | None = None, **given: Any) -> AxisSaid:
+def _make_robot_axis(spring: tuple[str, dict[str, float]] | None = None, **given: Any) -> AxisTable:
     """Return the axis of [[joints]], which is flexible where there is a spring."""
     numbers = {key: given.pop(key) for key in keys_of(RobotJoint, without=("spring",)) if key in given}
     law, link = (None, {}) if spring is None else spring
     model: Any = given.pop("model", None) or ("rigid" if spring is None else "flexible")
-    return AxisSaid(**given, spring=law, link=link, model=model, numbers=numbers)
+    return AxisTable(**given, spring=law, link=link, model=model, numbers=numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -603,15 +603,15 @@ def _make_robot_run(file: str, **given: Any) -> Run:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FileSaid:
-    """What a file says, each table right in itself.
+class FileTable:
+    """Tables of a file, each valid by itself.
 
     Attributes:
         method: the keys of [method]; see `make_method`.
     """
 
-    joints: tuple[AxisSaid, ...]
-    robot: RobotSaid | None = None
+    joints: tuple[AxisTable, ...]
+    robot: RobotTable | None = None
     source: Source = field(default_factory=Source)
     columns: Mapping[str, Column] = field(default_factory=dict)
     records: tuple[Run, ...] = ()
@@ -621,14 +621,14 @@ class FileSaid:
     method: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _make_file(record: tuple[Source, Mapping[str, Column]] = (Source(), {}), **given: Any) -> FileSaid:
+def _make_file(record: tuple[Source, Mapping[str, Column]] = (Source(), {}), **given: Any) -> FileTable:
     """Return a file; a joint file is one of one axis."""
     source, columns = record
     if "joints" not in given:
         tables = {key: given.pop(key) for key in AXIS_TABLES if key in given}
         joint = given.pop("joint")
-        given["joints"] = (AxisSaid(**{"model": "rigid", **joint, **tables}),)
-    return FileSaid(source=source, columns=columns, **given)
+        given["joints"] = (AxisTable(**{"model": "rigid", **joint, **tables}),)
+    return FileTable(source=source, columns=columns, **given)
 
 
 _RIPPLE = keys_of(PositionHarmonics)
@@ -690,7 +690,7 @@ ROBOT_FILE = Table(
         **{
             name: _require(one)
             for name, one in _keys(
-                robot=(RobotSaid, "the robot's model"),
+                robot=(RobotTable, "the robot's model"),
                 joints=(tuple[_ROBOT_JOINT, ...], "the joints"),  # type: ignore[valid-type]
             ).items()
         },
@@ -705,8 +705,8 @@ ROBOT_FILE = Table(
 # Reading
 
 
-def read_tables(raw: Mapping[str, Any]) -> FileSaid:
-    """Return what a joint file or a robot file says.
+def read_tables(raw: Mapping[str, Any]) -> FileTable:
+    """Read the tables of a joint file or a robot file.
 
     Raises:
         JointFileError: with one sentence for each fault.
@@ -715,12 +715,12 @@ def read_tables(raw: Mapping[str, Any]) -> FileSaid:
     if isinstance(robot, dict) and isinstance(still := robot.get("locked"), list):
         at_zero = {name: 0.0 for name in still if isinstance(name, str)}
         raw = {**raw, "robot": {**robot, "locked": at_zero}}
-    said: FileSaid = read_as(JOINT_FILE if robot is None else ROBOT_FILE, raw)
+    said: FileTable = read_as(JOINT_FILE if robot is None else ROBOT_FILE, raw)
     return said
 
 
 def read_as(kind: Any, raw: Mapping[str, Any]) -> Any:
-    """Return what the tables of a file make.
+    """Make an object of the tables of a file.
 
     Args:
         kind: a `Table`, or a dataclass whose settings are its keys.
@@ -744,7 +744,7 @@ class Reader:
         self.faults = list[Fault]()
 
     def read(self, table: Table, raw: object, place: Place = ()) -> Any:
-        """Return what a table makes; something else where it has a fault."""
+        """Make an object of a table; the result is meaningless where it has a fault."""
         if not isinstance(raw, dict):
             if not table.shorthand:
                 return self._refuse(place, messages.describe_unexpected_value(raw, "a table"), "table")

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis:
-    """What a file says of one axis.
+    """One axis of a file: its joint, columns, drive and controller.
 
     Attributes:
         name: of the joint.

@@ -16,7 +16,7 @@ import tomlkit
 from jointid.common.errors import JointFileError, MethodError
 from jointid.common.settings import settings_of
 from jointid.config.axis_units import keys_of_controller, table_at, translate_gains
-from jointid.config.building import joint_file, robot_method, said_of_joint
+from jointid.config.building import declare_joint, joint_file, robot_method
 from jointid.config.declaration import TIMES, read_tables
 from jointid.config.file import File
 from jointid.config.rules import choose_method
@@ -197,7 +197,7 @@ def file_of(tables: Mapping[str, Any], path: Path = Path("joint.toml"), axis: st
         return replace(robot_file(said, raw, path, axis), tables=tables)
     if axis is not None:
         raise MethodError(f"{path} is a joint file, which has no axis {axis}; leave --axis out.")
-    return replace(joint_file(said_of_joint(said, raw), path), tables=tables)
+    return replace(joint_file(declare_joint(said, raw), path), tables=tables)
 
 
 def _size_faults(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
@@ -238,7 +238,7 @@ def _method_name(tables: Mapping[str, Any]) -> str | None:
     try:
         raw = translate_gains(tables)
         said = read_tables(raw)
-        return choose_method(said_of_joint(said, raw)) if said.robot is None else robot_method(said)
+        return choose_method(declare_joint(said, raw)) if said.robot is None else robot_method(said)
     except JointFileError:
         return None
 

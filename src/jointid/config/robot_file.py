@@ -22,15 +22,15 @@ from jointid.common.units import Kind
 from jointid.config.building import axis_of, complete, joint_file, robot_method
 from jointid.config.declaration import (
     AXIS_TABLES,
-    AxisSaid,
-    FileSaid,
+    AxisTable,
+    FileTable,
     fault_at,
     keys_of,
     make_method,
 )
 from jointid.config.file import Axis, File, name_axes, resolve_place
 from jointid.config.robot_model import load_robot, reorder_joints
-from jointid.config.rules import Said, foreign_settings
+from jointid.config.rules import Declaration, foreign_settings
 from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -40,8 +40,8 @@ from jointid.records.columns import Column
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 
 
-def _said_of_axis(file: FileSaid, raw: Mapping[str, Any], number: int, kind: Kind, alone: bool = False) -> Said:
-    """Return what a robot file says of one joint: the tables that all share, channels by its name and place, its own.
+def _declare_axis(file: FileTable, raw: Mapping[str, Any], number: int, kind: Kind, alone: bool = False) -> Declaration:
+    """Declare one joint of a robot file: the tables that all share, channels by its name and place, its own.
 
     Args:
         file: what its tables say.
@@ -59,7 +59,7 @@ def _said_of_axis(file: FileSaid, raw: Mapping[str, Any], number: int, kind: Kin
     name = "didim" if robot_method(file) == "didim" else "drive_side" if axis.model == "flexible" else "idim"
     method = dict(axis.method or {}) if alone else {}
     own = (*axis.channels, *(("method",) if method else ()))
-    return complete(Said(
+    return complete(Declaration(
         file=file, axis=axis, raw={"joint": written, **{key: written[key] for key in AXIS_TABLES if key in written}},
         kind=kind, columns={key: _fill_placeholders(one, str(axis.name), number) for key, one in columns.items()},
         drive=drive, gear=None, method={"name": name, **method}, number=number, own=own,
@@ -77,7 +77,7 @@ def _fill_placeholders(column: Column, name: str, number: int) -> Column:
     return replace(column, column=filled(column.column), time=None if column.time is None else filled(column.time))
 
 
-def robot_file(said: FileSaid, raw: Mapping[str, Any], path: Path, axis: str | None = None) -> File:
+def robot_file(said: FileTable, raw: Mapping[str, Any], path: Path, axis: str | None = None) -> File:
     """Return a robot file, or the file of one of its joints alone.
 
     Args:
@@ -115,7 +115,7 @@ def robot_file(said: FileSaid, raw: Mapping[str, Any], path: Path, axis: str | N
     )
 
 
-def _with_numbers(said: FileSaid, bare: Robot, axes: Sequence[Axis]) -> Robot:
+def _with_numbers(said: FileTable, bare: Robot, axes: Sequence[Axis]) -> Robot:
     """Return the robot with the numbers and laws of its joints."""
     each = list(zip(said.joints, bare.joints, axes, strict=True))
     faults = [
@@ -137,7 +137,7 @@ def _with_numbers(said: FileSaid, bare: Robot, axes: Sequence[Axis]) -> Robot:
         raise JointFileError(f"joints: {error}") from error
 
 
-def _alone(said: FileSaid, raw: Mapping[str, Any], model: Robot, name: str, path: Path) -> File:
+def _alone(said: FileTable, raw: Mapping[str, Any], model: Robot, name: str, path: Path) -> File:
     """Return the file of one joint, identified alone, as if no other joint moved.
 
     The method is that of `joints.method`, or that of the robot with default settings. Gravity is what
@@ -149,7 +149,7 @@ def _alone(said: FileSaid, raw: Mapping[str, Any], model: Robot, name: str, path
         raise MethodError(f"The axis{messages.no_choice(name, names)}")
     number = names.index(name)
     own = said.joints[number]
-    file = joint_file(_said_of_axis(said, raw, number, model.links[number].kind, alone=True), path)
+    file = joint_file(_declare_axis(said, raw, number, model.links[number].kind, alone=True), path)
     axis, parameters = file.axis, dict(file.parameters)
     rotor = float(own.numbers.get("rotor_inertia", model.joints[number].rotor_inertia))
     whole = model.axis_inertia(number) + rotor
@@ -162,7 +162,7 @@ def _alone(said: FileSaid, raw: Mapping[str, Any], model: Robot, name: str, path
     return replace(file, axes=(replace(axis, parameters=parameters),), parameters=parameters, runs=())
 
 
-def _require_one_payload(said: FileSaid, folder: Path) -> None:
+def _require_one_payload(said: FileTable, folder: Path) -> None:
     """Refuse a record that is listed with two payloads."""
     found = dict[Path, tuple[float, ...]]()
     for number, run in enumerate(said.records):
@@ -171,7 +171,7 @@ def _require_one_payload(said: FileSaid, folder: Path) -> None:
             raise JointFileError(fault_at(("records", number, "file"), rest))
 
 
-def _robot(said: FileSaid, folder: Path) -> Robot:
+def _robot(said: FileTable, folder: Path) -> Robot:
     """Return the model with what the file says of its joints."""
     assert said.robot is not None
     names, locked = [str(one.name) for one in said.joints], said.robot.locked or {}
@@ -206,14 +206,14 @@ def _robot(said: FileSaid, folder: Path) -> Robot:
     return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
 
 
-def _axes(said: FileSaid, raw: Mapping[str, Any], robot: Robot) -> tuple[Axis, ...]:
+def _axes(said: FileTable, raw: Mapping[str, Any], robot: Robot) -> tuple[Axis, ...]:
     axes, faults = list[Axis](), dict[Fault, list[str]]()
     for number, (own, link) in enumerate(zip(said.joints, robot.links, strict=True)):
         if own.kind not in (None, link.kind):
             rest = f' is "{own.kind}", but the model says "{link.kind}": leave it out, or correct the model.'
             raise JointFileError(fault_at(("joints", number, "kind"), rest))
         try:
-            axes.append(axis_of(_said_of_axis(said, raw, number, link.kind)))
+            axes.append(axis_of(_declare_axis(said, raw, number, link.kind)))
         except JointFileError as error:
             for fault in error.faults:
                 of_axis = fault.place[:1] == ("joints",)
@@ -274,7 +274,7 @@ def _starts(axis: Axis) -> tuple[dict[str, float], dict[str, float], dict[str, f
     return motor, spring, numbers
 
 
-def _stated_starts(own: AxisSaid, axis: Axis) -> Iterator[tuple[Parameter, float]]:
+def _stated_starts(own: AxisTable, axis: Axis) -> Iterator[tuple[Parameter, float]]:
     """Yield parameters of a joint with the numbers of its table, the inverse of `_starts`."""
     numbers = dict(own.numbers)
     for name in ("viscous", "coulomb"):
@@ -288,7 +288,7 @@ def _stated_starts(own: AxisSaid, axis: Axis) -> Iterator[tuple[Parameter, float
             yield parameter, float(given)
 
 
-def _joint(own: AxisSaid, joint: RobotJoint, axis: Axis) -> RobotJoint:
+def _joint(own: AxisTable, joint: RobotJoint, axis: Axis) -> RobotJoint:
     """Return a joint of the model with the file's numbers and laws."""
     motor, spring, numbers = _starts(axis)
     given: dict[str, Any] = {**own.numbers, **motor}
@@ -302,7 +302,7 @@ def _joint(own: AxisSaid, joint: RobotJoint, axis: Axis) -> RobotJoint:
     return replace(joint, **given, numbers=numbers)
 
 
-def _model_faults(own: AxisSaid, axis: Axis) -> Iterator[tuple[tuple[str, ...], str]]:
+def _model_faults(own: AxisTable, axis: Axis) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield place and rest of a sentence on unsupported tables, and on missing numbers of the laws."""
     motor, excess, numbers = _starts(axis)
     friction, spring = axis.joint.friction.name, getattr(axis.joint, "spring", None)

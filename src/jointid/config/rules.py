@@ -1,4 +1,4 @@
-"""What the tables of a file have to agree on: rules of one axis, each of which yields faults."""
+"""Rules between the tables of a file: rules of one axis, each of which yields faults."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from jointid.common.units import Kind
 from jointid.config.declaration import (
     CONTRADICTION,
     EFFECTS,
-    AxisSaid,
-    FileSaid,
-    ParameterSaid,
+    AxisTable,
+    FileTable,
+    ParameterTable,
     Place,
     fault_at,
     has_effects,
@@ -42,8 +42,8 @@ _NEXT_TO_ZERO = 1e-200  # a bound that only excludes 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
-    """What a file says of one axis, with what all axes share.
+class Declaration:
+    """Tables of one axis, with those that all axes share.
 
     Attributes:
         raw: the tables of a joint file that say the same, as they are written.
@@ -56,8 +56,8 @@ class Said:
         own: channels, and "method", that stand below its [[joints]] table and are not shared.
     """
 
-    file: FileSaid
-    axis: AxisSaid
+    file: FileTable
+    axis: AxisTable
     raw: Mapping[str, Any]
     kind: Kind
     columns: Mapping[str, Column]
@@ -167,7 +167,7 @@ def method_keys(method: type[Method], system: str) -> tuple[str, ...]:
     return (*settings, *(EFFECTS if has_effects(method) else ()))
 
 
-def choose_method(said: Said) -> str | None:
+def choose_method(said: Declaration) -> str | None:
     """Return the method: the one named, or the first whose needs are met, or None.
 
     DIDIM comes first, even where there is a motor position, which it does not read.
@@ -182,7 +182,7 @@ def _defaults() -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _lacking_places(said: Said, method: str, law: Controller | None) -> list[Place]:
+def _lacking_places(said: Declaration, method: str, law: Controller | None) -> list[Place]:
     """Return the places of what a method needs and the file lacks."""
     made = method_of(method)
     missing: list[Place] = [
@@ -191,7 +191,7 @@ def _lacking_places(said: Said, method: str, law: Controller | None) -> list[Pla
     return [*missing, ("controller",)] if made.needs_controller and said.law is None else missing
 
 
-def _side_faults(said: Said) -> Iterator[Fault]:
+def _side_faults(said: Declaration) -> Iterator[Fault]:
     """Yield sides without a transmission."""
     if said.gear is not None:
         return
@@ -203,7 +203,7 @@ def _side_faults(said: Said) -> Iterator[Fault]:
         yield said.fault((*place, "side"), rest)
 
 
-def _channel_faults(said: Said) -> Iterator[Fault]:
+def _channel_faults(said: Declaration) -> Iterator[Fault]:
     """Yield missing columns, misplaced settings and impossible units of the channels."""
     for name, column in said.columns.items():
         place = ("record", "channels", name)
@@ -226,7 +226,7 @@ def _channel_faults(said: Said) -> Iterator[Fault]:
         yield said.fault(("record", "channels", "injected"), rest, "unit")
 
 
-def _unit_faults(said: Said, name: str, column: Column) -> Iterator[Fault]:
+def _unit_faults(said: Declaration, name: str, column: Column) -> Iterator[Fault]:
     """Yield an impossible unit of a channel, or one that needs a missing number of the drive."""
     place, moving = ("record", "channels", name), said.side_of(name)
     known = known_units(name, moving)
@@ -244,7 +244,7 @@ def _unit_faults(said: Said, name: str, column: Column) -> Iterator[Fault]:
         yield said.fault(place, f' is in "{stated}", {lack}.', "unit")
 
 
-def _torque_faults(said: Said) -> Iterator[Fault]:
+def _torque_faults(said: Declaration) -> Iterator[Fault]:
     """Yield the contradictions to a torque from the controller."""
     if not said.computes_torque:
         return
@@ -256,13 +256,13 @@ def _torque_faults(said: Said) -> Iterator[Fault]:
         yield said.fault(place, ' is missing, but record.torque = "from_controller" needs it: add it.', "missing")
 
 
-def torque_unit(said: Said) -> str | None:
+def torque_unit(said: Declaration) -> str | None:
     """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
     unit = _si_unit(said, "torque")
     return None if unit in TORQUE_UNIT.values() else unit
 
 
-def _si_unit(said: Said, channel: str) -> str | None:
+def _si_unit(said: Declaration, channel: str) -> str | None:
     """Return the unit in which a channel is logged, made SI; None if it cannot be."""
     column, moving = said.columns.get(channel), said.side_of(channel)
     known = known_units(channel, moving)
@@ -277,7 +277,7 @@ def _si_unit(said: Said, channel: str) -> str | None:
     return said.drive.resolve_unit(units.unit(stated), moving).si
 
 
-def _lacking_number(said: Said, channel: str, unit: str) -> str | None:
+def _lacking_number(said: Declaration, channel: str, unit: str) -> str | None:
     """Return the end of the sentence on a unit for which a number of the drive is missing."""
     of_load, geared = channel == "load_position", said.gear is not None and said.gear.geared
     try:
@@ -287,7 +287,7 @@ def _lacking_number(said: Said, channel: str, unit: str) -> str | None:
     return None
 
 
-def _method_faults(said: Said) -> Iterator[Fault]:
+def _method_faults(said: Declaration) -> Iterator[Fault]:
     """Yield missing channels of the method, and settings of other methods."""
     name, model, law = choose_method(said), said.model, said.law
     if name is None:
@@ -331,7 +331,7 @@ def foreign_settings(given: Mapping[str, Any], name: str | None, system: str) ->
             yield key, f" is not for {CALLED[system]}: leave it out."
 
 
-def _free_faults(place: Place, names: Collection[str], said: Said) -> Iterator[Fault]:
+def _free_faults(place: Place, names: Collection[str], said: Declaration) -> Iterator[Fault]:
     """Yield names that cannot be identified beside the joint: unknown ones, or those of other controllers."""
     law = said.law
     for name in names if law is not None else ():
@@ -339,7 +339,7 @@ def _free_faults(place: Place, names: Collection[str], said: Said) -> Iterator[F
             yield said.fault(place, refused, "refused")
 
 
-def _parameter_faults(said: Said) -> Iterator[Fault]:
+def _parameter_faults(said: Declaration) -> Iterator[Fault]:
     """Yield unknown parameters and impossible values."""
     known = {parameter.name: parameter for parameter in said.joint().parameters}
     for name, stated in said.axis.parameters.items():
@@ -354,7 +354,7 @@ def _parameter_faults(said: Said) -> Iterator[Fault]:
             yield said.fault((*place, key) if key and is_table else place, rest)
 
 
-def change_parameter(parameter: Parameter, stated: ParameterSaid) -> Parameter:
+def change_parameter(parameter: Parameter, stated: ParameterTable) -> Parameter:
     """Return a parameter of the model with the file's value and the tighter bounds."""
     lower, upper = _bounds(parameter, stated)
     free = stated.value is None and (parameter.free if stated.free is None else stated.free)
@@ -362,13 +362,13 @@ def change_parameter(parameter: Parameter, stated: ParameterSaid) -> Parameter:
     return replace(parameter, free=free, start=start, lower=lower, upper=upper)
 
 
-def _bounds(parameter: Parameter, stated: ParameterSaid) -> tuple[float, float]:
+def _bounds(parameter: Parameter, stated: ParameterTable) -> tuple[float, float]:
     lower = parameter.lower if stated.lower is None else max(stated.lower, parameter.lower)
     upper = parameter.upper if stated.upper is None else min(stated.upper, parameter.upper)
     return lower, upper
 
 
-def _value_faults(parameter: Parameter, stated: ParameterSaid) -> Iterator[tuple[str, str]]:
+def _value_faults(parameter: Parameter, stated: ParameterTable) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on impossible values of a parameter."""
     if not parameter.free and stated.value is None:
         yield "", " is not identified in this joint, beside friction and load as declared; give it a value."
@@ -385,7 +385,7 @@ def _value_faults(parameter: Parameter, stated: ParameterSaid) -> Iterator[tuple
             yield key, f" is {number:g}; expected {expected}: correct it, or its bounds."
 
 
-def _record_faults(said: Said) -> Iterator[Fault]:
+def _record_faults(said: Declaration) -> Iterator[Fault]:
     """Yield unknown parameters and impossible controller numbers of the records."""
     known = [parameter.name for parameter in said.joint().parameters]
     for number, run in enumerate(said.file.records if said.number is None else ()):
@@ -406,7 +406,7 @@ def _record_faults(said: Said) -> Iterator[Fault]:
     yield from _free_faults(("together", "free"), said.file.together.free, said)
 
 
-def _limit_faults(said: Said) -> Iterator[Fault]:
+def _limit_faults(said: Declaration) -> Iterator[Fault]:
     """Yield limits in impossible units, and a limit on the spring of a rigid joint."""
     moving = said.kind if said.gear is None else said.gear.kind
     torque = torque_unit(said) or TORQUE_UNIT[moving]
@@ -419,7 +419,7 @@ def _limit_faults(said: Said) -> Iterator[Fault]:
         yield said.fault(("limits", "windup"), " is that of a spring, and a rigid joint has none: leave it out.")
 
 
-RULES: tuple[Callable[[Said], Iterator[Fault]], ...] = (
+RULES: tuple[Callable[[Declaration], Iterator[Fault]], ...] = (
     _side_faults,
     _channel_faults,
     _torque_faults,

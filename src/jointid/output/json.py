@@ -143,7 +143,7 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
 
 
 def _fits(stated: Any, own: Any) -> bool:
-    """Return whether what a document states of a joint is so in another one."""
+    """Test whether the joint of a document agrees with another one."""
     if isinstance(stated, dict):
         return isinstance(own, dict) and all(_fits(value, own.get(key)) for key, value in stated.items())
     return bool(stated == own)

@@ -193,7 +193,7 @@ class _Logged:
 
     @property
     def factor(self) -> float:
-        """What takes the values to SI; 0 if the unit is at fault."""
+        """Factor from the unit of the values to SI; 0 if the unit is at fault."""
         return 0.0 if self.unit is None else self.column.sign * self.column.gain * self.unit.factor
 
 

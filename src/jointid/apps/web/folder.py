@@ -89,7 +89,7 @@ class Draft:
 
     @property
     def records(self) -> list[str]:
-        """The names of the records that are there, those that its file names first."""
+        """Names of the records in the folder, those in its file first."""
         there = [name for name in self.files() if not name.lower().endswith((".toml", *MODELS))]
         return list(dict.fromkeys([*(name for name in list_records(self.tables) if name in there), *there]))
 

@@ -69,7 +69,7 @@ class Field:
 
     @property
     def is_number(self) -> bool:
-        """Whether it is a number that is typed."""
+        """True if the field takes a number."""
         return self.declared.type in (int, float) and not self.choices
 
     def read(self, text: str) -> Any:
@@ -160,7 +160,7 @@ def channel_step(tables: Tables) -> Iterator[Section]:
 
 
 def joint_step(tables: Tables) -> Iterator[Section]:
-    """Yield the sections of step 3, with what counts for the model and the law that are chosen."""
+    """Yield the sections of step 3 for the chosen model and law."""
     law, flexible = at(tables, LAW), at(tables, "joint.model") == "flexible"
     of_law = _LAWS.get("cascade" if law == LEARN else str(law), ())
     main = tuple(one for one in of_law if (one.declared.required and law != LEARN) or one.declared.name in _SHOWN)
@@ -211,7 +211,7 @@ def enter(tables: Tables, entries: Iterable[tuple[str, str]], records: Sequence[
 
 
 def show(tables: Tables) -> dict[str, str]:
-    """Return the texts of the fields, and the further lines, which are all that has no field."""
+    """Return the texts of the fields, and the keys without a field as further lines."""
     rest, shown = copy.deepcopy(tables), dict[str, str]()
     drop(rest, "record.file")
     if all(row.keys() == {"file"} for row in _rows(rest)):
@@ -224,7 +224,7 @@ def show(tables: Tables) -> dict[str, str]:
 
 
 def make_reading_tables(tables: Tables) -> Tables:
-    """Return the tables that read the records, with a law that stands in.
+    """Return the tables that read the records, with a placeholder controller.
 
     Raises:
         JointFileError: kind or units are not chosen, which decide how numbers are read.
@@ -287,7 +287,7 @@ def list_records(tables: Tables) -> list[str]:
 
 
 def require_records(tables: Tables, records: Sequence[str]) -> None:
-    """Raise a `JointFileError` where a joint file or robot file names a record that is not there."""
+    """Raise a `JointFileError` if a file names a missing record."""
     for name in list_records(tables):
         if name not in records:
             there = f"expected one of {', '.join(records)}" if records else "none is there"

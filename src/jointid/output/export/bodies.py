@@ -60,7 +60,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """What is exported: a joint alone, or a robot.
+    """The model of an export: a joint alone, or a robot.
 
     Attributes:
         laws: of each joint; None where none is known.

@@ -85,7 +85,7 @@ def _read_data_set(path: Path) -> Table:
 
 
 def _feature_ends(about: Any) -> dict[str, str]:
-    """Return what the elements of a feature are called, by their places."""
+    """Return the names of the elements of a feature, by their places."""
     names = about.get("names")
     if isinstance(names, dict) and len(names) == 1:  # such as {"motors": [...]}
         (names,) = names.values()

@@ -57,7 +57,7 @@ def _take(found: Found, name: str, value: Any) -> None:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield what a record holds, by its path."""
+    """Yield the values of a record with their paths."""
     if isinstance(value, dict):
         for key, member in value.items():
             yield from _leaves(f"{name}.{key}" if name else key, member)

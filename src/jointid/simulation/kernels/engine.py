@@ -77,7 +77,7 @@ _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: abov
 
 @inline_kernel
 def winding(w: float, way: float, x: float, rate: float) -> float:
-    """Return what is wound up after a displacement, from `w` before it."""
+    """Return the wound-up share after a displacement, from `w` before it."""
     if w == way or rate == 0.0:
         return w
     return w - (way - w) * math.expm1(min(-way * x * rate, 1.0))
@@ -89,7 +89,7 @@ def _accelerate(
     torque: float, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, push: FloatArray,
     grip: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the accelerations, what pushes each mass beside what holds it, and what can hold it in its direction."""
+    """Fill the accelerations, the push on each mass beside its Coulomb force, and the most that this force can be."""
     n, carried, spring = masses.shape[0], -torque, 0.0
     for i in range(n):
         force = -masses[i, OFFSET] - carried
@@ -181,7 +181,7 @@ def _fastest_rate(
 
 @inline_kernel
 def _guard(which: int, modes: FloatArray, v: FloatArray, push: FloatArray, grip: FloatArray) -> float:
-    """Return what is positive until an event: a mass's speed, or what can hold it beyond its push; a spring's rate."""
+    """Return a guard, positive until an event: a mass's speed, or what can hold it beyond its push; a spring's rate."""
     n = v.size
     if which >= n:
         return float(modes[which] * (v[which - n + 1] - v[which - n]))
