@@ -97,7 +97,7 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     (tmp_path / "old.json").write_text(json.dumps(stored), "utf-8")
     back, now = ji.load_estimate(tmp_path / "old.json", setup_of(kind)), found(kind)  # type: ignore[arg-type]
     assert back.values == pytest.approx(now.values, rel=1e-6)
-    np.testing.assert_allclose(back.params.stderr, now.params.stderr, rtol=1e-6)
+    assert [row.stderr for row in back.params.rows] == [row["std"] for row in stored["parameters"].values()]
     np.testing.assert_allclose(back.params.correlation, now.params.correlation, atol=1e-6)
     assert back.settings.filtering == now.settings.filtering and back.data.fingerprints == now.data.fingerprints
     assert back.sentence == now.sentence and back.fit.position_rms == pytest.approx(now.fit.position_rms)

@@ -35,8 +35,7 @@ _MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backwa
 _STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
 _CLOCKS = 100  # of a file, among which those of other columns are sought
 _LISTED = 1000  # channels; who has more of them reads them by a program
-_DRAWN = 90  # channels; more would be illegible
-_ACROSS = 3  # of their panels
+_DRAWN, _ACROSS = 90, 3  # channels, since more would be illegible; panels in a row
 _LONGEST, _TITLE = 60, 40  # characters of a name in the table, and over a panel
 _STRETCHES = 1000  # of a signal that is drawn
 
@@ -54,6 +53,7 @@ class InspectedChannel:
         jitter: largest deviation of a step of the clock from that, as a share of it; None without a clock.
     """
 
+    in_json = "rows minimum maximum missing"
     name: str
     unit: str | None
     values: FloatArray

