@@ -140,12 +140,7 @@ def test_all_of_a_file() -> None:
     )
     assert file == File(
         axes=(axis,),
-        method=DIDIM(
-            frequency=25.0,
-            rigid_cutoff=4.0,
-            tolerance=1e-3,
-            free=("position_gain", "delay"),
-        ),
+        method=DIDIM(frequency=25.0, rigid_cutoff=4.0, tolerance=1e-3, free=("position_gain", "delay")),
         filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
         parameters=axis.parameters,
         name="axis 3",

@@ -12,6 +12,7 @@ from jointid.controller_id.learned_controller import LearnedController, LearnedN
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import PID, Cascade, Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.output.json import dumps, to_dict
 
 GEARED = """
 [joint]
@@ -46,6 +47,12 @@ def shown(text: str, made: Controller, folder: Path, **values: float) -> Learned
     return learned.beside(file.axis.drive_numbers(made))
 
 
+def test_a_signal_like_the_torque_has_the_unit_in_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "joint.toml"
+    path.write_text(GEARED.replace('"i", unit = "A"', '"i [A]"'), encoding="utf-8")
+    assert load_to_learn(path).axis.column_like("torque", "injected").unit == "A"
+
+
 def test_a_gain_that_may_be_below_0_has_a_time_from_its_upper_end() -> None:
     """Of an integral gain between -50 and 200 1/s the time is 5 ms or more; below 0 there is none."""
     to = DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)
@@ -57,7 +64,9 @@ def test_a_gain_on_the_load_is_the_drive_s_on_the_motor(tmp_path: Path) -> None:
     """72 N m of the load are one ampere, and a radian of the load 100 of the motor."""
     made = Cascade(position_gain=30.0, velocity_gain=84.0, integral_gain=160.0, gain=72.0)
     values = {"position_gain": 30.0, "velocity_gain": 84.0, "integral_gain": 160.0}
-    position, velocity, time = shown(GEARED + DECLARED, made, tmp_path, **values).in_drive
+    learned = shown(GEARED + DECLARED, made, tmp_path, **values)
+    assert '"feedforward": []' in dumps(to_dict(learned))
+    position, velocity, time = learned.in_drive
     assert (velocity.value, velocity.unit, velocity.declared) == (pytest.approx(0.84), "A s/rad", pytest.approx(0.8))
     assert velocity.difference == pytest.approx(0.05)
     assert velocity.spread == pytest.approx(0.0084)

@@ -140,10 +140,7 @@ def test_several_records(run: Path) -> None:
     ("text", "said"),
     [
         (SEVERAL.replace('"coulomb"', '"colomb"'), "records.2.own unknown"),
-        (
-            SEVERAL.replace("position_gain = 80.0", "derivative_gain = 80.0"),
-            "records.2.controller contradiction",
-        ),
+        (SEVERAL.replace("position_gain = 80.0", "derivative_gain = 80.0"), "records.2.controller contradiction"),
         (SEVERAL.replace("limit = 5.0", "limit = -5.0"), "records.2.controller contradiction"),
         (SEVERAL.replace('file = "a.csv"', ""), "records.1.file missing"),
         (SEVERAL.replace("10.0", "-10.0"), "records.2.added_inertia value"),

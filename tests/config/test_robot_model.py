@@ -89,10 +89,7 @@ def mjcf(inside: str, beside: str = "") -> str:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (
-            mjcf('<body><joint name="k" type="ball"/></body>'),
-            "<joint> k is of the type ball",
-        ),
+        (mjcf('<body><joint name="k" type="ball"/></body>'), "<joint> k is of the type ball"),
         (mjcf("<body><freejoint/></body>"), "<freejoint> is not read"),
         (mjcf("", '<equality><connect body1="b" anchor="0 0 0"/></equality>'), "<connect> ties j; .*robot.locked"),
         (mjcf("", '<equality><joint joint1="j"/></equality>'), "Every joint of the model stands still"),

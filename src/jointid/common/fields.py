@@ -23,7 +23,7 @@ from jointid.common.files import write_whole
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: a data class by its fields, an array or a tuple as a list."""
+    """Return a value as JSON has it: a data class by its fields; an array, a tuple or a set as a list."""
     kind: Any = type(value)
     if is_dataclass(value):
         every = {name: kind.__name__ if name == "type" else plain(getattr(value, name)) for name in _names(kind)}
@@ -34,7 +34,8 @@ def plain(value: Any) -> Any:
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+    items = sorted(value) if kind is frozenset else value
+    return [plain(item) for item in items] if isinstance(items, list | tuple) else value
 
 
 @cache

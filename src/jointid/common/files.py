@@ -79,9 +79,8 @@ def require_room(path: str | os.PathLike[str]) -> None:
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file atomically, text as UTF-8."""
-    data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with beside(path) as fresh:
-        fresh.write_bytes(data)
+        fresh.write_bytes(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
 def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> tuple[Path, ...]:
