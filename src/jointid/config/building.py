@@ -66,7 +66,7 @@ def complete(said: Declaration) -> Declaration:
 
 
 def axis_of(said: Declaration) -> Axis:
-    """Return an axis from what is said of it.
+    """Build an axis from its declaration.
 
     Raises:
         JointFileError: with a sentence for each contradiction between the tables.

@@ -336,7 +336,7 @@ def _make_filter(kind: str | None = None, **given: Any) -> Filter | tuple[float,
 
 
 def _misfits_of_filter(kind: str, given: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return keys that a kind of filter does not have, and those that it lacks."""
+    """Return the surplus and the missing keys of a kind of filter."""
     needed = {one.name: one.default is MISSING or one.name == "numerator" for one in fields(FILTERS[kind])}
     known = _with_cutoff(kind, given)
     return [k for k in known if k not in needed], [k for k, must in needed.items() if must and k not in known]
@@ -558,7 +558,7 @@ class RobotJointKeys:
 
 
 def _make_robot_axis(spring: tuple[str, dict[str, float]] | None = None, **given: Any) -> AxisTable:
-    """Return the axis of [[joints]], which is flexible where there is a spring."""
+    """Return the axis of [[joints]], flexible if it has a spring."""
     numbers = {key: given.pop(key) for key in keys_of(RobotJoint, without=("spring",)) if key in given}
     law, link = (None, {}) if spring is None else spring
     model: Any = given.pop("model", None) or ("rigid" if spring is None else "flexible")

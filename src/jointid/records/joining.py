@@ -88,7 +88,7 @@ def _find_clock(table: Table, time: str | None, time_unit: str | None, sample_ti
 
 
 def _share_clock(first: Table, one: Clock, second: Table, other: Clock) -> bool:
-    """Test whether two files cover the same time, and agree in what both hold if each may count from its own 0."""
+    """Test whether two files overlap in time and agree in their common channels, each perhaps from its own 0."""
     both = min(one.stamps[-1], other.stamps[-1]) - max(one.stamps[0], other.stamps[0])
     shorter = min(np.ptp(one.stamps), np.ptp(other.stamps))
     if not (one.column and other.column and both >= _TOGETHER * shorter):

@@ -198,7 +198,7 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
 
 
 def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dict[str, Signal], str]:
-    """Return how channels whose stamps jitter are resampled, the signals at straight stamps where these are, a remark.
+    """Return the resampling of channels with jittering stamps, the signals at straight stamps, and a remark.
 
     No channel is resampled where no position follows the stamps of its own clock.
 

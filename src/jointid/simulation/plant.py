@@ -29,7 +29,7 @@ class Plant(NamedTuple):
     places: FloatArray
 
     def is_possible(self, duration: float) -> bool:
-        """Test for positive masses, springs that carry, and friction that is not negative before the end."""
+        """Test for positive masses, and for springs and friction that are never negative."""
         if not all(np.all(np.isfinite(one)) for one in self):
             return False
         inertia, _, _, _, coulomb, coulomb_back, winding, _, drift, per_torque = self.masses.T

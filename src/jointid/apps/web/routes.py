@@ -80,7 +80,7 @@ class Page:
         return HTMLResponse(made.render(common | values), code)
 
     def show(self, step: str, refusal: Exception | None = None, entries: Mapping[str, str] | None = None) -> Response:
-        """Show the form of a step, and what was refused of it beside its fields; step 1 where there is no record."""
+        """Show the form of a step, with its faults beside the fields; step 1 where there is no record."""
         now, columns = self.folder.now, self.folder.now.json("_columns.json")
         tables = {} if now.robot else now.tables
         texts = ({form.EXTRA: now.text} if now.robot else form.show(tables)) | dict(entries or {})
@@ -333,7 +333,7 @@ def _bound(request: Request, bound: int) -> Request:
 
 
 async def explain(request: Request, error: Exception) -> Response:
-    """Show that there is no such page, or what failed."""
+    """Show the page of an error."""
     if isinstance(error, HTTPException):
         values = {"title": "Not found", "sentence": "There is nothing at this address."}
         return _page(request).render("message", 404, **values)

@@ -142,7 +142,7 @@ def _settle(
 
 @inline_kernel
 def _turn_sliders(springs: FloatArray, modes: FloatArray, v: FloatArray, a: FloatArray) -> None:
-    """Let the deflections that do not change begin to the side that they are accelerated to."""
+    """Set the directions of deflections at rest by their accelerations."""
     n = v.size
     for i in range(n - 1):
         if springs[i, SLIDING] > 0.0 and v[i + 1] == v[i] and modes[n + i] * (a[i + 1] - a[i]) < 0.0:

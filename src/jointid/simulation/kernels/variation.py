@@ -170,7 +170,7 @@ def _fill_factors(
 def _follow_places(
     masses: FloatArray, places: FloatArray, dplaces: FloatArray, row: FloatArray, f: FloatArray, s: FloatArray
 ) -> None:
-    """Write what forces that follow a position give each mass, and add their stiffness."""
+    """Write the derivatives of position-dependent forces on each mass, and add their stiffness."""
     for i in range(2 * _MASSES * LANES):
         s[_PLACED + i] = 0.0
     for force in range(places.shape[0]):
