@@ -113,7 +113,7 @@ def read_robot(
         called: what sentences call it.
         locked: as of `load_robot`.
     """
-    root = _parse_model(text, called)
+    root = parse_model(text, called)
     kept, remarks = _clean_model(root, called)
     order = [one.get("name", "") for one in root.iter("joint")]
     mujoco = extra("mujoco", "robots", "A robot's model")
@@ -164,7 +164,7 @@ def carried_bodies(
         By the names of joint and link the pose of the link in the frame of the joint's own link, (4, 4), and its ten
         inertial parameters in its own frame, (10,).
     """
-    whole = _parse_model(text, called)
+    whole = parse_model(text, called)
     root, _ = _strip_model(whole, called)  # the remarks were made when the robot was read
     still = _follow_ties(whole, locked, {}, called)
     links = {link.get("name"): link.find("inertial") for link in root.findall("link")}
@@ -235,7 +235,7 @@ def read_model(path: str | os.PathLike[str]) -> bytes:
     return raw
 
 
-def _parse_model(text: str, called: str) -> ET.Element:
+def parse_model(text: str, called: str) -> ET.Element:
     """Return the root element, with names as they are written: those of a namespace with its prefix.
 
     Raises:

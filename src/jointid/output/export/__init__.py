@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from jointid.common.errors import MethodError, extra
+from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
@@ -21,8 +21,10 @@ from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.mjcf import mjcf
 from jointid.output.export.pd_law import controllers_of, pd_law
-from jointid.output.export.state_space import linear_part, state_space_file
+from jointid.output.export.state_space import state_space, state_space_file
 from jointid.output.export.urdf import urdf
+
+__all__ = ["LANGUAGES", "Export", "Language", "export", "find_language", "state_space"]
 
 
 class Language(NamedTuple):
@@ -33,20 +35,18 @@ class Language(NamedTuple):
         suffixes: the endings of its files, in lower case, with the dot.
         write: returns the content of a file, and a sentence for each part that it does not have; its keyword arguments
             are the settings.
-        side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
-        robots: whether it holds a robot.
+        bodies: whether its joints move bodies: it holds robots, and of a transmission the numbers of the load's side.
     """
 
     name: str
     suffixes: tuple[str, ...]
     write: Callable[..., tuple[str | bytes, list[str]]]
-    side: Side | None = "load"
-    robots: bool = True
+    bodies: bool = True
 
 
 LANGUAGES = (
-    Language("joint-file", (".toml",), joint_file, None, robots=False),
-    Language("state-space", (".mat",), state_space_file, None, robots=False),
+    Language("joint-file", (".toml",), joint_file, bodies=False),
+    Language("state-space", (".mat",), state_space_file, bodies=False),
     Language("mjcf", (".xml", ".mjcf"), mjcf),
     Language("urdf", (".urdf",), urdf),
     Language("isaac-lab", (".py",), isaac_lab),
@@ -138,50 +138,28 @@ def export(
         a constant force
     """
     chosen = find_language(language)
-    robot = estimate if isinstance(estimate, Robot) or _require_estimate(estimate).robot is not None else None
-    if robot is not None and not chosen.robots:
-        others = join([one.name for one in LANGUAGES if one.robots])
-        raise MethodError(f"{chosen.name} holds one joint; a robot is written as {others}.")
     known = [key for key, one in inspect.signature(chosen.write).parameters.items() if one.kind is one.KEYWORD_ONLY]
     if unknown := [key for key in settings if key not in known]:
         raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {', '.join(known)}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
+    if not isinstance(estimate, Estimate | Robot):
+        raise MethodError(f"What is exported is an estimate or a robot; received {type(estimate).__name__}.")
     given, note = controllers or controllers_of(estimate), ""
-    if robot is not None:
-        if side is not None:
-            raise MethodError("All numbers of a robot are behind its gears; leave the side out.")
-        require_one_each(given, len(robot if isinstance(robot, Robot) else robot.require_robot().model))
-        bodies, note = read_robot_model(robot)
+    if isinstance(estimate, Robot) or estimate.robot is not None:
+        if side is not None or not chosen.bodies:
+            others = join([one.name for one in LANGUAGES if one.bodies])
+            raise MethodError(f"A robot is written as {others}, with all numbers behind its gears; leave the side out.")
+        require_one_each(given, len(estimate if isinstance(estimate, Robot) else estimate.require_robot().model))
+        bodies, note = read_robot_model(estimate)
         model = Model([pd_law(one) for one in given], whole=replace(bodies, name=name or bodies.name))
     else:
         require_one_each(given, 1)
-        joint = JointModel.of(_require_estimate(estimate), name or "joint", *given)
-        joint = joint.on(side or (None if joint.side is None else chosen.side))
+        joint = JointModel.of(estimate, name or "joint", *given)
+        joint = joint.on(side or ("load" if chosen.bodies and joint.side is not None else None))
         model = Model([joint.law], alone=joint)
     content, lost = chosen.write(model, **settings)
     return Export(chosen.name, content.encode() if isinstance(content, str) else content, tuple(lost), note)
-
-
-def state_space(
-    estimate: Estimate, *, side: Side | None = None, period: float | None = None, delay: float = 0.0
-) -> Any:
-    """Return the linear part of a joint as `control.StateSpace`: from torque to positions and velocities.
-
-    Args:
-        estimate: see `export`.
-        side: of a transmission, whose torque and motion; without it the side that was identified.
-        period: s, to sample it with a zero-order hold on the torque; without it the system is continuous.
-        delay: s, from a sample of the torque to its effect. Each torque that is on its way is a state.
-
-    Raises:
-        MethodError: a value is refused, no joint can have it, there is no such side, or a time is out of range.
-        ExtraError: python-control is not there.
-    """
-    control = extra("control", "models", "A state space")
-    part = linear_part(JointModel.of(_require_estimate(estimate), "joint").on(side), period, delay)
-    names = {key: list(part[key]) for key in ("states", "outputs")}
-    return control.ss(*(part[name] for name in "ABCD"), 0 if period is None else period, inputs=["torque"], **names)
 
 
 def find_language(name: str) -> Language:
@@ -195,9 +173,3 @@ def find_language(name: str) -> Language:
             return language
     known = "; ".join(" ".join([one.name, *(f"({suffix})" for suffix in one.suffixes)]) for one in LANGUAGES)
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
-
-
-def _require_estimate(estimate: object) -> Estimate:
-    if not isinstance(estimate, Estimate):
-        raise MethodError(f"What is exported is an estimate or a robot; received {type(estimate).__name__}.")
-    return estimate

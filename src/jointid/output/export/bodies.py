@@ -28,7 +28,7 @@ from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import LinearSpring
-from jointid.output.export.joint_model import NO_WEIGHT, JointModel, Weight, losses, number, one_line
+from jointid.output.export.joint_model import JointModel, comments, losses, number
 from jointid.output.export.pd_law import PDLaw
 
 _GRAVITY = 9.81  # along -z, m/s2; what a link weighs does not depend on it, see `solid_of`
@@ -93,7 +93,7 @@ class Model:
         """Return the lines of a comment, see `JointModel.remarks`; `bodies` says what of these is chosen."""
         if self.alone is None:
             head = f"{self.robot().name}: a robot, written by jointid {__version__}; all numbers are behind the gears"
-            return [one_line(head), *losses(lost)]
+            return comments([head, *losses(lost)])
         chosen = "Masses and centres are chosen; inertia about the axis and weight are what was identified."
         return [*self.alone.remarks(lost), *([chosen] if bodies and self.alone.kind == "revolute" else [])]
 
@@ -115,25 +115,33 @@ def _robot_of_joint(model: JointModel, name: str, *, rigid: bool) -> Robot:
     else:
         carried, viscous, coulomb, *_ = np.sum([mass[:3] for mass in masses.values()], axis=0).tolist()
         moved = RobotJoint(name, viscous=viscous, coulomb=coulomb)
-    solid = solid_of(model.kind, carried, model.weight)
+    solid = solid_of(model.kind, carried, _moment(model))
     link = Link("load" if model.flexible else "motor", -1, model.kind, _AXES[model.kind], inertial=solid.inertial)
     return Robot((link,), (moved,), np.array([0.0, 0.0, -_GRAVITY]), name)
 
 
-def solid_of(kind: Kind, inertia: float, weight: Weight = NO_WEIGHT) -> MassProperties:
-    """Return a body with an inertia, and the weight of a link.
+def _moment(model: JointModel) -> tuple[float, float]:
+    """Return mass times the centre (X, Z) of a link at the zero of the position; 0 where no body weighs so.
 
-    A link that turns has ``gMX = m g X`` and ``gMY = -m g Z`` for its centre (X, 0, Z) at the zero of the position.
-    Only these products are known; the mass m is chosen so that the centre's own share of the inertia is at most half.
+    A link that turns has ``gMX = m g X`` and ``gMY = -m g Z``.
+    """
+    _, cos, sin, _ = model.weight
+    if abs(model.turns) != 1.0:
+        return 0.0, 0.0
+    return cos / _GRAVITY, -math.copysign(1.0, model.turns) * sin / _GRAVITY
+
+
+def solid_of(kind: Kind, inertia: float, moment: tuple[float, float] = (0.0, 0.0)) -> MassProperties:
+    """Return a body with an inertia, and with mass times centre (X, Z).
+
+    Only these are known: the mass is chosen so that the centre's own share of the inertia is at most half.
     """
     if kind == "prismatic":
         return MassProperties(inertia, np.zeros(3), _ROUND * inertia * np.eye(3))
-    x, z = 0.0, 0.0
-    if weight.is_body:
-        x, z = weight.cos / _GRAVITY, -math.copysign(1.0, weight.angle) * weight.sin / _GRAVITY
-    moment = x * x + z * z
-    mass = max(inertia / _GYRATION**2, 2.0 * moment / inertia)
-    return MassProperties(mass, np.array([x / mass, 0.0, z / mass]), (inertia - moment / mass) * np.eye(3))
+    x, z = moment
+    size = x * x + z * z
+    mass = max(inertia / _GYRATION**2, 2.0 * size / inertia)
+    return MassProperties(mass, np.array([x / mass, 0.0, z / mass]), (inertia - size / mass) * np.eye(3))
 
 
 def robot_bodies(robot: Robot, *, springs: bool = False) -> list[Body]:
@@ -166,26 +174,22 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
     if not isinstance(model, Robot):
         if not model.fit.converged:
             raise MethodError(
-                "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, "
-                "or allow more by method.iterations, of springs method.evaluations."
+                "The search did not settle, so there is nothing to export; allow more by method.iterations, of springs "
+                "method.evaluations."
             )
         found = consistent_robot(model)
         if found.misfit > MISFIT:
-            worst = found.worst[:_MOST_NAMES]
-            links = dict(zip(found.robot.names, (link.name for link in found.robot.links), strict=True))
-            resisting = join([*dict.fromkeys(links[model.params[name].axis] for name in worst)])
             raise MethodError(
                 f"No bodies near those of the model fit the estimate: the nearest are {found.misfit:.3g} standard "
-                f"deviations off, rms; expected at most {MISFIT:g}. Correct the model of {resisting} or the record; "
-                f"furthest off: {join(worst)}."
+                f"deviations off, rms; expected at most {MISFIT:g}. Correct the model or the record; furthest off: "
+                f"{join(found.worst[:_MOST_NAMES])}."
             )
         model = found.robot
         note = (
             f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the "
             f"mass matrix is positive in 1000 random poses, {found.least_inertia:.3g} at the least."
         )
-    impossible = [link.name for link in model.links if not is_physical(link.inertial)]
-    if impossible:
+    if impossible := [link.name for link in model.links if not is_physical(link.inertial)]:
         raise MethodError(
             f"No body can have the inertial parameters of {', '.join(impossible)}; write the consistent robot of an "
             "estimate."
@@ -226,7 +230,7 @@ def triple(values: Iterable[float] | FloatArray) -> str:
 def format_xml(root: ET.Element, lines: Iterable[str]) -> str:
     """Return XML text, with lines as comments at the head of its root: no two hyphens in a row, and none at an end."""
     for place, line in enumerate(lines):
-        comment = re.sub(r"-(?=-)", "- ", one_line(line)).removesuffix("-").rstrip()
+        comment = re.sub(r"-(?=-)", "- ", line).removesuffix("-").rstrip()
         root.insert(place, ET.Comment(f" {comment} "))
     ET.indent(root)
     return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'

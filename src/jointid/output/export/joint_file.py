@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Literal
 
 from jointid.common.errors import JointFileError, MethodError
-from jointid.common.parameters import Parameter
 from jointid.config import File, dumps, loads, with_paths, with_table
 from jointid.config.serialise import parameter_table
+from jointid.estimation.result.parts import show_value
 from jointid.output.export.bodies import Model
-from jointid.output.export.joint_model import JointModel, interval, number
-
-_STARTS = "jointid simulate takes these starts."
+from jointid.output.export.joint_model import number
 
 
 def joint_file(
@@ -38,50 +36,33 @@ def joint_file(
         JointFileError: the joint file cannot be read any more, or cannot say this.
     """
     assert model.alone is not None
-    alone = model.alone
+    alone, gear = model.alone, model.alone.joint.transmission
     if values not in ("start", "fixed"):
         raise MethodError(f'The values of a joint file are "start" or "fixed"; received "{values}".')
-    file = _require_same_joint(file, alone)
-    kept: dict[str, Parameter] = {}  # what the file says something of; what was fixed in it stays as it is
-    refused: list[str] = []
-    outside: list[str] = []
+    if file is None or file.joint != alone.joint or (gear is not None and alone.side != gear.side):
+        raise MethodError(
+            "A joint file is made from the one the joint was identified with; give that one, as "
+            'export(..., "joint-file", file=load(...)), and leave the side out.'
+        )
+    refused, outside, lines = list[str](), list[str](), list[str]()
     for declared, found in zip(file.joint.parameters, alone.parameters, strict=True):
         known, value = file.parameters.get(declared.name, declared), found.value
+        stated = declared.name in file.parameters  # what was fixed in it stays as it is
         if known.free and value is None:
             refused.append(declared.name)
         elif known.free and value is not None and not known.lower <= value <= known.upper:
-            outside.append(f"{declared.name}, which is outside its bounds: {interval(found)}")
+            outside.append(f"{declared.name}, which is outside its bounds: {show_value(found)} {found.unit}")
         elif known.free:
-            kept[declared.name] = replace(known, free=values == "start", start=value)
-            continue
-        if declared.name in file.parameters:
-            kept[declared.name] = known
+            known, stated = replace(known, free=values == "start", start=value), True
+        if stated:
+            lines.append(f"{declared.name} = {_toml(parameter_table(known, declared))}")
     lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
     lost += [*outside, *alone.effects_lost]
-
-    head = [*alone.remarks(lost), *([_STARTS] if values == "start" else [])]
-    symbols = {p.name: p for p in file.joint.parameters}
-    lines = [f"{name} = {_toml(p, symbols[name])}" for name, p in kept.items()]
-    written = "\n".join(["[parameters]", *(f"# {line}" for line in head), *lines, ""])
+    written = "\n".join(["[parameters]", *(f"# {line}" for line in alone.remarks(lost)), *lines, ""])
     before = file.path.parent
     made = with_paths(_fill_in(file, written), before, before if folder is None else folder)
     loads(made)  # which refuses what could not be read again
     return made, lost
-
-
-def _require_same_joint(file: File | None, model: JointModel) -> File:
-    if file is None:
-        raise MethodError(
-            "A joint file is made from the one the joint was identified with, which has its record and controller; "
-            'give it as export(..., "joint-file", file=load(...)).'
-        )
-    transmission = model.joint.transmission
-    if file.joint != model.joint or (transmission is not None and model.side != transmission.side):
-        raise MethodError(
-            "The joint file is of another joint than the estimate, or of the other side of its transmission; give the "
-            "one it was identified with, and leave the side out."
-        )
-    return file
 
 
 def _fill_in(file: File, written: str) -> str:
@@ -95,8 +76,7 @@ def _fill_in(file: File, written: str) -> str:
     return with_table(dumps(file), written)
 
 
-def _toml(parameter: Parameter, model: Parameter) -> str:
-    table = parameter_table(parameter, model)
+def _toml(table: dict[str, float] | float) -> str:
     if not isinstance(table, dict):
         return number(table)
     return f"{{ {', '.join(f'{key} = {number(value)}' for key, value in table.items())} }}"

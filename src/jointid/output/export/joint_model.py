@@ -1,32 +1,31 @@
-"""A joint's estimate as every export writes it: its numbers on either side of a transmission, and its remarks.
+"""A joint's estimate as every export writes it: its numbers on either side of a transmission, and what is lost of them.
 
-The remarks, the header of every export, say the source of the numbers, their standard errors, and what is left out.
-Nothing in them depends on the day or on the machine: the same answer gives the same bytes. Whoever named a record must
-not write another tool's program.
+Nothing in the comments of an export depends on the day or on the machine: the same answer gives the same bytes.
 """
 
 from __future__ import annotations
 
 import re
-import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from jointid import __version__
 from jointid.common import text
 from jointid.common.errors import MethodError
-from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.transmission import OtherSide, Side
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, on_other_side
+from jointid.estimation.result.parts import EstimatedParameter, on_other_side, show_value
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 from jointid.models.disturbances import EncoderOffset
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.output.export.pd_law import PDLaw, pd_law
 from jointid.output.json import ESTIMATE_SCHEMA
+
+_LONGEST = 300  # characters of a comment
 
 
 class Mass(NamedTuple):
@@ -44,29 +43,6 @@ class Mass(NamedTuple):
     coulomb: float
     even: bool
     force: float
-
-
-class Weight(NamedTuple):
-    """Gravity: ``constant + cos cos(angle q) + sin sin(angle q) + rate q``, what the torque has to carry."""
-
-    constant: float
-    cos: float
-    sin: float
-    rate: float
-    angle: float
-
-    @property
-    def turns(self) -> bool:
-        """True if it follows the cosine or the sine of the position."""
-        return self.cos != 0.0 or self.sin != 0.0
-
-    @property
-    def is_body(self) -> bool:
-        """True if a body that turns with the joint has this weight."""
-        return not self.turns or abs(self.angle) == 1.0
-
-
-NO_WEIGHT = Weight(0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +90,11 @@ class JointModel:
         return self.estimate.settings.joint
 
     @property
+    def flexible(self) -> bool:
+        """True for a motor and a load with a spring between."""
+        return self.joint.model == "flexible"
+
+    @property
     def torque_unit(self) -> str:
         """Of the torque on this side: N, N m, A or V."""
         declared = self.joint.torque_unit
@@ -132,13 +113,13 @@ class JointModel:
         Raises:
             MethodError: one of them is refused.
         """
-        refused = [p.name for p in self.parameters if p.value is None]
-        if refused:
+        found = {p.name: p.value for p in self.parameters if p.value is not None}
+        if refused := [p.name for p in self.parameters if p.value is None]:
             raise MethodError(
-                f"{', '.join(refused)} cannot be determined from {self.estimate.data.record}, and no other "
-                "program can simulate without; identify the joint as rigid, or export a joint file, which omits it."
+                f"The record does not tell {', '.join(refused)}, and no other program can simulate without; identify "
+                "the joint as rigid, or export a joint file, which omits it."
             )
-        return {p.name: p.value for p in self.parameters if p.value is not None}
+        return found
 
     @property
     def masses(self) -> dict[str, Mass]:
@@ -148,26 +129,19 @@ class JointModel:
             MethodError: a value is refused, or no joint can have it.
         """
         values, found = self.values, dict[str, Mass]()
-        for name, prefix in zip(("motor", "load"), ("motor_", "load_") if self.flexible else ("",), strict=False):
+        checked = {name: value for name, value in values.items() if name in ("stiffness", "damping")}
+        for name, prefix in {"motor": "motor_", "load": "load_"}.items() if self.flexible else [("motor", "")]:
             one, other, forwards, backwards = self.joint.friction.directions(values, prefix)
-            inertia, viscous, coulomb = values[f"{prefix}inertia"], 0.5 * (one + other), 0.5 * (forwards + backwards)
-            least = {f"{prefix}viscous": viscous, f"{prefix}coulomb": coulomb}  # means of both directions
-            least |= {spring: values[spring] for spring in ("stiffness", "damping") if spring in values}
-            wrong = [] if inertia > 0 else [f"{prefix}inertia is {inertia:g}"]
-            wrong += [f"{key} is {value:g}" for key, value in least.items() if value < 0]
-            if wrong:
-                raise MethodError(
-                    f"{text.join(wrong)}; expected a positive inertia, and no negative friction, stiffness or damping: "
-                    "identify again, from a motion that tells more."
-                )
             force = 0.5 * (forwards - backwards) + (values["offset"] if name == "motor" else 0.0)
+            inertia, viscous, coulomb = values[f"{prefix}inertia"], 0.5 * (one + other), 0.5 * (forwards + backwards)
             found[name] = Mass(inertia, viscous, coulomb, one == other, force)
+            checked |= {f"{prefix}{key}": getattr(found[name], key) for key in ("inertia", "viscous", "coulomb")}
+        if wrong := [f"{key} is {v:g}" for key, v in checked.items() if v < 0 or (v == 0 and key.endswith("inertia"))]:
+            raise MethodError(
+                f"{text.join(wrong)}; expected a positive inertia, and no negative friction, stiffness or damping: "
+                "identify again, from a motion that tells more."
+            )
         return found
-
-    @property
-    def flexible(self) -> bool:
-        """True for a motor and a load with a spring between."""
-        return self.joint.model == "flexible"
 
     @property
     def mode(self) -> float:
@@ -175,11 +149,15 @@ class JointModel:
         return FlexibleJoint.frequencies(self.values)["free_free"]
 
     @property
-    def weight(self) -> Weight:
-        """Gravity, the counterbalance taken off; nothing without."""
-        return (
-            NO_WEIGHT if self.gravity is None else Weight(*self.gravity.coefficients(self.values), self.gravity.angle)
-        )
+    def weight(self) -> tuple[float, float, float, float]:
+        """Of ``a + b cos(angle q) + c sin(angle q) + d q``, what the torque has to carry, a, b, c and d."""
+        return (0.0, 0.0, 0.0, 0.0) if self.gravity is None else self.gravity.coefficients(self.values)
+
+    @property
+    def turns(self) -> float:
+        """Radians that the weight of a link turns by, per unit of this position; 0 without such a weight."""
+        _, cos, sin, _ = self.weight
+        return self.gravity.angle if self.gravity is not None and (cos or sin) else 0.0
 
     def on(self, side: Side | None) -> JointModel:
         """Return the same joint with its numbers on that side of its transmission; None leaves them where they are.
@@ -190,60 +168,50 @@ class JointModel:
         transmission = self.joint.transmission
         if side is None or side == self.side:
             return self
-        if transmission is None:
+        if transmission is None or self.side is None:
             raise MethodError(
-                f"Nothing is known to lie between motor and load, so there are no numbers of the {side} side; add "
-                "[transmission] to the joint file and identify again, or leave the side out."
+                f"Without a transmission there is no {side} side; leave the side out, or add [transmission] to the "
+                "joint file and identify again."
             )
-        assert self.side is not None
         there = OtherSide(replace(transmission, side=self.side), self.torque_unit)
         # An angle is stated per unit of position, which becomes another one.
-        turned = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
-        return replace(
-            self,
-            kind=transmission.kind_of(side),
-            side=side,
-            parameters=on_other_side(self.parameters, there),
-            gravity=turned,
-            law=None if self.law is None else self.law.scale(there.ratio),
-        )
+        gravity = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
+        law = None if self.law is None else self.law.scale(there.ratio)
+        parameters, kind = on_other_side(self.parameters, there), transmission.kind_of(side)
+        return replace(self, kind=kind, side=side, parameters=parameters, gravity=gravity, law=law)
 
     def lost(self, *holds: str) -> list[str]:
-        """Return a sentence on each part of the joint that a language does not hold, see `_parts`."""
-        return [sentence for part, sentence in self._parts() if part not in holds]
-
-    def _parts(self) -> Iterator[tuple[str, str]]:
-        """Yield each part beside inertia and viscous friction, and the loss where a language does not have it."""
-        joint, weight, masses = self.joint, self.weight, self.masses
+        """Return a sentence on each part beside inertia and viscous friction that a language does not hold."""
+        joint, masses, found = self.joint, self.masses, list[tuple[str, str]]()
+        steady, _, _, rate = self.weight
         if isinstance(joint, FlexibleJoint):
             shown = {p.name: f"{text.number(p.value)} {p.unit}" for p in self.parameters}
             said = f"the spring of {joint.spring.describe(shown)} and its damping; inertia and friction are the sums of"
-            yield "spring", f"{said} both sides, which hold below about a fifth of {text.number(self.mode)} Hz"
-            if joint.spring.stepped:
-                yield "law of the spring", f"{joint.spring.adds}; {joint.spring.instead} is written"
-        for name, mass in masses.items():
-            if mass.coulomb:
-                size = f"{text.number(mass.coulomb)} {self.torque_unit}"
-                yield "coulomb", f"the Coulomb friction of the {name}, {size}, and with it all sticking"
-        if constant := sum((mass.force for mass in masses.values()), weight.constant):
-            yield "constant", f"a constant force of {text.number(constant)} {self.torque_unit}"
-        if weight.rate:
-            yield "rate", "the spring of the counterbalance"
-        if not all(mass.even for mass in masses.values()):
-            yield "", "the difference between viscous friction forwards and backwards; the mean of both is written"
-        if not joint.friction.linear:
-            yield "law of friction", f"{joint.friction.adds}; {joint.friction.instead} is written"
-        if joint.ripple is not None:
-            yield "", "the ripple over the position"
-        if weight.is_body and weight.turns:
-            yield "weight", "the weight of the link, which changes with the position"
-        elif weight.turns:
-            yield (
-                "turned weight",
-                f"the link's weight: it turns by {weight.angle:g} rad per unit of this position, and a body by 1; "
-                "export the load side of a [transmission]",
+            found.append(
+                ("spring", f"{said} both sides, which hold below about a fifth of {text.number(self.mode)} Hz")
             )
-        yield from (("", one) for one in self.effects_lost)
+            if joint.spring.stepped:
+                found.append(("law of the spring", f"{joint.spring.adds}; {joint.spring.instead} is written"))
+        for name, mass in masses.items():
+            size = f"{text.number(mass.coulomb)} {self.torque_unit}"
+            if mass.coulomb:
+                found.append(("coulomb", f"the Coulomb friction of the {name}, {size}, and with it all sticking"))
+        if constant := sum((mass.force for mass in masses.values()), steady):
+            found.append(("constant", f"a constant force of {text.number(constant)} {self.torque_unit}"))
+        if rate:
+            found.append(("rate", "the spring of the counterbalance"))
+        if not all(mass.even for mass in masses.values()):
+            found.append(("", "the difference between viscous friction forwards and backwards; their mean is written"))
+        if not joint.friction.linear:
+            found.append(("law of friction", f"{joint.friction.adds}; {joint.friction.instead} is written"))
+        if joint.ripple is not None:
+            found.append(("", "the ripple over the position"))
+        if abs(self.turns) == 1.0:
+            found.append(("weight", "the weight of the link, which changes with the position"))
+        elif self.turns:
+            said = f"it turns by {self.turns:g} rad per unit of this position, and a body by 1; export the load side"
+            found.append(("", f"the weight of the link: {said}"))
+        return [*(sentence for part, sentence in found if part not in holds), *self.effects_lost]
 
     @property
     def effects_lost(self) -> list[str]:
@@ -253,10 +221,7 @@ class JointModel:
         return [f"what was identified beside the joint: {', '.join(kinds)}"] if kinds else []
 
     def remarks(self, lost: Iterable[str]) -> list[str]:
-        """Return the lines of a comment: what it is, its source, every parameter with its interval, what is lost.
-
-        Each is one printable line, whatever the joint or the record is called.
-        """
+        """Return the lines of a comment: what it is, its source, every parameter with 2 sigma, what is lost."""
         data, transmission = self.estimate.data, self.joint.transmission
         known = ", ".join(filter(None, data.fingerprints))
         lines = [
@@ -267,53 +232,25 @@ class JointModel:
         if transmission is not None:
             ratio = f"{transmission.motor_per_load!r} motor position per load position, efficiency taken as 1"
             lines.append(f"transmission: {ratio}; all numbers here are of the {self.side} side")
-        lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {interval(p)}" for p in self.parameters]
-        return [*map(one_line, lines), *losses(lost)]
-
-    @property
-    def position_unit(self) -> str:
-        """Of the position on this side."""
-        return POSITION_UNIT[self.kind]
-
-
-_LONGEST = 48  # characters of a name
-_REMARK = 300  # characters of somebody's text that a remark keeps
+        lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {show_value(p)} {p.unit}" for p in self.parameters]
+        return comments([*lines, *losses(lost)])
 
 
 def losses(lost: Iterable[str]) -> list[str]:
     """Return a line of a comment for each loss."""
-    return [one_line(f"Lost: {sentence}") for sentence in lost]
+    return [f"Lost: {sentence}" for sentence in lost]
 
 
-def one_line(said: str) -> str:
-    """Return a text as one line that can be printed: whatever breaks or steers a line becomes a space.
-
-    Unicode has line ends beside ``\\n``, marks that turn the direction of reading, and halves of characters, which no
-    file can hold; all are of its categories C and Z.
-    """
-    shown = "".join(" " if unicodedata.category(char)[0] in "CZ" else char for char in said)
-    words = " ".join(shown.split())
-    return words if len(words) <= _REMARK else f"{words[:_REMARK]}..."
+def comments(lines: Iterable[str]) -> list[str]:
+    """Return each of the lines printable and in one: whoever named a record writes no other tool's program."""
+    return [text.short(line, _LONGEST) for line in lines]
 
 
 def identifier(wanted: str) -> str:
-    """Return a name made of a text: a letter, then letters, digits and _ of ASCII; "joint" where nothing is left."""
-    plain = unicodedata.normalize("NFKD", wanted).encode("ascii", "ignore").decode("ascii")
-    name = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:_LONGEST].strip("_") or "joint"
-    return name if name[0].isalpha() else f"joint_{name}"
+    """Return a name of letters, digits and _ of ASCII alone; "joint" where nothing is left."""
+    return re.sub(r"\W+", "_", wanted, flags=re.ASCII).strip("_") or "joint"
 
 
 def number(value: float) -> str:
     """Return a number with all its digits, as every one of the languages reads it."""
     return repr(float(value) + 0.0)  # of 0 there is no negative
-
-
-def interval(p: EstimatedParameter) -> str:
-    """Return a parameter's value, 2 sigma and unit as text."""
-    if p.value is None:
-        bound = "" if p.lower_bound is None else f", at least {text.number(p.lower_bound)} {p.unit}"
-        return f"refused: the record does not tell it{bound}"
-    if not p.free:
-        return f"{text.number(p.value)} {p.unit} (kept fixed)"
-    known = "no interval" if p.deviation is None else f"+- {text.number(2 * p.deviation, 2)}, 2 sigma"
-    return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not determined by the record'})"

@@ -9,17 +9,16 @@ and a fixed tendon of the length q12 - q1 is spring and damper.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Literal
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.parameters import TORQUE_UNIT
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import number as shown
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties
@@ -48,7 +47,6 @@ _SMALL = 1e-6  # of the motor's inertia, that its body has in a joint alone: how
 # As hard as MuJoCo solves it: with its own numbers what holds the joint creeps, and the torque of the twin's closed
 # loop errs by 32 % instead of 0.4 % (steps of 0.25 ms).
 _HARD = {"solreffriction": "-1 -200000", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
-_SOFT: Mapping[str, str] = MappingProxyType({})
 
 
 def mjcf(model: Model, *, timestep: float | None = None, control: Control = "torque") -> tuple[str, list[str]]:
@@ -69,10 +67,9 @@ def mjcf(model: Model, *, timestep: float | None = None, control: Control = "tor
         raise MethodError(f'The control of MJCF is "torque" or "pd"; received "{control}".')
     alone = model.alone
     robot = model.robot("load" if alone is not None and alone.flexible else "motor")
-    pieces = [_pieces(joint) for joint in robot.joints]
-    if alone is not None:
-        timestep = timestep or _step(alone, pieces[0])
     lost = model.lost("spring", "coulomb", "constant", "rate", "weight")
+    if alone is not None:
+        timestep = timestep or _step(alone, robot.joints[0])
     root = ET.Element("mujoco", model=robot.name if alone is None else identifier(alone.name))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     options = {} if timestep is None else {"timestep": number(timestep)}
@@ -80,44 +77,34 @@ def mjcf(model: Model, *, timestep: float | None = None, control: Control = "tor
     ET.SubElement(root, "option", options | {"gravity": triple(robot.gravity)})
     placed = {-1: ET.SubElement(root, "worldbody")}
     tendons, drive, sensors = (ET.Element(tag) for tag in ("tendon", "actuator", "sensor"))
-    taken = {one for link, joint in zip(robot.links, robot.joints, strict=True) for one in (link.name, joint.name)}
     for i, (body, joint) in enumerate(zip(robot_bodies(robot, springs=True), robot.joints, strict=True)):
-        moved, parent = body, placed[body.link.parent]
+        parent, moved = placed[body.link.parent], body
         if joint.spring is not None:
-            name = "motor" if alone is not None else _free_name(f"{joint.name}_motor", taken)
-            (viscous, coulomb), _ = friction_of_sides(joint).tolist()
-            solid, inertia = _NOTHING, joint.rotor_inertia
-            if alone is not None:
-                solid, inertia = solid_of(alone.kind, _SMALL * inertia), (1 - _SMALL) * inertia
-            moved = Body(replace(body.link, name=name), name, solid, viscous, coulomb, inertia)
-            unit = "N m/rad" if body.link.kind == "revolute" else "N/m"
-            spring = "spring" if alone is not None else f"{joint.name}_spring"
-            _add_spring(tendons, spring, name, joint.name, pieces[i], joint.spring.damping, unit)
+            moved = _motor_of(body, joint, alone)
+            _add_spring(tendons, "spring" if alone is not None else f"{joint.name}_spring", moved.joint, joint)
         # MuJoCo numbers positions in the order of the bodies: of a joint alone the motor's is the first.
-        for one in dict.fromkeys((moved, body) if alone is not None else (body, moved)):
-            element, held = _add_body(parent, one, _HARD if alone is not None and one.friction else _SOFT)
-            if one is body:
-                placed[i] = element
-            if one is moved:
-                driven = held
-        law = model.laws[i] if model.laws else None
+        order = dict.fromkeys((moved, body) if alone is not None else (body, moved))
+        added = {one: _add_body(parent, one, hard=alone is not None and one.friction != 0.0) for one in order}
+        placed[i] = added[body]
         if alone is not None or model.laws or control != "torque":
-            prefix = "" if alone is not None else f"{joint.name}_"
-            lost += _add_servo(drive, driven, prefix, law, control, timestep or _MUJOCO_STEP, alone)
+            law = model.laws[i] if model.laws else None
+            lost += _add_servo(drive, added[moved], joint.name, law, control, timestep or _MUJOCO_STEP, alone)
     if alone is not None:
         _add_constants(drive, sensors, alone)
-        lost += _losses_of_mujoco(alone, pieces[0])
+        lost += _losses_of_mujoco(alone, robot.joints[0])
     root.extend(element for element in (tendons, drive, sensors) if len(element))
     lost = [*dict.fromkeys(lost)]
     lines = model.remarks(lost)
     return format_xml(root, lines if alone is None else [*lines, *_how_to_drive(alone, control)]), lost
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
+def _step(alone: JointModel, joint: RobotJoint) -> float:
+    """Return the time step of a joint alone, s."""
+    sample_time, longest = alone.estimate.data.sample_time, _LONGEST
+    if pieces := _pieces(joint):
+        stiffest = alone.values | {"stiffness": max(piece.stiffness for piece in pieces)}
+        longest = min(longest, 1 / (_STEPS * FlexibleJoint.frequencies(stiffest)["free_free"]))
+    return sample_time / math.ceil(sample_time / longest)
 
 
 def _pieces(joint: RobotJoint) -> Sequence[Piece]:
@@ -135,22 +122,30 @@ def _pieces(joint: RobotJoint) -> Sequence[Piece]:
     begins = [piece.deflection for piece in found]
     if not all(map(math.isfinite, begins)) or begins != sorted(begins):
         raise MethodError(
-            f"The pieces of this {spring.law.name} spring begin at {', '.join(map(shown, begins))}; expected pieces "
-            "that follow each other: identify again."
+            f"A piece of this {spring.law.name} spring never ends, or ends before it begins: identify again."
         )
     return found
 
 
-def _losses_of_mujoco(model: JointModel, pieces: Sequence[Piece]) -> Iterator[str]:
-    damped = pieces and pieces[-1].damping
-    if any(p.damping != damped and after.deflection > p.deflection for p, after in pairwise(pieces)):
+def _losses_of_mujoco(alone: JointModel, joint: RobotJoint) -> Iterator[str]:
+    pieces = _pieces(joint)
+    if any(p.damping != pieces[-1].damping and after.deflection > p.deflection for p, after in pairwise(pieces)):
         yield "a gap in which nothing damps: the damper of a MuJoCo tendon acts there, too"
-    if any(mass.coulomb for mass in model.masses.values()):
+    if any(mass.coulomb for mass in alone.masses.values()):
         yield "true sticking: MuJoCo's friction creeps where it should hold"
 
 
-def _add_body(parent: ET.Element, body: Body, friction: Mapping[str, str]) -> tuple[ET.Element, ET.Element]:
-    """Add a body with its one joint, and return both; `friction` says how hard the joint is held."""
+def _motor_of(body: Body, joint: RobotJoint, alone: JointModel | None) -> Body:
+    """Return the motor of a joint with a spring as a body beside its link."""
+    name, solid, inertia = f"{joint.name}_motor", _NOTHING, joint.rotor_inertia
+    if alone is not None:
+        name, solid, inertia = "motor", solid_of(alone.kind, _SMALL * inertia), (1 - _SMALL) * inertia
+    viscous, coulomb = friction_of_sides(joint)[0].tolist()
+    return Body(replace(body.link, name=name), name, solid, viscous, coulomb, inertia)
+
+
+def _add_body(parent: ET.Element, body: Body, *, hard: bool) -> ET.Element:
+    """Add a body with its one joint, which holds as hard as MuJoCo solves it if `hard`."""
     link, solid = body.link, body.solid
     place = {"pos": triple(link.origin), "xyaxes": triple(link.rotation[:, :2].T)}
     element = ET.SubElement(parent, "body", {"name": link.name, **place})
@@ -159,70 +154,63 @@ def _add_body(parent: ET.Element, body: Body, friction: Mapping[str, str]) -> tu
         ET.SubElement(element, "inertial", {"pos": triple(solid.centre), "mass": number(solid.mass)} | moments)
     moves = {"type": "hinge" if link.kind == "revolute" else "slide", "axis": triple(link.axis)}
     held = {"armature": number(body.armature), "damping": number(body.damping), "frictionloss": number(body.friction)}
-    return element, ET.SubElement(element, "joint", {"name": body.joint, **moves, **held, **friction})
+    ET.SubElement(element, "joint", {"name": body.joint, **moves, **held, **(_HARD if hard else {})})
+    return element
 
 
-def _add_spring(
-    tendons: ET.Element, name: str, motor: str, load: str, pieces: Sequence[Piece], damping: float, unit: str
-) -> None:
-    """Add the spring between two joints as tendons beside each other.
+def _add_spring(tendons: ET.Element, name: str, motor: str, joint: RobotJoint) -> None:
+    """Add the spring between motor and link as tendons beside each other.
 
     A tendon does not pull within its `springlength`: one that begins with each piece of a spring, as stiff as the piece
     is more than the one before, makes all of them.
     """
+    assert joint.spring is not None
     before = 0.0
-    for i, piece in enumerate(pieces, 1):
+    for i, piece in enumerate(_pieces(joint), 1):
         more, slack = piece.stiffness - before, piece.deflection
         if more < 0:
             raise MethodError(
                 f"MJCF has no spring that becomes softer, and the stiffness falls from {shown(before)} to "
-                f"{shown(piece.stiffness)} {unit}; simulate it by jointid simulate."
+                f"{shown(piece.stiffness)}; simulate it by jointid simulate."
             )
         before = piece.stiffness
-        if not more and i > 1:
-            continue
-        springs = {"name": name if i == 1 else f"{name}_{i}", "stiffness": number(more)}
-        length = triple((-slack, slack)) if slack else "0"
-        springs |= {"damping": number(damping if i == 1 else 0.0), "springlength": length}
-        tendon = ET.SubElement(tendons, "fixed", springs)
-        ET.SubElement(tendon, "joint", joint=load, coef="1")
-        ET.SubElement(tendon, "joint", joint=motor, coef="-1")
+        if more or i == 1:
+            springs = {"name": name if i == 1 else f"{name}_{i}", "stiffness": number(more)}
+            springs["damping"] = number(joint.spring.damping if i == 1 else 0.0)
+            springs["springlength"] = triple((-slack, slack)) if slack else "0"
+            tendon = ET.SubElement(tendons, "fixed", springs)
+            ET.SubElement(tendon, "joint", joint=joint.name, coef="1")
+            ET.SubElement(tendon, "joint", joint=motor, coef="-1")
 
 
 def _add_servo(
     drive: ET.Element,
-    moved: ET.Element,
-    prefix: str,
+    body: ET.Element,
+    name: str,
     law: PDLaw | None,
     control: Control,
     step: float,
     alone: JointModel | None,
 ) -> list[str]:
-    """Add the actuators of a joint of MuJoCo, and return a sentence for each loss.
-
-    Args:
-        drive: the element of all actuators.
-        moved: the joint of the motor.
-        prefix: of the actuators' names.
-        law: of the controller; None where none is known.
-        control: of the joint, see `mjcf`.
-        step: of the simulation, s, of which a delay is a number.
-        alone: the joint, if it is alone: its gear, delay, and constant forces, which the limit does not count.
+    """Add the actuators of a motor's body, in a simulation with a step in s, and return a sentence for each loss.
 
     Raises:
         MethodError: there is no law for this control.
     """
-    gear, delay = (1.0, 0.0) if alone is None else (alone.gear, alone.estimate.settings.delay)
-    joint, late, limit = {"joint": str(moved.get("name"))}, 0.0, math.inf
-    if law is not None:
-        late, limit = law.command_delay, law.limit
-    elif control == "pd":
-        raise MethodError(
-            'The control "pd" takes a law of position and velocity, and none is declared; add a controller with the '
-            'law "pd", "pid" or "cascade", or use the control "torque".'
-        )
-    seconds = delay if control == "torque" else late
-    steps, lost = round(seconds / step), list[str]()
+    moved = body.find("joint")
+    assert moved is not None
+    joint, lost = {"joint": moved.attrib["name"]}, list[str]()
+    prefix, gear, seconds = f"{name}_", 1.0, 0.0
+    if alone is not None:  # its gear and delay, and its constant forces, which the limit does not count
+        prefix, gear, seconds = "", alone.gear, alone.estimate.settings.delay
+    if control == "pd":
+        if law is None:
+            raise MethodError(
+                'The control "pd" takes a law of position and velocity, and none is declared; add a controller with '
+                'the law "pd", "pid" or "cascade", or use the control "torque".'
+            )
+        seconds = law.command_delay
+    steps, limit = round(seconds / step), math.inf if law is None else law.limit
     if abs(steps * step - seconds) > 1e-9:
         lost.append(f"a part of the delay of {1e3 * seconds:.4g} ms: {steps} steps of {1e3 * step:.4g} ms are written")
     # A sample that is due exactly now may be missed by rounding.
@@ -233,9 +221,9 @@ def _add_servo(
         return lost
     kp, kd = law.stiffness, law.damping
     affine = {**joint, "gaintype": "fixed", "biastype": "affine", **held}
-    for name, gain, bias in (("position", kp, (0.0, -kp, 0.0)), ("velocity", kd * law.share, (0.0, 0.0, -kd))):
+    for controlled, gain, bias in (("position", kp, (0.0, -kp, 0.0)), ("velocity", kd * law.share, (0.0, 0.0, -kd))):
         gains = {"gainprm": number(gain), "biasprm": triple(bias)}
-        ET.SubElement(drive, "general", {"name": f"{prefix}{name}", **affine, **gains})
+        ET.SubElement(drive, "general", {"name": f"{prefix}{controlled}", **affine, **gains})
     ET.SubElement(drive, "motor", {"name": f"{prefix}torque", **joint})
     if limit < math.inf:
         constant = 0.0 if alone is None else _constants(alone)["motor"][0]
@@ -245,48 +233,31 @@ def _add_servo(
     return [*lost, *law.lost]
 
 
-def _step(model: JointModel, pieces: Sequence[Piece]) -> float:
-    sample_time, longest = model.estimate.data.sample_time, _LONGEST
-    if pieces:
-        stiffest = max(piece.stiffness for piece in pieces)
-        longest = min(
-            longest, 1 / (_STEPS * FlexibleJoint.frequencies(model.values | {"stiffness": stiffest})["free_free"])
-        )
-    return sample_time / math.ceil(sample_time / longest)
-
-
 def _constants(model: JointModel) -> dict[str, tuple[float, float]]:
     """Return the constant force on each mass, and how it grows with the position."""
-    weight = model.weight
-    forces = {name: (mass.force, 0.0) for name, mass in model.masses.items()}
+    forces, (constant, _, _, rate) = {name: (mass.force, 0.0) for name, mass in model.masses.items()}, model.weight
     carried = [*forces][-1]
-    return forces | {carried: (forces[carried][0] + weight.constant, weight.rate)}
+    return forces | {carried: (forces[carried][0] + constant, rate)}
 
 
 def _add_constants(drive: ET.Element, sensors: ET.Element, model: JointModel) -> None:
     """Add the constant forces of a joint alone, and the sensors of its masses."""
     for joint, (constant, rate) in _constants(model).items():
         if constant or rate:
-            bias = {"biastype": "affine", "biasprm": triple((-constant, -rate, 0.0))}
-            affine = {"gaintype": "fixed", "gainprm": "0", **bias}
-            ET.SubElement(drive, "general", {"name": f"constant_{joint}", "joint": joint, **affine})
+            affine = {"gaintype": "fixed", "gainprm": "0", "biastype": "affine"}
+            bias = {"biasprm": triple((-constant, -rate, 0.0))}
+            ET.SubElement(drive, "general", {"name": f"constant_{joint}", "joint": joint, **affine, **bias})
         ET.SubElement(sensors, "jointpos", name=f"{joint}_position", joint=joint)
         ET.SubElement(sensors, "jointvel", name=f"{joint}_velocity", joint=joint)
 
 
 def _how_to_drive(model: JointModel, control: Control) -> Iterator[str]:
     """Yield the remarks on how to drive a model of MuJoCo and to build it in."""
-    transmission, position = model.joint.transmission, model.position_unit
-    unit = model.torque_unit if transmission is None else TORQUE_UNIT[transmission.motor]
+    transmission, position = model.joint.transmission, POSITION_UNIT[model.kind]
     if control == "pd":
-        yield (
-            f"Controls: position in {position}, velocity in {position}/s, both of the commands, and torque in "
-            f"{model.torque_unit} beside the law; all are of this side."
-        )
+        yield f"Controls: position in {position}, velocity in {position}/s, and torque in {model.torque_unit} beside."
     else:
+        unit = model.torque_unit if transmission is None else TORQUE_UNIT[transmission.motor]
         yield f"The control of the actuator torque is the motor's own torque in {unit}; the others want no control."
     if model.flexible:
-        yield (
-            "In a robot, motor and load are both children of the link before; the load is the link, and the motor is "
-            f"beside it. Free-free mode {shown(model.mode)} Hz."
-        )
+        yield "In a robot, motor and load are both children of the link before; the load is the link."

@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, extra
+from jointid.common.transmission import Side
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.output.export.bodies import Model
@@ -40,10 +42,10 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
     """
     if isinstance(model.joint, FlexibleJoint):
         model.joint.require_linear_spring("A state space takes")
-    masses, values = model.masses.values(), model.values
+    masses, values, (_, _, _, rate) = model.masses.values(), model.values, model.weight
     A, b = drive_matrices(
         [mass.inertia for mass in masses], [mass.viscous for mass in masses], values.get("stiffness", 0.0),
-        values.get("damping", 0.0), model.weight.rate,
+        values.get("damping", 0.0), rate,
     )  # fmt: skip
     order, B, waiting = len(A), b[:, np.newaxis], 0
     if period is not None:
@@ -68,6 +70,27 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
     C, D = np.eye(order, order + waiting), np.zeros((order, 1))
     states: tuple[str, ...] = (*OUTPUTS[:order], *names)
     return {"A": A, "B": B, "C": C, "D": D, "states": states, "outputs": states[:order]}
+
+
+def state_space(
+    estimate: Estimate, *, side: Side | None = None, period: float | None = None, delay: float = 0.0
+) -> Any:
+    """Return the linear part of a joint as `control.StateSpace`: from torque to positions and velocities.
+
+    Args:
+        estimate: of a joint, see `export`.
+        side: of a transmission, whose torque and motion; without it the side that was identified.
+        period: s, to sample it with a zero-order hold on the torque; without it the system is continuous.
+        delay: s, from a sample of the torque to its effect. Each torque that is on its way is a state.
+
+    Raises:
+        MethodError: a value is refused, no joint can have it, there is no such side, or a time is out of range.
+        ExtraError: python-control is not there.
+    """
+    control = extra("control", "models", "A state space")
+    part = linear_part(JointModel.of(estimate, "joint").on(side), period, delay)
+    names = {key: list(part[key]) for key in ("states", "outputs")}
+    return control.ss(*(part[name] for name in "ABCD"), 0 if period is None else period, inputs=["torque"], **names)
 
 
 def state_space_file(
