@@ -1,4 +1,4 @@
-"""The formulas and numbers of docs/theory.md hold for the code; (T..) are the equations of that page."""
+"""The formulas and numbers of docs/how-it-works.md hold for the code; (T..) are the equations of that page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RHO_PER_W2 = P["load_inertia"] / P["stiffness"]
 
 
 def feedback(law: SampledLaw, w: float) -> complex:
-    """C of (T23) without the delay."""
+    """C of (T12) without the delay."""
     z = np.exp(1j * w * T)
     back = law.C[0, 0] @ np.linalg.solve(z * np.eye(law.order) - law.A[0], law.B[0, :, POSITION])
     return complex(-(back + law.D[0, 0, POSITION]))
@@ -72,11 +72,11 @@ class Sinusoid:
         self.load_velocity = 0j if run.load_position is None else self.s * amplitude(run.load_position)
 
     def sensitivity(self, plant: complex) -> complex:
-        """S of (T22)."""
+        """S of (T11)."""
         return complex(1 / (1 + self.feedback * plant * held(self.w) * self.late))
 
     def predicted(self, plant: complex, W: list[complex]) -> FloatArray:
-        """(T23): the logged torque's part of T W."""
+        """(T12): the logged torque's part of T W."""
         return np.asarray(self.feedback * plant * self.sensitivity(plant) * np.array(W))
 
 
@@ -144,7 +144,7 @@ def test_noise_of_an_inverted_law() -> None:
 
 @pytest.mark.parametrize("hertz", [10.0, 60.0])
 def test_the_chord_bound(hertz: float) -> None:
-    """(T12) to (T14) on the motion itself, both masses sliding under a held torque."""
+    """(T9) on the motion itself, both masses sliding under a held torque."""
     M1, M2, K = P["motor_inertia"], P["load_inertia"], 10 * P["stiffness"]
     f1, f2, F = P["motor_viscous"], P["load_viscous"], 10 * P["damping"]
     A = np.zeros((4, 4))  # motor velocity, stretch, load velocity, 1

@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, get_args, get_origin
 
 from jointid.common.settings import Declared
-from jointid.config.declaration import JOINT_FILE, list_keys, table_of, table_of_items
+from jointid.config.declaration import JOINT_FILE, ROBOT_FILE, FileKey, list_keys, table_of, table_of_items
 from jointid.config.quantities import list_units
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
@@ -22,7 +22,7 @@ HEAD = """# Every key of the joint file
 Written from the declarations by which the program checks a file; a key that is not here is a fault. What the keys do,
 with examples, is told in [the joint file](../../joint-file.md). `<channel>` stands for any of the channels, `<name>`
 for the name of a parameter or of a number. Of `[[records]]` and `torque_filters` each entry has the keys that stand
-here once.
+here once. Keys that only a robot file has stand at the end.
 """
 
 
@@ -50,23 +50,37 @@ class Key:
 
 def page() -> str:
     """Return the page."""
-    parts, each = [HEAD], list(_keys())
+    parts, each = [HEAD], list(_convert(list_keys()))
     for name, table in JOINT_FILE.keys.items():
         keys = _merged([key for key in each if key.place.startswith(f"{name}.")])
         if name == "record":
             keys = _of_any_channel(keys)
         mark = f"[[{name}]]" if get_origin(table.type) is tuple else f"[{name}]"
-        rows = "\n".join(key.row for key in keys)
         said = f"{table.setting.help[:1].upper()}{table.setting.help[1:]}."
-        parts.append(
-            f"\n## `{mark}`\n\n{said}\n\n| key | values | unit | default | meaning |\n|---|---|---|---|---|\n{rows}\n"
-        )
-    return "".join(parts)
+        parts.append(_section(f"`{mark}`", said, keys))
+    robot = _merged(list(_convert(_of_robots())))
+    return "".join([*parts, _section("Of a robot file", "Of `[[joints]]` each entry has its own keys.", robot)])
 
 
-def _keys() -> Iterator[Key]:
-    """Yield every key; one of several laws comes once for each."""
-    for key in list_keys():
+def _section(title: str, said: str, keys: list[Key]) -> str:
+    rows = "\n".join(key.row for key in keys)
+    return f"\n## {title}\n\n{said}\n\n| key | values | unit | default | meaning |\n|---|---|---|---|---|\n{rows}\n"
+
+
+def _of_robots() -> Iterator[FileKey]:
+    """Yield the keys that a robot file has and a joint file has not."""
+    joint = {key.place for key in list_keys()}
+    for key in list_keys(ROBOT_FILE):
+        table, _, name = key.place.partition(".")
+        alike = key.place in joint or (table == "joints" and {name, f"joint.{name}"} & joint)
+        under = table == "joints" and name.partition(".")[0] in {*JOINT_FILE.keys, "channels"}
+        if name and not (alike or under):
+            yield key
+
+
+def _convert(keys: Iterable[FileKey]) -> Iterator[Key]:
+    """Yield the rows of keys; one of several laws comes once for each."""
+    for key in keys:
         one = key.declared
         said = "its value, by its name" if one.name == "<name>" else one.setting.description
         unit = _UNIT.search(said)
