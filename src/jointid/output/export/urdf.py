@@ -53,7 +53,7 @@ def urdf(
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if model is not None:
-        root, more = _replace(read_model(model).decode("utf-8-sig"), robot.names, bodies, locked)
+        root, more = _replace(read_model(model).decode("utf-8-sig"), bodies, locked)
         return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n', [*lost, *more]
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
         lost.append("how the base stands, and gravity other than 9.81 m/s2: turn it where the model is used")
@@ -102,18 +102,15 @@ def _angles(rotation: FloatArray) -> FloatArray:
     return np.array([roll, pitch, yaw])
 
 
-def _replace(
-    text: str, names: Sequence[str], found: Sequence[Body], locked: Mapping[str, float]
-) -> tuple[ET.Element, list[str]]:
+def _replace(text: str, found: Sequence[Body], locked: Mapping[str, float]) -> tuple[ET.Element, list[str]]:
     """Return the root of a URDF with a robot's bodies and friction, and what it lacks.
 
     Args:
         text: of the file.
-        names: of the robot's joints.
-        found: its bodies.
+        found: the robot's bodies.
         locked: positions of the joints that stand still, see `load_robot`.
     """
-    carried = carried_bodies(text, "The robot's URDF", tuple(names), locked)
+    carried = carried_bodies(text, "The robot's URDF", locked)
     root = parse_model(text, "The robot's URDF")
     inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
     joints, lost = {joint.get("name"): joint for joint in root.findall("joint")}, list[str]()
