@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.campaign import Case, canonical, load_campaign
+from jointid.campaigns.campaign import Case, load_campaign
 from jointid.campaigns.run import run_case
-from jointid.campaigns.store import Outcome, Row, open_store
+from jointid.campaigns.store import Outcome, open_store
 from jointid.common.errors import JointFileError
 from tests.campaigns.conftest import FLEET, JOINT
 
@@ -96,20 +95,11 @@ def test_a_spoiled_record_a_spoiled_joint_file_and_a_fault_of_ours_are_rows(
 ) -> None:
     case = campaign(place, FLEET)[0]
     Path(case.record).write_bytes(b"")
-    row = run_case(case)
-    assert (row.outcome, row.found) == (Outcome.REFUSED, {})
-    assert row.sentence.endswith("is empty (0 bytes); log or copy it again.")
-    assert run_case(replace(case, joint_file="[joint]")).sentence.startswith("joint.kind is missing")
-    assert "was described by jointid 0.0.1" in run_case(replace(case, program="0.0.1")).sentence
+    for spoiled in (case, replace(case, joint_file="[joint]"), replace(case, program="0.0.1")):
+        row = run_case(spoiled)
+        assert (row.outcome, row.found) == (Outcome.REFUSED, {})
     monkeypatch.setattr("jointid.campaigns.run.digest", lambda _: 1 / 0)
-    row = run_case(case)
-    assert row.outcome is Outcome.FAILED
-    assert row.sentence == "jointid failed, which is a fault of ours (ZeroDivisionError: division by zero)."
-
-
-def test_a_row_is_read_as_it_was_written(place: Path) -> None:
-    row = run_case(campaign(place, FLEET)[0])
-    assert Row.read(json.loads(canonical(asdict(row)))) == row
+    assert run_case(case).outcome is Outcome.FAILED
 
 
 def test_a_record_that_is_gone_or_has_an_odd_name_fails_its_own_case_alone(place: Path) -> None:

@@ -31,7 +31,7 @@ from jointid.config import loads
 from jointid.config.declaration import key_error, read_as
 from jointid.config.toml import apply_changes, parse_toml, read_text
 
-_NAMED, _FAULTS = 5, 20  # names in a sentence, and faults that are listed at once
+_NAMED = 5  # names in a sentence
 _PLACEHOLDERS = {"{joint}": "(?P<joint>[^/]+)", "{day}": r"(?P<day>\d{4}-?\d{2}-?\d{2})"}
 _ALL = "joint"  # the name of all records where their path has no {joint}
 
@@ -127,9 +127,6 @@ def load_campaign(path: Path) -> Campaign:
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
     file: CampaignTable = read_as(CampaignTable, parse_toml(read_text(path)))
     runs, left_out = _list_fleet(file.fleet, path.parent)
-    own = {one.partition("=")[0] for one in runs[0].settings}
-    if both := [key for key in file.sweep if key in own]:
-        raise JointFileError(f"{join(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
     swept = (
         dict.fromkeys(f"{key}={tomlkit.item(value).as_string()}" for value in values)
         for key, values in file.sweep.items()
@@ -142,26 +139,15 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def _list_fleet(fleet: FleetTable, folder: Path) -> tuple[list[Case], str]:
-    """Return the cases of a fleet without changes, and a description of what is left out; all faults at once."""
+    """Return the cases of a fleet without changes, and a description of what is left out."""
     records, undated = _match_records(folder, fleet.records)
-    rows = dict.fromkeys(records, ("", ())) if fleet.table is None else _read_table(folder / fleet.table)
-    found, without, faults = list[Case](), list[str](), list[str]()
-    text_of, checked = cache(_read_joint), set[tuple[str, ...]]()
-    for name, (row, settings) in rows.items():
+    rows = dict.fromkeys(records, ()) if fleet.table is None else _read_table(folder / fleet.table)
+    found, without, text_of = list[Case](), list[str](), cache(_read_joint)
+    for name, settings in rows.items():
+        text = text_of(folder / fleet.joint.replace("{joint}", name))
         logged = records.get(name if "{joint}" in fleet.records else _ALL, ())
-        try:
-            text = text_of(folder / fleet.joint.replace("{joint}", name))
-            keys = (text, *(one.partition("=")[0] for one in settings))
-            if settings and keys not in checked:  # of each set of keys the first values
-                loads(text, changes=settings)
-                checked.add(keys)
-        except JointFileError as error:
-            faults += [f"{row}{one}" for one in error.faults]
-            continue
         found += [Case(name, text, record, stamp, day, settings=settings) for record, stamp, day in logged]
         without += [] if logged else [name]
-    if faults:
-        raise JointFileError(faults[:_FAULTS])
     if not found:
         of_joints = "" if fleet.table is None else f" of a joint in {fleet.table}"
         raise JointFileError(f'fleet.records is "{fleet.records}", and no file is of that form{of_joints}; correct it.')
@@ -236,13 +222,13 @@ def _read_joint(path: Path) -> str:
     return f"# the model's SHA-256: {digest}\n{tomlkit.dumps(tables)}"
 
 
-def _read_table(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Return the place and the settings of each joint of a fleet's table, as text: no cell is executed.
+def _read_table(path: Path) -> dict[str, tuple[str, ...]]:
+    """Return the settings of each joint of a fleet's table, as text: no cell is executed.
 
     Args:
         path: of a CSV file in UTF-8, with commas, semicolons or tabs.
     """
-    text, joints = read_text(path), dict[str, tuple[str, tuple[str, ...]]]()
+    text, joints = read_text(path), dict[str, tuple[str, ...]]()
     separator = max(",;\t", key=text.partition("\n")[0].count)
     # Strict, as a quote that is not closed would take in all that follows.
     reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
@@ -261,7 +247,7 @@ def _read_table(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         if None in row or None in row.values() or not name or name in joints:
             raise JointFileError(f"{place}expected {len(header)} cells, and a name that no other row has; correct it.")
         settings = ((key, cell) for key in keys if (cell := row[key].strip()))
-        joints[name] = place, tuple(f"{key}={_value(key, cell)}" for key, cell in settings)
+        joints[name] = tuple(f"{key}={_value(key, cell)}" for key, cell in settings)
     return joints
 
 

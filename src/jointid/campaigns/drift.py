@@ -128,8 +128,7 @@ _FRICTIONS = ("coulomb", "viscous")
 _TO_SIGMA = 1.4826  # from the median of absolute deviations, for a normal distribution
 _WINDOW = 5  # runs, of which the middle one is the level: a step stays a step
 _OUT = 6.0  # deviations from that level: of normal scatter one run in thousands is out by chance
-_FEWEST = 8
-"""Runs of which something can be said."""
+_FEWEST = 8  # runs of which something can be said
 
 
 @dataclass(frozen=True, slots=True, eq=False)

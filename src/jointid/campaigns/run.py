@@ -11,8 +11,6 @@ import logging
 import math
 import multiprocessing
 import os
-import signal
-import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
@@ -27,7 +25,7 @@ from jointid.campaigns.store import Found, Outcome, Row, Store
 from jointid.common.errors import JointidError, MethodError, RecordError, extra
 from jointid.common.files import digest
 from jointid.common.messages import Progress, Work, ignore_progress
-from jointid.common.parallel import BLAS_THREADS, THREADS, cores, end_with_parent
+from jointid.common.parallel import THREADS, begin_worker, cores, without_interrupts
 from jointid.common.text import pluralise
 from jointid.config import loads
 from jointid.estimation.result.answer import Trust
@@ -129,10 +127,8 @@ def local_processes(count: int = 0) -> Iterator[Workers]:
     Args:
         count: how many at most; one for each core when 0.
     """
-    for name in BLAS_THREADS:  # a worker's libraries read this when they are loaded, before it can say so
-        os.environ.setdefault(name, "1")
     before, count = set(multiprocessing.active_children()), count or cores()
-    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
+    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker)
     try:
         yield executor, lambda: count
     except BaseException:
@@ -141,12 +137,6 @@ def local_processes(count: int = 0) -> Iterator[Workers]:
         raise
     finally:
         executor.shutdown(wait=True, cancel_futures=True)
-
-
-def _begin_worker() -> None:
-    """Begin as a worker: ignore Ctrl-C, and end with the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @contextlib.contextmanager
@@ -163,31 +153,21 @@ def dask_cluster(address: str) -> Iterator[Workers]:
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # of a scheduler that is gone they print tracebacks
     try:
-        client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
+        with distributed.Client(address, timeout=_PATIENCE, set_as_default=False) as client:
+            first = client.scheduler_info()["id"]
+
+            def capacity() -> int:
+                about = client.scheduler_info(n_workers=-1)
+                if client.status != "running" or about["id"] != first:
+                    raise OSError  # another scheduler knows none of these tasks, and Dask does not always say so
+                return sum(int(one["nthreads"]) for one in about["workers"].values())
+
+            yield client.get_executor(pure=False), capacity  # a case that is tried again is another task
     except (OSError, ValueError) as error:
         raise MethodError(
-            f"No Dask scheduler answers at {address} ({type(error).__name__}); start one, and name it as "
-            "tcp://10.0.0.1:8786."
+            f"No Dask scheduler answers at {address}, as tcp://10.0.0.1:8786, or not any more; start one, and give the "
+            "same command again: what is finished is kept."
         ) from error
-    with client:
-        executor = client.get_executor(pure=False)  # a case that is tried again is another task
-        first = client.scheduler_info()["id"]
-
-        def capacity() -> int:
-            about = client.scheduler_info(n_workers=-1)
-            if client.status != "running" or about["id"] != first:
-                raise OSError  # another scheduler knows none of these tasks, and Dask does not always say so
-            return sum(int(one["nthreads"]) for one in about["workers"].values())
-
-        try:
-            yield executor, capacity
-        except (OSError, RecordError) as error:  # this of cases that are cancelled when the connection is lost
-            if isinstance(error, RecordError) and client.status == "running":
-                raise
-            raise RecordError(
-                f"The Dask scheduler at {address} answers no more; start it again, and give the same command again: "
-                "what is finished is kept."
-            ) from error
 
 
 def run_cases(
@@ -205,7 +185,7 @@ def run_cases(
         engine: opens the workers that execute them, as `local_processes`.
         store: keeps the results.
         carry: the function of a case.
-        progress: receives number done, rate and time left.
+        progress: receives number done and time left.
     """
     waiting = [case for case in dict.fromkeys(cases) if not store.has_result(case.content_hash)]
     made = dict.fromkeys(Outcome, 0)
@@ -218,18 +198,15 @@ def run_cases(
         made[row.outcome] += 1
         work.add()
 
-    try:
-        while affected := _run_together(rest, engine, carry, keep):
-            progress(f"a worker died; what it may have died of is tried again: {pluralise(len(affected), 'case')}")
-            for case in affected:
-                if all(_run_together(iter([case]), engine, carry, keep) for _ in range(_DEATHS)):
-                    sentence = (
-                        f"{_DEATHS} workers died of {case.record} with nothing else to do, so it was set aside; look "
-                        "into the record, and into the worker's memory."
-                    )
-                    keep(Row.of(case, Outcome.SET_ASIDE, sentence))
-    finally:
-        work.reach(len(waiting))
+    while affected := _run_together(rest, engine, carry, keep):
+        progress(f"a worker died; what it may have died of is tried again: {pluralise(len(affected), 'case')}")
+        for case in affected:
+            if all(_run_together(iter([case]), engine, carry, keep) for _ in range(_DEATHS)):
+                sentence = (
+                    f"{_DEATHS} workers died of {case.record} with nothing else to do, so it was set aside; look "
+                    "into the record, and into the worker's memory."
+                )
+                keep(Row.of(case, Outcome.SET_ASIDE, sentence))
     return made
 
 
@@ -241,7 +218,8 @@ def _run_together(waiting: Iterator[Case], engine: Engine, carry: Carry, keep: K
             most = _AHEAD * max(capacity(), 1)
             while not affected and len(under_way) < most and (case := next(waiting, None)) is not None:
                 try:
-                    under_way[_submit(executor, carry, case)] = case
+                    with without_interrupts():
+                        under_way[executor.submit(_carry_on_one_core, carry, case)] = case
                 except BrokenExecutor:
                     affected.append(case)
             if not under_way:
@@ -252,17 +230,6 @@ def _run_together(waiting: Iterator[Case], engine: Engine, carry: Carry, keep: K
                     affected.append(case)
                 else:
                     keep(row)
-
-
-def _submit(executor: Executor, carry: Carry, case: Case) -> Future[Row]:
-    """Submit a case; a process that starts for it has Ctrl-C blocked, so that its start cannot print one."""
-    if not hasattr(signal, "pthread_sigmask"):
-        return executor.submit(_carry_on_one_core, carry, case)
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-    try:
-        return executor.submit(_carry_on_one_core, carry, case)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
 def _carry_on_one_core(carry: Carry, case: Case) -> Row:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -19,6 +18,7 @@ from typing import Any, Self
 from jointid import __version__
 from jointid.campaigns.campaign import Case, canonical
 from jointid.common.errors import RecordError
+from jointid.common.fields import read
 from jointid.common.files import explain, lock, open_file
 
 _BEGIN = b'{"changes":'  # of each line, whose keys are in order
@@ -87,29 +87,6 @@ class Row:
         about = (case.content_hash, case.joint, case.record, case.day, case.changes)
         return cls(*about, outcome, sentence, settings=case.settings, **more)
 
-    @classmethod
-    def read(cls, raw: Mapping[str, Any]) -> Self:
-        """Return a row from its JSON.
-
-        Raises:
-            ValueError: it is none.
-        """
-        try:
-            found = {name: Found(**one) for name, one in raw["found"].items()}
-            lists = {key: tuple(raw[key]) for key in ("changes", "settings")}
-            row = cls(**{**raw, **lists, "found": found, "outcome": Outcome(raw["outcome"])})
-            texts = (
-                row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.program,
-                row.record_sha256, *row.changes, *row.settings, *(one.unit for one in found.values()),
-            )  # fmt: skip
-            "".join(texts)  # refuses what is no text
-            numbers = (row.error_percent, *(number for one in found.values() for number in (one.value, one.std)))
-            if all(number is None or math.isfinite(number) for number in numbers):
-                return row
-        except (TypeError, KeyError, AttributeError, OverflowError) as error:
-            raise ValueError(f"no row ({error})") from error
-        raise ValueError("no row (a number is not finite)")
-
     @property
     def place(self) -> tuple[str, str, str, tuple[str, ...], str]:
         """Sort key, independent of engine and order."""
@@ -154,8 +131,8 @@ class Store:
                 if not line.endswith(b"\n") and (line.startswith(_BEGIN) or _BEGIN.startswith(line)):
                     break  # torn by a kill
                 try:
-                    row = Row.read(json.loads(line))
-                except (ValueError, RecursionError) as error:
+                    row = read(Row, json.loads(line))
+                except (ValueError, TypeError, OverflowError, RecursionError) as error:
                     raise RecordError(
                         f"{self._path}, line {number} is no result of a campaign ({error}); name another file by --out."
                     ) from error
@@ -178,7 +155,7 @@ def open_store(path: Path, *, again: bool = False) -> Iterator[Store]:
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
         descriptor = os.open(path, flags, 0o666)
     try:
-        if lock(descriptor) is False:
+        if not lock(descriptor):
             raise RecordError(
                 f"Another campaign is at work on {path}; wait for its end, or name another file by --out."
             )

@@ -59,7 +59,7 @@ def read(kind: Any, raw: Any, **given: object) -> Any:
     origin, parts = get_origin(kind), get_args(kind)
     found: Any
     if is_dataclass(kind):
-        hints = get_type_hints(kind)
+        hints = _hints(kind)
         names = [field.name for field in fields(kind) if field.name in _require(raw, Mapping)]
         own = {name: read(hints[name], raw[name]) for name in names if name not in given}
         found = kind(**own, **given)  # type: ignore[operator]
@@ -78,6 +78,9 @@ def read(kind: Any, raw: Any, **given: object) -> Any:
     else:
         found = _require(raw, kind) if kind in (bool, int, str) else kind(raw)
     return found
+
+
+_hints = cache(get_type_hints)
 
 
 def _require(raw: Any, kind: Any) -> Any:

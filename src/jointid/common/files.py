@@ -1,7 +1,7 @@
-"""Atomic writing of files and folders, and opening of files that may be anything.
+"""Whole writes of files, and opening of files that may be anything.
 
 Output is written beside its place and moved there when complete. A link is followed, permissions are kept, and a device
-or pipe such as `/dev/stdout` is written directly. A killed program leaves a folder `.jointid-...` behind.
+or pipe such as `/dev/stdout` is written directly. A killed program leaves a file `.jointid-...` behind.
 """
 
 from __future__ import annotations
@@ -12,16 +12,13 @@ import hashlib
 import os
 import secrets
 import shutil
-import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
 from jointid.common.errors import RecordError
 
-_FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 _SYSTEM = ("/dev/", "/proc/")  # what is opened there may be a file, and is still no place to put another
-_rooms: set[Path] = set()
 
 
 @contextlib.contextmanager
@@ -45,23 +42,18 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     path = Path(path)
     with explain(path):
-        if _is_written_as_it_is(path):
+        if _is_device(path):
             yield path
             return
         place = _place_of(path)
-        with _room_in(place.parent) as room:
-            fresh = room / place.name
+        fresh = place.with_name(f".jointid-{secrets.token_hex(4)}-{place.name}")
+        try:
             yield fresh
-            if fresh.is_file():
-                try:
-                    with fresh.open("rb+") as file:
-                        os.fsync(file.fileno())  # a full disk fails here
-                except OSError as error:
-                    if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # no such order on some disks
-                        raise
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(place, fresh)
             fresh.replace(place)
+        finally:
+            fresh.unlink(missing_ok=True)
 
 
 def require_room(path: str | os.PathLike[str]) -> None:
@@ -71,10 +63,14 @@ def require_room(path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     with explain(path):
-        if not _is_written_as_it_is(path):
+        if not _is_device(path):
             place = _place_of(path)
-            with _room_in(next(each for each in (place, *place.parents) if each.is_dir())) as room:
-                (room / place.name).write_bytes(b"\n")
+            folder = next(each for each in (place, *place.parents) if each.is_dir())
+            fresh = folder / f".jointid-{secrets.token_hex(4)}"
+            try:
+                fresh.write_bytes(b"\n")
+            finally:
+                fresh.unlink(missing_ok=True)
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -94,20 +90,15 @@ def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> 
 
 
 def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
-    """Open a regular file for reading.
+    """Open a file for reading.
 
     Raises:
         OSError: it cannot be opened, or is a folder, a pipe or a device: these may never answer, or have no end.
     """
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # a pipe waits for its writer
-    descriptor = os.open(path, flags)
-    kind = os.fstat(descriptor).st_mode
-    if stat.S_ISREG(kind):
-        return os.fdopen(descriptor, "rb")
-    os.close(descriptor)
-    if stat.S_ISDIR(kind):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
-    raise OSError(errno.EINVAL, "it is a pipe or a device, no file", os.fspath(path))
+    path = Path(path)
+    if _is_device(path):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, no file", str(path))
+    return path.open("rb")
 
 
 def files_of(record: Path) -> list[Path]:
@@ -133,10 +124,10 @@ def digest(*records: Path) -> str:
     return made.hexdigest()
 
 
-def lock(descriptor: int) -> bool | None:
-    """Lock an open file or folder; False if another process has it.
+def lock(descriptor: int) -> bool:
+    """Lock an open file; False if another process has it.
 
-    None where the system has no locks, as Windows and some disks in a network.
+    True, too, where the system has no locks, as Windows and some disks in a network.
     """
     try:
         import fcntl
@@ -145,21 +136,8 @@ def lock(descriptor: int) -> bool | None:
     except (BlockingIOError, PermissionError):
         return False
     except (ImportError, OSError):
-        return None
+        pass
     return True
-
-
-def remove_rooms() -> None:
-    """Remove temporary folders that an interrupt left, at the end of the program."""
-    for room in tuple(_rooms):
-        shutil.rmtree(room, ignore_errors=True)
-    _rooms.clear()
-
-
-def is_full(error: BaseException) -> bool:
-    """Test whether an error or its cause is a full disk."""
-    cause = error if isinstance(error, OSError) else error.__cause__
-    return isinstance(cause, OSError) and cause.errno in _FULL
 
 
 @contextlib.contextmanager
@@ -175,15 +153,11 @@ def explain(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _is_written_as_it_is(path: Path) -> bool:
+def _is_device(path: Path) -> bool:
     """Test for a device, a pipe or a system path."""
     if os.path.abspath(path).startswith(_SYSTEM):  # noqa: PTH100 - resolve would follow /dev/stdout to a file
         return True
-    try:
-        kind = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(kind) or stat.S_ISDIR(kind))
+    return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def _place_of(path: Path) -> Path:
@@ -192,16 +166,3 @@ def _place_of(path: Path) -> Path:
     if place.exists() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     return place
-
-
-@contextlib.contextmanager
-def _room_in(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder on the same disk."""
-    room = folder / f".jointid-{secrets.token_hex(8)}"
-    _rooms.add(room)  # first: a signal may come before the next line
-    try:
-        room.mkdir(mode=0o700)
-        yield room
-    finally:
-        shutil.rmtree(room, ignore_errors=True)
-        _rooms.discard(room)

@@ -19,12 +19,9 @@ from typing import Any, Self, TypeVar
 
 _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
+_ALIKE = 0.7  # of the letters of two words: "integral_gain" and "interpolation" have 0.69
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_FIRST = 3.0  # seconds to the first line of progress where no bar is drawn
-BETWEEN = 10.0
-"""Seconds from one of them to the next."""
-_MINUTES, _HOURS = 100.0, 5400.0  # seconds from which a time is said in minutes, and in hours
-_WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
+_OFTEN = 1.0  # seconds between two lines on a piece of work
 
 T = TypeVar("T")
 
@@ -46,30 +43,26 @@ class Detail(str):
     brief: str = ""
 
 
+class Pace(Detail):
+    """A line of progress that says how far a piece of work is."""
+
+
 class Suspicion(Detail):
-    """A line of progress that says why an attempt fails.
+    """A line of progress "brief: why" on an attempt that fails.
 
     Attributes:
-        brief: the line without the reason, unless it ends with it.
         why: the reason, a sentence.
+        of_drive: whether the record may come from another drive.
     """
 
     why: str
+    of_drive: bool
 
-    def __new__(cls, brief: str, why: object) -> Self:
-        """Return the line "brief: why", or `brief` if it has the reason."""
+    def __new__(cls, brief: str, why: object, *, of_drive: bool = False) -> Self:
+        """Return the line, without the reason where `brief` ends with it."""
         made = super().__new__(cls, brief if brief.endswith(str(why)) else f"{brief}: {why}")
-        made.brief, made.why = brief, str(why)
+        made.brief, made.why, made.of_drive = brief, str(why), of_drive
         return made
-
-
-class Doubt(Suspicion):
-    """A suspicion that the record comes from another drive."""
-
-
-def name_progress(progress: Progress, name: str) -> Progress:
-    """Return a listener that puts a name before each line; a detail stays one."""
-    return lambda message: progress((Detail if isinstance(message, Detail) else str)(f"{name}: {message}"))
 
 
 class Suspicions:
@@ -77,7 +70,7 @@ class Suspicions:
 
     Args:
         progress: the listener that it passes lines to.
-        look: called after each `Doubt`.
+        look: called after each suspicion of the drive.
 
     Attributes:
         latest: the reason that was told last; empty where none was.
@@ -85,18 +78,18 @@ class Suspicions:
 
     def __init__(self, progress: Progress, look: Callable[[], object] = tuple) -> None:
         self._progress, self._look, self.latest = progress, look, ""
-        self.draw = getattr(progress, "draw", None)
 
     def __call__(self, message: str) -> None:
         """Pass on a line."""
-        self.latest = getattr(message, "why", self.latest)
         self._progress(message)
-        if isinstance(message, Doubt):
-            self._look()
+        if isinstance(message, Suspicion):
+            self.latest = message.why
+            if message.of_drive:
+                self._look()
 
 
 class Work:
-    """Progress of a piece of work: a bar of the listener's `draw`, or a line after three seconds and then every ten.
+    """Progress of a piece of work: a `Pace` each second.
 
     Args:
         progress: the listener.
@@ -107,21 +100,15 @@ class Work:
 
     def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
         self._progress, self._what, self.total, self._unit = progress, what, total, unit
-        self._lock = threading.Lock()
-        self._began = time.monotonic()
-        self._reported = self._began - BETWEEN + _FIRST
-        self.reach(0.0)
+        self._lock, self._done = threading.Lock(), 0.0
+        self._began = self._told = time.monotonic()
 
     def reach(self, done: float) -> None:
         """Report the amount done."""
-        self._done = done
-        if draw := getattr(self._progress, "draw", None):
-            draw(self._what, done, self.total, self._unit)
-            return
-        now = time.monotonic()
-        if done < self.total and now - self._reported >= BETWEEN:
-            self._reported = now
-            self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
+        self._done, now = done, time.monotonic()
+        if now - self._told >= _OFTEN:
+            self._told = now
+            self._progress(Pace(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}"))
 
     def add(self) -> None:
         """Report one more step, from any thread."""
@@ -132,32 +119,23 @@ class Work:
 def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit: str) -> Iterator[T]:
     """Yield steps and report progress; see `Work`."""
     work = Work(progress, what, total, unit)
-    try:
-        for step in steps:
-            yield step
-            work.add()
-    finally:
-        work.reach(total)
+    for step in steps:
+        yield step
+        work.add()
 
 
 def describe_pace(done: float, total: float, unit: str, seconds: float) -> str:
-    """Describe progress, rate and, if finite, remaining time."""
+    """Describe progress and, if finite, the remaining time."""
     whole = "" if math.isinf(total) else f" of {total:.0f}"
     said = f"{done:.0f} %" if unit == "%" else f"{done:.0f}{whole} {unit}"
-    if not (done > 0 and seconds > 0):
-        return said
-    rate = done / seconds
-    if math.isinf(total):
-        return f"{said}, {rate:.2g}/s"
-    each = "" if unit == "%" else f", {rate:.2g}/s"
-    return f"{said}, {describe_time((total - done) / rate)} left{each}"
+    return f"{said}, {describe_time((total - done) * seconds / done)} left" if 0 < done < total < math.inf else said
 
 
 def describe_time(seconds: float) -> str:
     """Format a duration: "8 s", "2 min", "1.5 h"."""
-    if seconds < _MINUTES:
+    if seconds < 100:
         return f"{max(round(seconds), 1)} s"
-    return f"{round(seconds / 60)} min" if seconds < _HOURS else f"{seconds / 3600:.1f} h"
+    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,18 +186,10 @@ def format_value(value: object) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
-def is_number(text: str) -> bool:
-    """Test whether a string holds a number or a boolean."""
-    return _WITHOUT_QUOTES.fullmatch(text) is not None
-
-
 def either(choices: Iterable[str]) -> str:
     """Return the choices, quoted and in a row."""
     *most, last = [f'"{choice}"' for choice in choices] or [""]
     return f"{', '.join(most)} or {last}" if most else last
-
-
-_ALIKE = 0.7  # of the letters of two words: "integral_gain" and "interpolation" have 0.69
 
 
 def nearest(word: object, known: Iterable[str]) -> str | None:
@@ -243,12 +213,6 @@ def missing(expected: str, meaning: str) -> str:
     return f" is missing; expected {expected} ({meaning}): add it."
 
 
-def describe_unknown_name(key: str, known: Iterable[str]) -> str:
-    """Describe an unknown key."""
-    keys = list(known)
-    return f" is not a known key; expected one of {', '.join(keys)}: {suggest(key, keys, 'leave it out')}"
-
-
 def no_choice(value: object, choices: Iterable[str]) -> str:
     """Describe a value that is not among the choices."""
     choices = list(choices)
@@ -256,9 +220,6 @@ def no_choice(value: object, choices: Iterable[str]) -> str:
     return f" is {format_value(value)}; expected {either(choices)}: {nearest}"
 
 
-def describe_unexpected_value(value: object, expected: str, optional: bool = False) -> str:
+def describe_unexpected_value(value: object, expected: str) -> str:
     """Describe an unexpected value; `expected` is in words, such as "a positive number"."""
-    remedy = "correct it, or leave it out" if optional else "correct it"
-    if isinstance(value, str) and is_number(value):
-        remedy = "write it without quotes"
-    return f" is {format_value(value)}; expected {expected}: {remedy}."
+    return f" is {format_value(value)}; expected {expected}: correct it."

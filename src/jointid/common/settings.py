@@ -132,7 +132,7 @@ class Declared:
             return None
         if self.choices:
             return messages.no_choice(value, self.choices)
-        return messages.describe_unexpected_value(value, self.expected, not self.required)
+        return messages.describe_unexpected_value(value, self.expected)
 
     def _allows(self, value: Any) -> bool:
         if value is None:

@@ -132,7 +132,7 @@ _MULTIPLIED = str.maketrans("·⋅*×", "    ")
 _POINT = re.compile(r"(?<=[^\W\d])\.(?=[^\W\d])")  # between two units, as in N.m
 _BRACKET = re.compile(r"\(([^()]+)\)")
 _FACTOR = re.compile(r"(?P<number>\d+)|(?P<name>[^\W\d]+|[°%‰])\^?(?P<power>-?\d+)?")
-_QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>.*)", re.DOTALL)
+QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>.*)", re.DOTALL)
 
 
 def per(above: str, below: str) -> str:
@@ -187,7 +187,7 @@ class Quantity:
 
 def parse_quantity(text: str) -> Quantity:
     """Parse a number with a unit, such as ``0.8 A s/rad`` or ``1000/min``."""
-    found = _QUANTITY.fullmatch(text)
+    found = QUANTITY.fullmatch(text)
     if found is None or not found["unit"].strip():
         raise UnitError('expected a number with its unit, as "0.8 A s/rad"')
     parse_unit(found["unit"])

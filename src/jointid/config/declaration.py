@@ -759,7 +759,9 @@ class Reader:
             table = table.variants[word]
         unknown = [key for key in raw if key not in table.keys]
         for key in unknown:
-            self._refuse((*place, key), messages.describe_unknown_name(key, table.keys), "unknown")
+            meant = messages.suggest(key, table.keys, "leave it out")
+            rest = f" is not a known key; expected one of {', '.join(table.keys)}: {meant}"
+            self._refuse((*place, key), rest, "unknown")
         given = {
             key: self.value(table.keys[key], value, (*place, key)) for key, value in raw.items() if key in table.keys
         }
@@ -816,9 +818,7 @@ class Reader:
     def _refuse_value(self, one: Declared, raw: object, place: Place, beside: str = "") -> Any:
         if one.choices and one.setting.accept is None:
             return self._refuse(place, messages.no_choice(raw, one.choices), "value")
-        expected, optional = one.expected + beside, not (beside or one.required)
-        rest = messages.describe_unexpected_value(raw, expected, optional)
-        return self._refuse(place, rest, "value")
+        return self._refuse(place, messages.describe_unexpected_value(raw, one.expected + beside), "value")
 
 
 def _lacks(one: Declared) -> str:

@@ -63,7 +63,8 @@ def in_controller_units(declared: str) -> bool:
 
 def is_quantity(text: str) -> bool:
     """Return True for a number followed by a unit, known or not."""
-    return not messages.is_number(text) and text.lstrip()[:1] in set("0123456789.+-")
+    said = units.QUANTITY.fullmatch(text)
+    return said is not None and said["unit"].strip() != ""
 
 
 def misfit(text: str, declared: str, kind: Kind | None = None) -> str | None:

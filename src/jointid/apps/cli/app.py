@@ -35,7 +35,6 @@ from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import reproduce, simulate
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.files import remove_rooms
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 _MOMENT = 0.02  # s until an interrupt that a callback has swallowed is sent again
@@ -102,7 +101,6 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         code = _end_interrupted(debug)
     if signals:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    remove_rooms()
     sys.exit(code)
 
 
@@ -121,7 +119,6 @@ def _interrupt_again(swallowed: Any) -> None:
 
 def _leave(number: int, _: object) -> NoReturn:
     """End at once, as no exception can: a callback of a library may swallow one."""
-    remove_rooms()
     os._exit(_SIGNALLED + number)
 
 

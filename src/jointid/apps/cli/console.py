@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import require_room
-from jointid.common.messages import BETWEEN, Detail, Progress, Suspicions, describe_time, ignore_progress
+from jointid.common.messages import Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ details = False
 unprinted: list[OSError] = []
 """Why the standard output takes nothing more: it is full, or its reader has gone."""
 
+_BETWEEN = 10.0  # seconds between two lines on one stage
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
 
 
@@ -221,9 +222,10 @@ class Lines:
         if stage and stage != self._stage:
             self._stage, self._began, self._told = stage, now, now
             tell(stage)
-        elif now - self._told >= BETWEEN:
+        elif now - self._told >= _BETWEEN:
             self._told = now
-            tell(f"{self._stage or 'searching'}: {describe_time(now - self._began)} so far")
+            going_on = f"{self._stage or 'searching'}: {describe_time(now - self._began)} so far"
+            tell(message if isinstance(message, Pace) else going_on)
 
 
 @lru_cache(maxsize=1)

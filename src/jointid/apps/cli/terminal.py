@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
@@ -12,7 +11,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Picture, Table, Verdicts
-from jointid.common.messages import Detail, describe_pace
+from jointid.common.messages import Detail, Pace
 from jointid.common.text import printable
 
 _BESIDE = 10  # characters of a line that are not the stage's
@@ -74,29 +73,17 @@ class Bars:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(file=sys.stderr)
         self._status = self._console.status("")
-        self._began: dict[str, float] = {}
 
     def __call__(self, message: str) -> None:
-        """Rewrite the line; print a sentence that is long, or beside a piece of work, above it."""
-        stage = printable(message.brief if isinstance(message, Detail) else message)
-        if stage and (self._began or len(stage) > self._console.width - _BESIDE):
+        """Rewrite the line; print a sentence that is longer above it."""
+        is_detail = isinstance(message, Detail) and not isinstance(message, Pace)
+        stage = printable(message.brief if is_detail else message)
+        if len(stage) > self._console.width - _BESIDE:
             self._console.print(Text(stage), soft_wrap=True)
         elif stage:
-            self._draw(stage)
-
-    def draw(self, what: str, done: float, total: float, unit: str) -> None:
-        """Draw how far a piece of work is."""
-        if done < total:
-            began = self._began.setdefault(what, time.monotonic())
-            self._draw(f"{printable(what)}: {describe_pace(done, total, unit, time.monotonic() - began)}")
-        elif self._began.pop(what, None) is not None and not self._began:
-            self._status.stop()
-
-    def _draw(self, line: str) -> None:
-        self._status.update(Text(line))
-        self._status.start()
+            self._status.update(Text(stage))
+            self._status.start()
 
     def clear(self) -> None:
         """Take the line off."""
-        self._began.clear()
         self._status.stop()

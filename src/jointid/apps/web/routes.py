@@ -6,6 +6,7 @@ Forms and files come in bounded; pages go out as HTML from templates of our own,
 from __future__ import annotations
 
 import asyncio
+import errno
 import re
 import shutil
 import zipfile
@@ -28,7 +29,7 @@ from jointid.apps.web.folder import MODELS, Draft, Folder, Limits, PageError
 from jointid.apps.web.jobs import Jobs
 from jointid.common.document import templates, typeset
 from jointid.common.errors import JointFileError, JointidError
-from jointid.common.files import beside, is_full
+from jointid.common.files import beside
 from jointid.config import load, load_to_learn
 from jointid.config.toml import parse_toml, read_text
 from jointid.records.formats import FORMATS
@@ -114,7 +115,7 @@ def _step(request: Request) -> str:
 
 async def refuse(request: Request, error: Exception) -> Response:
     """Show the form of a step that is refused, with the reasons beside its fields."""
-    if isinstance(error, OSError) and not is_full(error):
+    if isinstance(error, OSError) and error.errno != errno.ENOSPC:
         raise error
     return _page(request).show(_step(request), error, getattr(request.state, "entries", None))
 

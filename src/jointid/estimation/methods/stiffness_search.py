@@ -25,7 +25,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Doubt, Suspicion, ignore_progress
+from jointid.common.messages import Detail, Suspicion, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import History, Solved, glancing, is_significant, least_squares, or_moving, roughly
@@ -109,14 +109,14 @@ class StiffnessSearch:
             rigid = rough_rigid_joint(self.task, self.cutoff, self.history)
         except MethodError as error:
             # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-            tell(Doubt("without a rigid joint to begin with", error))
+            tell(Suspicion("without a rigid joint to begin with", error, of_drive=True))
             return self._without_rigid_joint()
         try:
             solved = self._from_rigid_joint(rigid)
         except MethodError as error:
             if self.frequency is not None:
                 raise
-            tell(Doubt("with other inertias than that joint's", error))
+            tell(Suspicion("with other inertias than that joint's", error, of_drive=True))
             solved = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
         edge = rigid.problem.filtering.cutoff
         assert edge is not None
@@ -222,7 +222,7 @@ class StiffnessSearch:
             cost, mode, x, held = min(ends, key=lambda end: end[0])
             if len(ends) == _GLANCED and cost > _DOUBTED * wide.size:
                 said = f"the first leave {100 * cost / wide.size:.0f} % of the torque"
-                history.progress(Doubt("searching from other starts", said))
+                history.progress(Suspicion("searching from other starts", said, of_drive=True))
             together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
             if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break
