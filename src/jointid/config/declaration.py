@@ -759,9 +759,8 @@ class Reader:
             table = table.variants[word]
         unknown = [key for key in raw if key not in table.keys]
         for key in unknown:
-            meant = messages.suggest(key, table.keys, "leave it out")
-            rest = f" is not a known key; expected one of {', '.join(table.keys)}: {meant}"
-            self._refuse((*place, key), rest, "unknown")
+            expected = f"one of {', '.join(table.keys)}: {messages.suggest(key, table.keys, 'leave it out')}"
+            self._refuse((*place, key), f" is not a known key; expected {expected}", "unknown")
         given = {
             key: self.value(table.keys[key], value, (*place, key)) for key, value in raw.items() if key in table.keys
         }

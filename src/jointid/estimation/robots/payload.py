@@ -21,7 +21,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress, ignore_progress
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit_robot
@@ -254,11 +254,7 @@ def identify_payload(
     def identify(records: Sequence[Record] | EstimateParts, which: str) -> EstimateParts:
         if isinstance(records, EstimateParts):
             return records
-
-        def tell(message: str) -> None:
-            progress(Detail(f"{which}: {message}"))
-
-        found = fit_robot(records, setup, free, filtering=filtering, progress=tell)
+        found = fit_robot(records, setup, free, filtering=filtering, progress=progress)
         said_of[which] = (*found.checks.warnings, *robot_record_warnings(records, robot))
         return found
 
