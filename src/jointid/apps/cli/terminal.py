@@ -76,8 +76,7 @@ class Bars:
 
     def __call__(self, message: str) -> None:
         """Rewrite the line; print a sentence that is longer above it."""
-        is_detail = isinstance(message, Detail) and not isinstance(message, Pace)
-        stage = printable(message.brief if is_detail else message)
+        stage = printable(message.brief if isinstance(message, Detail) and not isinstance(message, Pace) else message)
         if len(stage) > self._console.width - _BESIDE:
             self._console.print(Text(stage), soft_wrap=True)
         elif stage:
