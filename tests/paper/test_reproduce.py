@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.common.charts import png
+from jointid.common.charts import render
 from jointid.common.document import Table
 from jointid.diagnostics.validation import Validation
-from jointid.output.figures import torque_chart
+from jointid.output.figures import torque
 from jointid.output.report.page import page as html
 from jointid.output.report.page import save
 from jointid.paper.reproduce import Reproduction, report_reproduction, reproduce
@@ -77,7 +77,7 @@ def test_the_relative_errors_have_both_denominators(run: Reproduction) -> None:
 
 def torque_png(answer: ji.Estimate | Validation) -> bytes:
     """The figures of the page, as `jointid reproduce` has them."""
-    return png(torque_chart(answer), 100)
+    return render(torque(answer), "png", 100)
 
 
 @pytest.mark.slow

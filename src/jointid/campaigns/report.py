@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
 from jointid.campaigns.store import Outcome, Row
-from jointid.common.charts import ERROR, MEASURED, SIMULATED, Chart, label, line, mark, panels, svg
+from jointid.common.charts import ERROR, MEASURED, SIMULATED, mark, panels, styled, svg
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
 from jointid.common.text import format_signed, join, number, pluralise, short
 
@@ -224,11 +224,11 @@ def _pictures(changes: Sequence[Change], series: Sequence[Series], losses: Seque
     if shown:
         words = "Values of each run with 2 sigma over the days; the orange line is the level before and after a change."
         words += f" {_PANELS} of {len(shown)} are shown." * (len(shown) > _PANELS)
-        chart = Chart("fleet-changes", words, partial(_draw, shown[:_PANELS]))
         yield Heading("Values over the days")
-        yield Picture("fleet-changes.svg", partial(svg, chart), words)
+        yield Picture("fleet-changes.svg", lambda: svg(_draw(shown[:_PANELS]), "fleet-changes"), words)
 
 
+@styled
 def _draw(shown: Sequence[_Shown]) -> Figure:
     """Draw series over the days from their first run, with a mark at a run and the levels of a change."""
     figure, drawn = panels([220] * len(shown), 2)
@@ -236,10 +236,10 @@ def _draw(shown: Sequence[_Shown]) -> Figure:
         days, at = of.days - of.days[0], of.labels.index(since)
         if change is not None:
             steps, levels = ([0, -1], [0, 1]) if change.kind == "trend" else ([0, at, at, -1], [0, 0, 1, 1])
-            line(axes, days[steps], np.array([change.before, change.after])[levels], SIMULATED, width=2.0)
+            axes.plot(days[steps], np.array([change.before, change.after])[levels], color=SIMULATED, linewidth=1.5)
         mark(axes, float(days[at]), "")
         axes.errorbar(days, of.values, 2 * of.stds, fmt="o-", color=ERROR, linewidth=0.2, markersize=3, ecolor=MEASURED)
         title = f"{of.joint}, {of.quantity.replace('_', ' ')}: {said}"
-        label(axes, f"days since {of.labels[0]}", of.unit or "value", title)
+        axes.set(xlabel=f"days since {of.labels[0]}", ylabel=of.unit or "value", title=title)
         axes.set_xlim(-0.5, float(days[-1]) + 0.5)
     return figure

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import LOAD, MEASURED, SIMULATED, Charted, label, line, mark, panels
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, Charted, mark, panels
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
 from jointid.common.files import write_folder
 from jointid.common.text import in_words, join, number
@@ -27,7 +27,7 @@ from jointid.records.writing import write_columns
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LINE = 0.6
+_LINE = 0.45
 _KNOWN = 0.1  # of a value, that its deviation is less than
 _QUANTITIES = ("stroke", "speed", "acceleration", "jerk", "torque", "rms_torque", "windup")
 
@@ -305,23 +305,23 @@ class Design(Charted, Documented):
             torque, T, shown = axis.torque, axis.sample_time, f"{axis.name}, " if axis.name else ""
             reference = axis.test.reference
             assert reference is not None
-            line(position, reference.time, reference.values, MEASURED)
-            label(position, "time [s]", f"{shown}reference [{axis.position_unit}]")
-            line(force, instants(torque.size, T), torque, SIMULATED, "torque", _LINE)
+            position.plot(reference.time, reference.values, color=MEASURED)
+            position.set(xlabel="time [s]", ylabel=f"{shown}reference [{axis.position_unit}]")
+            force.plot(instants(torque.size, T), torque, color=SIMULATED, label="torque", linewidth=_LINE)
             if axis.test.injected is not None:
                 added = axis.test.injected.channel
-                line(force, added.time, added.values, LOAD, "of it injected", _LINE)
-            label(force, "time [s]", f"{shown}torque [{axis.torque_unit}]")
+                force.plot(added.time, added.values, color=LOAD, label="of it injected", linewidth=_LINE)
+            force.set(xlabel="time [s]", ylabel=f"{shown}torque [{axis.torque_unit}]")
             for timed in (position, force):
                 if timed is not drawn[0]:
                     timed.sharex(drawn[0])
             hertz = np.asarray(np.fft.rfftfreq(torque.size, T)[1:], dtype=np.float64)
             size = np.abs(np.fft.rfft(torque - torque.mean()))[1:] * 2 / torque.size
             kept = hertz <= 4 * max([*axis.modes.values(), 25.0])
-            line(frequency, hertz[kept], size[kept], SIMULATED, width=_LINE)
+            frequency.plot(hertz[kept], size[kept], color=SIMULATED, linewidth=_LINE)
             for row, (name, mode) in enumerate(axis.modes.items()):
                 mark(frequency, mode, name.replace("_", " "), row)
-            label(frequency, "frequency [Hz]", f"{shown}torque [{axis.torque_unit}]")
+            frequency.set(xlabel="frequency [Hz]", ylabel=f"{shown}torque [{axis.torque_unit}]")
         return figure
 
     def records(self) -> tuple[Record, ...]:

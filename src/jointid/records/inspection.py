@@ -16,7 +16,7 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Charted, band, label, line, panels
+from jointid.common.charts import BAND, MEASURED, Charted, panels
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
@@ -157,12 +157,12 @@ class Inspection(Charted, Documented):
             low, high = find_band(channel.values, _STRETCHES)
             width = channel.rows / low.size * (seconds or 1.0)
             place = np.asarray((np.arange(low.size) + 0.5) * width, dtype=np.float64)
-            band(axes, place, low, high, MEASURED)
-            line(axes, place, (low + high) / 2, MEASURED, "", 1.0)
+            axes.fill_between(place, low, high, color=MEASURED, **BAND)
+            axes.plot(place, (low + high) / 2, color=MEASURED, linewidth=0.75)
             name = show(channel.name)
             short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
             title = f"{short} [{show(channel.unit)}]" if channel.unit else short
-            label(axes, "time [s]" if seconds else "row", "", title)
+            axes.set(xlabel="time [s]" if seconds else "row", title=title)
         return figure
 
     def clocks(self) -> list[str]:

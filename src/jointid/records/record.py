@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Charted, label, line, panels
+from jointid.common.charts import MEASURED, Charted, panels
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError, extra
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
@@ -298,8 +298,8 @@ class Record(Charted, Documented):
         channels = [*self.items()]
         figure, drawn = panels((*(170,) * (len(channels) - 1), 195), title=self.name, share_x=True)
         for axes, (name, channel) in zip(drawn, channels, strict=True):
-            line(axes, channel.time, channel.values, MEASURED)
-            label(axes, "time [s]" if axes is drawn[-1] else "", f"{name.replace('_', ' ')} [{channel.unit}]")
+            axes.plot(channel.time, channel.values, color=MEASURED)
+            axes.set(ylabel=f"{name.replace('_', ' ')} [{channel.unit}]", xlabel="time [s]" * (axes is drawn[-1]))
         return figure
 
     def to_dataframe(self) -> DataFrame:

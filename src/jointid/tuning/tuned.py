@@ -10,16 +10,14 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import (
+    BAND,
     ERROR,
+    LEVEL,
     LOAD,
     MEASURED,
     OTHERS,
     SIMULATED,
     Charted,
-    band,
-    label,
-    level,
-    line,
     panels,
 )
 from jointid.common.document import (
@@ -202,7 +200,7 @@ class Tuned(Charted, Documented):
         _draw_size(response, self.joint, LOAD)
         title = f"{self.record}: the {self.model} joint"
         velocity = f"motor velocity per torque [{self.position_unit}/s per {self.torque_unit}]"
-        label(response, "frequency [Hz]", velocity, title, log="xy")
+        response.set(xlabel="frequency [Hz]", ylabel=velocity, title=title, xscale="log", yscale="log")
         loops = [("as it is", self.present, MEASURED)]
         loops += [("proposed", self.proposed, SIMULATED)] if self.proposed is not None else []
         for name, loop, colour in loops:
@@ -212,19 +210,19 @@ class Tuned(Charted, Documented):
             # As its band is: whole turns are no part of a phase.
             turns = np.round((0.5 * (found.phase[0, 0] + found.phase[1, 0]) - turned[0]) / (2 * math.pi))
             low, high = np.degrees(found.phase)
-            band(phase, found.hertz, low, high, colour)
-            line(phase, found.hertz, np.degrees(turned + 2 * math.pi * turns), colour)
-            line(nyquist, found.nominal.real, found.nominal.imag, colour)
+            phase.fill_between(found.hertz, low, high, color=colour, **BAND)
+            phase.plot(found.hertz, np.degrees(turned + 2 * math.pi * turns), color=colour)
+            nyquist.plot(found.nominal.real, found.nominal.imag, color=colour)
         angle, modulus, reach = np.linspace(0, 2 * math.pi, 200), self.settings.modulus, 0.5 * (_REACH + 1)
-        line(nyquist, -1 + modulus * np.cos(angle), modulus * np.sin(angle), OTHERS[-1], "", 1.0)
-        line(nyquist, np.array([-1.0]), np.zeros(1), ERROR, f"-1, distance {modulus:g}", dots=True)
-        label(nyquist, "real part of the loop [1]", "imaginary part of the loop [1]")
+        nyquist.plot(-1 + modulus * np.cos(angle), modulus * np.sin(angle), color=OTHERS[-1], linewidth=0.75)
+        nyquist.plot([-1.0], [0.0], color=ERROR, marker="o", label=f"-1, distance {modulus:g}")
+        nyquist.set(xlabel="real part of the loop [1]", ylabel="imaginary part of the loop [1]")
         nyquist.set(xlim=(-_REACH, 1.0), ylim=(-reach, reach), aspect="equal")
-        level(gain, 1.0)
-        label(gain, "frequency [Hz]", "loop gain [1]", log="xy")
+        gain.axhline(1.0, **LEVEL)
+        gain.set(xlabel="frequency [Hz]", ylabel="loop gain [1]", xscale="log", yscale="log")
         gain.set_ylim(_SMALLEST, 2 * max(float(loop.response.size.max()) for _, loop, _ in loops))
-        level(phase, -180.0)
-        label(phase, "frequency [Hz]", "loop phase [degrees]", log="x")
+        phase.axhline(-180.0, **LEVEL)
+        phase.set(xlabel="frequency [Hz]", ylabel="loop phase [degrees]", xscale="log")
         return figure
 
     def _margins(self) -> Table:
@@ -275,8 +273,8 @@ class Tuned(Charted, Documented):
 
 
 def _draw_size(axes: Axes, found: ResponseBand, colour: str, name: str = "") -> None:
-    band(axes, found.hertz, found.size[0], found.size[1], colour)
-    line(axes, found.hertz, np.abs(found.nominal), colour, name)
+    axes.fill_between(found.hertz, found.size[0], found.size[1], color=colour, **BAND)
+    axes.plot(found.hertz, np.abs(found.nominal), color=colour, label=name or None)
 
 
 def _row(name: str, margins: Margins, loop: LoopMargins | None = None) -> tuple[str, ...]:

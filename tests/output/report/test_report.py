@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shlex
-from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import jointid as ji
-from jointid.common.charts import Chart, decimate, label, line, mark, panels, svg
+from jointid.common.charts import mark, panels, styled, svg
 from jointid.common.document import inert
 from jointid.output.report import repetition
 from tests.apps.cli.test_commands import EMPS, run
@@ -95,7 +94,7 @@ def test_the_three_frequencies_are_marked() -> None:
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)
     assert told.data.response is not None
     assert told.data.response.modes == expected
-    marks = [text.get_text() for text in told.charts["spectra"].plot().axes[0].texts]
+    marks = [text.get_text() for text in told.figures["spectra"].axes[0].texts]
     assert [f"{name} {hertz:.1f} Hz" for name, hertz in (
         ("load locked", expected["load_locked"]), ("motor locked", expected["motor_locked"]),
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
@@ -140,15 +139,16 @@ def test_hostile_names_stay_names(rigid_page: str) -> None:
 
 
 def test_a_chart_makes_no_element_of_a_name() -> None:
+    @styled
     def draw(name: str) -> Figure:
         figure, (axes,) = panels((200,), title=name)
-        line(axes, np.arange(3.0), np.arange(3.0), "#000000", name)
+        axes.plot([0.0, 1.0, 2.0], label=name)
         mark(axes, 1.0, name)
-        label(axes, name, name, name)
+        axes.set(xlabel=name, ylabel=name, title=name)
         return figure
 
-    charts = [Chart("x", "", partial(draw, name)) for name in ("a name", reports.EVIL, r"$\none$")]
-    friendly, hostile, _ = ([tag for tag, _ in Elements(svg(chart).decode()).found] for chart in charts)
+    figures = [draw(name) for name in ("a name", reports.EVIL, r"$\none$")]
+    friendly, hostile, _ = ([tag for tag, _ in Elements(svg(one, "x").decode()).found] for one in figures)
     assert set(hostile) == set(friendly)
     assert hostile.count("text") == friendly.count("text")
 
@@ -182,20 +182,3 @@ def test_the_page_shows_its_charts_and_runs_no_name(rigid_page: str, tmp_path: P
         assert complaints == []
     with opened(path, viewport={"width": 820, "height": 900}) as (page, _):
         assert page.evaluate("document.documentElement.scrollWidth") <= 820
-
-
-def test_thinning_keeps_every_peak_and_gap() -> None:
-    rng = np.random.default_rng(0)
-    x, y = np.arange(100_000.0), rng.standard_normal(100_000)
-    y[54_321], y[777] = 50.0, -60.0
-    at, kept = decimate(x, y, most=1000)
-    assert at.size <= 1002
-    assert np.all(np.diff(at) > 0)
-    assert (kept.max(), at[kept.argmax()]) == (50.0, 54_321.0)
-    assert (kept.min(), at[kept.argmin()]) == (-60.0, 777.0)
-    assert decimate(x[:10], y[:10], most=1000)[0].size == 10
-    x, y = np.arange(10_000.0), np.zeros(10_000)
-    y[5_000:5_010], y[5_012] = np.nan, 3.0
-    at, kept = decimate(x, y, most=1000)
-    assert np.any(np.isnan(kept[(at >= 5_000) & (at < 5_010)]))
-    assert np.nanmax(kept) == 3.0

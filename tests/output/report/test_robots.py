@@ -45,8 +45,8 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     assert "It was not held against a record that it has not seen" in text
     answer = json.loads(told.answer())
     assert answer["estimate"]["schema"] == "jointid.Estimate/2" and answer["validation"] is None
-    assert set(told.charts) == {"torque", "residual", "spectra"}
-    assert np.ptp(told.charts["torque"].plot().axes[0].lines[0].get_ydata()) > 0
+    assert set(told.figures) == {"torque", "residual", "spectra"}
+    assert np.ptp(told.figures["torque"].axes[0].lines[0].get_ydata()) > 0
 
 
 def test_the_data_sheet_says_in_which_sum_an_armature_is() -> None:
@@ -68,9 +68,7 @@ def test_the_data_sheet_says_in_which_sum_an_armature_is() -> None:
 
 def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
     records = records_of(arm(3), 2, noise=0.2)
-    chart = Report.of(identified(arm(3), records), records).charts["torque"]
-    assert "Lines break where a motor rests or turns round" in chart.caption
-    for axes in chart.plot().axes:
+    for axes in Report.of(identified(arm(3), records), records).figures["torque"].axes:
         for line in axes.lines:
             hidden = np.isnan(np.asarray(line.get_ydata()))
             assert 0 < np.mean(hidden) < 0.5

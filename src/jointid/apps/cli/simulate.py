@@ -113,8 +113,8 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
         seed: of the noise; the same seed gives the same bytes.
         quiet: say nothing of the progress.
     """
-    from jointid.common.charts import png
-    from jointid.output.figures import torque_chart
+    from jointid.common.charts import render
+    from jointid.output.figures import torque
     from jointid.output.report.page import save
     from jointid.paper.reproduce import report_reproduction
     from jointid.paper.reproduce import reproduce as run
@@ -123,7 +123,9 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     with fresh_folder(out):
         ready(listen(quiet))
         found = run(seed, listen(quiet))
-        written = save(report_reproduction(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
+        written = save(
+            report_reproduction(found, lambda answer: render(torque(answer), "png", 100)), out, "reproduction"
+        )
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         best, truth = found.first.best[name], found.first.axis.truth[name]
         show(

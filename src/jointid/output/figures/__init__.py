@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.common.charts import Chart
+from jointid.common.charts import render
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
 from jointid.diagnostics.diagnosis import Diagnosis
@@ -29,31 +28,20 @@ FORMATS = (".png", ".svg", ".pdf")
 
 
 def torque(answer: Estimate | Validation) -> Figure:
-    """Return the measured and the predicted torque over time, and their difference."""
-    return torque_chart(answer).plot()
-
-
-def torque_chart(answer: Estimate | Validation) -> Chart:
-    """Return the chart of `torque`; of a robot that was checked, a panel for each joint."""
-    how, axes = "as they were logged", list[AxisSignals]()
+    """Return the measured and the predicted torque over time, and their difference; of a checked robot all joints'."""
     if isinstance(answer, Validation):
         title, axes = f"{answer.record}: {answer.test} test", AxisSignals.of_validation(answer)
     elif answer.robot is not None and isinstance(answer.checks.diagnosis, Diagnosis):
         title, axes = "", AxisSignals.of_robot(answer.checks.diagnosis)
-        how = "filtered as they were compared"
     else:
         title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
         axes = [AxisSignals.of(answer)]
-    if len(axes) == 1:
-        title, how = f"{title}, error {100 * axes[0].relative_error:.2f} % of the raw {axes[0].quantity}", ""
-    return charts.torque_chart(axes, how, title)
+    return charts.torque_figure(axes, title)
 
 
 def residual(validation: Validation) -> Figure:
     """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
-    source = "simulated" if validation.method == "didim" else "measured"
-    why = "the validation has no position and velocity; validate by a record that has them"
-    return _draw(charts.residual_chart(AxisSignals.of_validation(validation), source, validation), why)
+    return charts.residual_figure(AxisSignals.of_validation(validation), validation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,11 +73,8 @@ class Plots:
             RecordError: the record is too short.
         """
         self.estimate.require_joint()
-        cutoff, axis = self.estimate.settings.filtering.cutoff, AxisSignals.of(self.estimate)
-        return _draw(
-            charts.spectra_chart([axis], cutoff, self.estimate.frequencies),
-            "its record is too short; identify from a longer one",
-        )
+        cutoff = self.estimate.settings.filtering.cutoff
+        return charts.spectra_figure([AxisSignals.of(self.estimate)], cutoff, self.estimate.frequencies)
 
     def response(self) -> Figure:
         """Return the frequency response of the joint, with the band of the estimate's covariance.
@@ -99,8 +84,7 @@ class Plots:
         """
         from jointid.diagnostics.report_data import compute_response
 
-        why = "the response is not known; identify from a motion that tells every parameter"
-        return _draw(charts.response_chart(self.estimate, compute_response(self.estimate)), why)
+        return charts.response_figure(self.estimate, compute_response(self.estimate))
 
     def profile(self, record: Record, quantities: Sequence[str]) -> Figure:
         """Return the profiles of quantities, as `jointid.intervals` takes them.
@@ -110,14 +94,7 @@ class Plots:
         """
         from jointid.diagnostics.intervals import intervals
 
-        why = "no quantity has a profile; name others, or identify from a motion that tells these"
-        return _draw(charts.profiles_chart(self.estimate, intervals(self.estimate, record, quantities)), why)
-
-
-def _draw(chart: Chart | None, why: str) -> Figure:
-    if chart is None:
-        raise RecordError(f"This figure cannot be drawn: {why}.")
-    return chart.plot()
+        return charts.profiles_figure(self.estimate, intervals(self.estimate, record, quantities).profiles)
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -128,13 +105,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     path = Path(path)
     require_format(path)
-    import matplotlib as mpl
-
-    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower(), {})
-    drawn = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "jointid"}):
-        figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=150, metadata=metadata)
-    write_whole(path, drawn.getvalue())
+    write_whole(path, render(figure, path.suffix[1:].lower()))
     return path
 
 

@@ -1,56 +1,43 @@
-"""Charts of an estimate, a validation and a robot, with their captions."""
+"""Charts of an estimate, a validation and a robot: functions that draw on `Axes`, and figures of these.
+
+A figure that cannot be drawn is refused by a `RecordError` that says why.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import (
-    ERROR,
-    LOAD,
-    MEASURED,
-    OTHERS,
-    SIMULATED,
-    Chart,
-    band,
-    label,
-    level,
-    line,
-    mark,
-    panels,
-)
+from jointid.common.charts import BAND, ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, mark, panels, styled
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.report_data import Spectra, estimate_spectra
+from jointid.diagnostics.report_data import estimate_spectra
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.position_forces import Motion
 from jointid.records.record import instants
+from jointid.uncertainty.profile import ProfileInterval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from jointid.diagnostics.diagnosis import Diagnosis
-    from jointid.diagnostics.intervals import Intervals
-    from jointid.diagnostics.report_data import FrequencyResponse, ReportData
+    from jointid.diagnostics.report_data import FrequencyResponse
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
     "second_free_free": "second free-free",
 }  # fmt: skip
-_JUMP = 1.01  # times the residual before: a step of a search goes down
 _POINTS = 4_000  # of a cloud
 _CELLS = 40  # of the mean over velocity or position
 _LEAST_CELLS, _PER_CELL = 6, 20  # likewise, where there are few samples; and samples of each
@@ -59,6 +46,7 @@ _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtere
 _ZOOM = 0.08  # of the record, in the first panel
 _MOVES = 0.02  # of the largest speed: slower than that has no direction
 _FEW = 5  # samples: a cell with fewer has no mean worth a line
+_FREQUENCY = "frequency [Hz]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,131 +150,90 @@ def torque_word(unit: str) -> str:
     return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
 
 
-def torque_chart(axes: Sequence[AxisSignals], how: str = "", title: str = "") -> Chart:
-    """Return the measured and the predicted signal of each axis, and their difference, over time.
+def torque(axes: Axes, axis: AxisSignals, part: slice = slice(None), *, gaps: bool = False) -> None:
+    """Draw the measured and the predicted signal over time; with `gaps` only samples that are compared."""
+    kept = np.where(axis.compared, 1.0, np.nan) if gaps else np.ones(axis.time.size)
+    _compare(axes, axis, axis.time[part], (kept * axis.measured)[part], (kept * axis.predicted)[part])
+    axes.set_ylabel(axis.label)
+
+
+def error(axes: Axes, axis: AxisSignals, *, gaps: bool = False) -> None:
+    """Draw the error over time; with `gaps` only samples that are compared."""
+    values = np.where(axis.compared, axis.error, np.nan) if gaps else axis.error
+    axes.plot(axis.time, values, color=ERROR, linewidth=0.6, label="error")
+
+
+def _compare(axes: Axes, axis: AxisSignals, x: FloatArray, measured: FloatArray, predicted: FloatArray) -> None:
+    axes.plot(x, measured, color=MEASURED, label="measured")
+    axes.plot(x, predicted, color=SIMULATED, label=axis.prediction)
+
+
+@styled
+def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
+    """Draw the measured and the predicted signal of each axis, and their difference, over time.
 
     Of one axis its liveliest part and the motion are panels, too.
-
-    Args:
-        axes: that are shown.
-        how: the signals of several axes are treated, or the source of the motion of one.
-        title: above all panels.
     """
-    alone = axes[0] if len(axes) == 1 else None
-    whole = all(axis.compared.all() for axis in axes)
-    if alone is None:
-        caption = (
-            f"Measured and {axes[0].prediction} torque of each motor behind its gear, {how}, and their difference on "
-            f"the same scale.{'' if whole else ' Lines break where a motor rests or turns round.'}"
-        )
-        return Chart("torque", caption, partial(_draw_axes, axes, title))
-    caption = (
-        f"Measured and {alone.prediction} {alone.quantity} lie on each other where the model is right; below them "
-        f"their difference, {100 * alone.relative_error:.2f} % of the measured, on a scale of its own"
-        f"{'' if alone.velocity is None else f', and the {how} velocity of the motor'}."
-    )
-    return Chart("torque", caption, partial(_draw_axis, alone, title))
-
-
-def _draw_axes(axes: Sequence[AxisSignals], title: str) -> Figure:
-    figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
-    for place, axis in zip(drawn, axes, strict=True):
-        measured, predicted, error = (  # what is not compared is 0, or scaled
-            np.where(axis.compared, signal, np.nan) for signal in (axis.measured, axis.predicted, axis.error)
-        )
-        _compare(place, axis, axis.time, measured, predicted)
-        line(place, axis.time, error, ERROR, "error", 0.8)
-        left = f"{axis.name}, {100 * axis.relative_error:.3g} % left"
-        label(place, "time [s]" if place is drawn[-1] else "", axis.label, left)
-    return figure
-
-
-def _draw_axis(axis: AxisSignals, title: str) -> Figure:
+    if len(axes) > 1:
+        figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
+        for place, axis in zip(drawn, axes, strict=True):
+            torque(place, axis, gaps=True)
+            error(place, axis, gaps=True)
+            place.set_title(f"{axis.name}, {100 * axis.relative_error:.3g} % left")
+        drawn[-1].set_xlabel("time [s]")
+        return figure
+    (axis,) = axes
     moves = axis.velocity is not None
-    figure, (near, whole, error, *motion) = panels((260, 280, 190 if moves else 215, *((175,) * moves)), title=title)
+    figure, (near, whole, below, *motion) = panels((260, 280, 190 if moves else 215, *((175,) * moves)), title=title)
     size = max(int(_ZOOM * axis.measured.size), min(axis.measured.size, 10))
     starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
     low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
     part = slice(low, min(low + size, axis.measured.size))
-    _compare(near, axis, axis.time[part], axis.measured[part], axis.predicted[part], 1.6)
-    first, last = axis.time[part][[0, -1]]
-    label(near, "", axis.label, f"its liveliest part, {first:.1f} to {last:.1f} s")
-    _compare(whole, axis, axis.time, axis.measured, axis.predicted)
-    label(whole, "", axis.label, "the whole record")
-    line(error, axis.time, axis.error, ERROR, "error", 0.8)
-    label(error, "" if moves else "time [s]", f"error [{axis.unit}]")
-    for axes in motion:
+    torque(near, axis, part)
+    near.set_title(f"its liveliest part, {axis.time[part][0]:.1f} to {axis.time[part][-1]:.1f} s")
+    torque(whole, axis)
+    whole.set_title("the whole record")
+    error(below, axis)
+    below.set(ylabel=f"error [{axis.unit}]", title=f"{100 * axis.relative_error:.2f} % of the measured")
+    for place in motion:
         assert axis.velocity is not None
-        line(axes, axis.time, axis.velocity, "#777777")
-        label(axes, "time [s]", f"velocity{axis.side} [{axis.length}/s]")
-    for axes in (error, *motion):
-        axes.sharex(whole)
+        place.plot(axis.time, axis.velocity, color="#777777")
+        place.set_ylabel(f"velocity{axis.side} [{axis.length}/s]")
+    for place in (below, *motion):
+        place.sharex(whole)
+    (below, *motion)[-1].set_xlabel("time [s]")
     return figure
 
 
-def _compare(
-    axes: Axes, axis: AxisSignals, x: FloatArray, measured: FloatArray, predicted: FloatArray, width: float = 1.2
-) -> None:
-    """Draw the measured and the predicted signal of an axis."""
-    line(axes, x, measured, MEASURED, "measured", width)
-    line(axes, x, predicted, SIMULATED, axis.prediction, width)
-
-
-def _height(axes: Sequence[AxisSignals], alone: int = 280) -> int:
-    return alone if len(axes) == 1 else 230
-
-
-def residual_chart(
-    axes: Sequence[AxisSignals], motion_source: str, validation: Validation | None = None
-) -> Chart | None:
-    """Return the error of each axis against velocity and position, with its mean; None without a motion.
-
-    The autocorrelation of a validation's error is a panel more.
-    """
+@styled
+def residual_figure(axes: Sequence[AxisSignals], validation: Validation | None = None) -> Figure:
+    """Draw the error of each axis against velocity and position, and the autocorrelation of a validation's error."""
     if any(axis.velocity is None or axis.position is None for axis in axes):
-        return None
+        raise RecordError("The residual has no picture without a motion; validate by a record with position.")
     columns = 2 + (validation is not None)
-
-    def draw() -> Figure:
-        figure, drawn = panels([_height(axes)] * (columns * len(axes)), columns)
-        for k, axis in enumerate(axes):
-            assert axis.velocity is not None and axis.position is not None
-            of_speed, of_position = drawn[columns * k : columns * k + 2]
-            error, velocity, position = (s[axis.compared] for s in (axis.error, axis.velocity, axis.position))
-            least = _MOVES * float(np.max(np.abs(velocity), initial=0.0))
-            means = {"mean forwards": velocity > least, "mean backwards": velocity < -least}
-            words = f"{axis.name}, error [{axis.unit}]" if axis.name else f"error [{axis.unit}]"
-            _draw_cloud(of_speed, velocity, error, {"mean": np.ones(error.size, dtype=np.bool_)})
-            label(of_speed, f"velocity{axis.side} [{axis.length}/s]", words)
-            _draw_cloud(of_position, position, error, means)
-            label(of_position, f"position{axis.side} [{axis.length}]", words)
-            if validation is not None:
-                found, place = validation.axes[k], drawn[columns * k + 2]
-                lags = np.arange(found.autocorrelation.size, dtype=np.float64)
-                white = np.full(lags.size, found.white_band)
-                band(place, lags, -white, white, "#999999", "white")
-                line(place, lags, found.autocorrelation, ERROR, dots=True)
-                label(place, "lag [filtered samples]", "autocorrelation")
-        return figure
-
-    every = max(_stride(int(np.count_nonzero(axis.compared))) for axis in axes)
-    caption = (
-        f"The error{' of each joint' * (len(axes) > 1)} against the {motion_source} velocity and position of the "
-        f"motor{'' if every == 1 else f' (one sample in {every})'}, with its mean over all samples. Noise alone has a "
-        "mean of 0 everywhere: a mean that bends with velocity is friction, one that waves with position is cogging, "
-        "gravity or a screw's pitch."
-    )
-    if validation is not None:
-        caption += " The last panel is the filtered error's autocorrelation, in the grey band if it were white."
-    return Chart("residual", caption, draw)
+    figure, drawn = panels([280 if len(axes) == 1 else 230] * (columns * len(axes)), columns)
+    for k, axis in enumerate(axes):
+        of_speed, of_position, *of_lag = drawn[columns * k : columns * (k + 1)]
+        assert axis.velocity is not None and axis.position is not None
+        left, velocity, position = (s[axis.compared] for s in (axis.error, axis.velocity, axis.position))
+        least = _MOVES * float(np.max(np.abs(velocity), initial=0.0))
+        cloud(of_speed, velocity, left, {"mean": np.ones(left.size, dtype=np.bool_)})
+        cloud(of_position, position, left, {"mean forwards": velocity > least, "mean backwards": velocity < -least})
+        words = f"{axis.name}, error [{axis.unit}]" if axis.name else f"error [{axis.unit}]"
+        of_speed.set(xlabel=f"velocity{axis.side} [{axis.length}/s]", ylabel=words)
+        of_position.set(xlabel=f"position{axis.side} [{axis.length}]", ylabel=words)
+        for place in of_lag:
+            assert validation is not None
+            found = validation.axes[k]
+            lags = np.arange(found.autocorrelation.size, dtype=np.float64)
+            white = np.full(lags.size, found.white_band)
+            place.fill_between(lags, -white, white, color="#999999", label="white", **BAND)
+            place.plot(lags, found.autocorrelation, color=ERROR, marker="o")
+            place.set(xlabel="lag [filtered samples]", ylabel="autocorrelation")
+    return figure
 
 
-def _stride(samples: int) -> int:
-    """Return of how many samples a cloud has one."""
-    return max(-(-samples // _POINTS), 1)
-
-
-def _draw_cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> None:
+def cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> None:
     """Draw points, and their means over cells of x for each choice of samples.
 
     Args:
@@ -295,7 +242,7 @@ def _draw_cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, N
         error: (samples,).
         of: which samples have a mean of their own, by its label, (samples,).
     """
-    size, every = 3.0 if x.size < _SPARSE else 1.0, _stride(x.size)
+    size, every = 3.0 if x.size < _SPARSE else 1.0, max(-(-x.size // _POINTS), 1)
     axes.plot(
         x[::every], error[::every], ".", color="#888888", markersize=1.5 * size, alpha=0.35, markeredgewidth=0,
         rasterized=True,
@@ -309,240 +256,142 @@ def _draw_cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, N
         count = np.bincount(cell, minlength=cells)
         mean = np.bincount(cell, error[chosen], cells) / np.maximum(count, 1)
         enough = count >= _FEW
-        line(axes, (0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, name, 2.0)
+        middle = 0.5 * (edges[:-1] + edges[1:])
+        axes.plot(middle[enough], mean[enough], color=colour, linewidth=1.5, label=name)
 
 
-def spectra_chart(axes: Sequence[AxisSignals], cutoff: float | None, modes: Mapping[str, float]) -> Chart | None:
-    """Return the spectra of each axis, with the end of the filter's band and the modes; None of too short a record."""
-    try:
-        known = [_spectra(axis, _BEYOND * (cutoff or math.inf) if len(axes) > 1 else math.inf) for axis in axes]
-    except RecordError:
-        return None
-
-    def draw() -> Figure:
-        figure, drawn = panels([_height(axes, 360)] * len(axes), min(len(axes), 2))
-        for place, axis, found in zip(drawn, axes, known, strict=True):
-            _compare(place, axis, found.frequency, found.measured, found.predicted)
-            line(place, found.frequency, found.error, ERROR, "error", 0.9)
-            marked = _mark_modes(place, modes, float(found.frequency[-1]))
-            if cutoff is not None:
-                mark(place, cutoff, f"fitted up to {cutoff:.3g} Hz", marked, dotted=True)
-            words = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
-            label(place, "frequency [Hz]", words, log="xy")
-        return figure
-
-    said = ", ".join(f"{_MODES[name]} {hertz:.1f} Hz" for name, hertz in modes.items())
-    where = f" The joint's three frequencies are marked, {said}." if modes else ""
-    caption = (
-        f"Amplitude spectra, {known[-1].resolution:.2g} Hz apart. Where the error lies well below the measured "
-        f"{axes[0].quantity} the model explains it; where it reaches it, nothing is explained.{where}"
-    )
-    return Chart("spectra", caption, draw)
+@styled
+def spectra_figure(axes: Sequence[AxisSignals], cutoff: float | None, modes: Mapping[str, float]) -> Figure:
+    """Draw the spectra of each axis, with the end of the filter's band and the modes; of a robot up to that end."""
+    figure, drawn = panels([360 if len(axes) == 1 else 230] * len(axes), min(len(axes), 2))
+    for place, axis in zip(drawn, axes, strict=True):
+        spectra(place, axis, _BEYOND * (cutoff or math.inf) if len(axes) > 1 else math.inf)
+        marked = mark_modes(place, modes)
+        if cutoff is not None:
+            mark(place, cutoff, f"fitted up to {cutoff:.3g} Hz", marked, dotted=True)
+    return figure
 
 
-def _spectra(axis: AxisSignals, highest: float) -> Spectra:
-    """Return the spectra of the samples between the ends that are left out, up to a frequency, Hz."""
+def spectra(axes: Axes, axis: AxisSignals, highest: float = math.inf) -> None:
+    """Draw the amplitude spectra of the samples between the ends that are left out, up to a frequency in Hz.
+
+    Raises:
+        RecordError: the record is too short.
+    """
     inside = np.flatnonzero(axis.compared)
     part = slice(inside[0], inside[-1] + 1) if inside.size else slice(0)
     found = estimate_spectra(axis.measured[part], axis.predicted[part], axis.time[1] - axis.time[0])
     seen = found.frequency <= highest
-    frequency, measured, predicted, error = found.frequency, found.measured, found.predicted, found.error
-    return Spectra(frequency[seen], measured[seen], predicted[seen], error[seen], found.resolution)
+    _compare(axes, axis, found.frequency[seen], found.measured[seen], found.predicted[seen])
+    axes.plot(found.frequency[seen], found.error[seen], color=ERROR, linewidth=0.7, label="error")
+    words = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
+    axes.set(xlabel=_FREQUENCY, ylabel=words, xscale="log", yscale="log")
 
 
-def _mark_modes(axes: Axes, modes: Mapping[str, float], highest: float) -> int:
-    """Mark the modes below a frequency, and return how many these are."""
+def mark_modes(axes: Axes, modes: Mapping[str, float]) -> int:
+    """Mark the modes below the highest frequency of a panel, and return how many these are."""
+    highest = axes.get_xlim()[1]
     seen = sorted((hertz, name) for name, hertz in modes.items() if hertz < highest)
     for row, (hertz, name) in enumerate(seen):
         mark(axes, hertz, f"{_MODES[name]} {hertz:.1f} Hz", row)
     return len(seen)
 
 
-def response_chart(estimate: Estimate, found: FrequencyResponse | None) -> Chart | None:
-    """Return the frequency response of the joint, magnitude over phase; None without one."""
-    if found is None:
-        return None
-
-    def draw() -> Figure:
-        figure, (size, phase) = panels((320, 200), share_x=True)
-        for curve in found.curves:
-            colour = {"motor": MEASURED, "load": LOAD}[curve.side]
-            band(size, found.frequency, curve.low, curve.high, colour)
-            line(size, found.frequency, curve.magnitude, colour, f"{curve.side} side", 1.6)
-            line(phase, found.frequency, curve.phase, colour, "", 1.6)
-        _mark_modes(size, found.modes, float(found.frequency[-1]))
-        side, drive = AxisSignals.of(estimate).side, torque_word(estimate.data.torque_unit)
-        label(size, "", f"velocity per {drive}{side} [{found.unit}]", log="xy")
-        label(phase, "frequency [Hz]", "phase [°]", log="x")
-        return figure
-
-    way = " of moving forwards" if estimate.settings.joint.friction.depends_on_direction("viscous") else ""
-    caption = (
-        f"What the identified joint answers to its motor's torque, viscous friction{way} and no Coulomb friction taken "
-        "in; the shaded band is 2 sigma of the estimate."
-    )
-    if found.modes:
-        caption += (
-            " The motor shows a dip at the motor-locked frequency and a peak at the free-free one; a controller has to "
-            "stay away from the latter, or damp it."
-        )
-    else:
-        caption += " A rigid joint falls by 10 for each decade above its corner, and shows no mode."
-    return Chart("response", caption, draw)
+@styled
+def response_figure(estimate: Estimate, found: FrequencyResponse) -> Figure:
+    """Draw the frequency response of the joint, magnitude over phase, with its band."""
+    figure, (size, phase) = panels((320, 200), share_x=True)
+    for curve in found.curves:
+        colour = {"motor": MEASURED, "load": LOAD}[curve.side]
+        size.fill_between(found.frequency, curve.low, curve.high, color=colour, **BAND)
+        size.plot(found.frequency, curve.magnitude, color=colour, linewidth=1.2, label=f"{curve.side} side")
+        phase.plot(found.frequency, curve.phase, color=colour, linewidth=1.2)
+    side, drive = AxisSignals.of(estimate).side, torque_word(estimate.data.torque_unit)
+    size.set(ylabel=f"velocity per {drive}{side} [{found.unit}]", xscale="log", yscale="log")
+    mark_modes(size, found.modes)
+    phase.set(xlabel=_FREQUENCY, ylabel="phase [°]", xscale="log")
+    return figure
 
 
-def correlation_chart(estimate: Estimate) -> Chart | None:
-    """Return the correlations of the estimate's errors; None if they are unknown."""
+@styled
+def correlation_figure(estimate: Estimate) -> Figure:
+    """Draw the correlations of the estimate's errors."""
     free = [p for p in estimate.params.rows if p.free][: len(estimate.params.correlation)]
     own = [i for i, p in enumerate(free) if p.of_joint]
     if len(own) < 2 or any(free[i].value is None for i in own):
-        return None
-    values = estimate.params.correlation[np.ix_(own, own)]
-    names = [free[i].symbol for i in own]
-
-    def draw() -> Figure:
-        figure, (axes,) = panels((min(140 + 42 * len(names), 560),), width=5.5)
-        label(axes, "", "")
-        axes.grid(visible=False)
-        axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
-        axes.set_xticks(range(len(names)), names)
-        axes.set_yticks(range(len(names)), names)
-        axes.xaxis.tick_top()
-        for (row, column), value in np.ndenumerate(values):
-            axes.text(
-                column, row, f"{round(float(value), 2) + 0.0:.2f}",  # of 0 no negative
-                ha="center", va="center", fontsize=7, color="white" if abs(value) > 0.6 else "0.15",
-            )  # fmt: skip
-        return figure
-
-    apart = np.abs(values - np.diag(np.diag(values)))
-    i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    caption = (
-        f"Correlations of the errors. Where one is near 1 or -1 the record tells a sum or a difference of the two, not "
-        f"each; the largest here is {values[i, j]:+.2f}, of {names[int(i)]} and {names[int(j)]}."
-    )
-    return Chart("correlation", caption, draw, wide=False)
+        raise RecordError("Fewer than two correlations are known; identify more parameters.")
+    values, names = estimate.params.correlation[np.ix_(own, own)], [free[i].symbol for i in own]
+    figure, (axes,) = panels((min(140 + 42 * len(names), 560),), width=5.5)
+    axes.grid(visible=False)
+    axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.xaxis.tick_top()
+    for (row, column), value in np.ndenumerate(values):
+        shown, colour = f"{round(float(value), 2) + 0.0:.2f}", "white" if abs(value) > 0.6 else "0.15"  # of 0 no -0
+        axes.text(column, row, shown, ha="center", va="center", fontsize=7, color=colour)
+    return figure
 
 
-def profiles_chart(estimate: Estimate, found: Intervals | ReportData) -> Chart | None:
-    """Return the profiles, each beside the interval of the table; None if there are none."""
-    shown = [one for one in found.profiles if one.points.size > 2]
+@styled
+def profiles_figure(estimate: Estimate, profiles: Sequence[ProfileInterval]) -> Figure:
+    """Draw the profiles, each beside the interval of the table."""
+    shown = [one for one in profiles if one.points.size > 2]
     if not shown:
-        return None
-
-    def draw() -> Figure:
-        figure, drawn = panels([210] * len(shown), 3)
-        for axes, one in zip(drawn, shown, strict=True):
-            risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
-            line(axes, one.points, risen, MEASURED, "", 1.6, dots=True)
-            known = next((p for p in estimate.params.rows if p.symbol == one.formula and p.stderr), None)
-            std = None if known is None else known.stderr
-            if one.name == "compliance" and estimate["stiffness"].stderr:
-                std = (estimate["stiffness"].stderr or 0.0) * one.estimate**2
-            if std:
-                inside = np.clip(one.points, one.estimate - 3 * std, one.estimate + 3 * std)
-                x = np.unique(np.array([inside.min(), one.estimate, inside.max()]))
-                line(axes, x, np.abs(x - one.estimate) / std, "#666666", "", 1.0, dashed=True)
-            level(axes, 2.0)
-            label(axes, f"{one.formula} [{one.unit}]", "rise [sigma]")
-            axes.set_ylim(0.0, 3.2)
-        return figure
-
-    caption = (
-        "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
-        "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
-        "by the slopes at the estimate alone, takes it for. Where the two part, the profile is to be believed."
-    )
-    if any(one.improved for one in shown):
-        caption += (
-            " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not "
-            "quite where the squares are least: a profile may go below the estimate."
-        )
-    return Chart("profiles", caption, draw)
+        raise RecordError("No quantity has a profile; name others, or identify from a motion that tells these.")
+    figure, drawn = panels([210] * len(shown), 3)
+    for axes, one in zip(drawn, shown, strict=True):
+        risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
+        axes.plot(one.points, risen, color=MEASURED, linewidth=1.2, marker="o")
+        std = next((p.stderr for p in estimate.params.rows if p.symbol == one.formula), None)
+        if one.name == "compliance" and (stderr := estimate["stiffness"].stderr):
+            std = stderr * one.estimate**2
+        if std:
+            ends = np.clip([one.points.min(), one.estimate, one.points.max()], *one.estimate + std * np.array([-3, 3]))
+            axes.plot(ends, np.abs(ends - one.estimate) / std, color="#666666", linewidth=0.8, linestyle="--")
+        axes.axhline(2.0, **LEVEL)
+        axes.set(xlabel=f"{one.formula} [{one.unit}]", ylabel="rise [sigma]", ylim=(0.0, 3.2))
+    return figure
 
 
-def convergence_chart(estimate: Estimate) -> Chart | None:
-    """Return the residual and the parameters over the iterations; None with fewer than two."""
+@styled
+def convergence_figure(estimate: Estimate) -> Figure:
+    """Draw the residual and the parameters over the iterations."""
     trace = estimate.fit.trace
     if len(trace) < 2:
-        return None
-    numbers = np.array([step.number for step in trace], dtype=np.float64)
-    norms = np.array([step.residual_norm for step in trace])
+        raise RecordError("The search has fewer than two steps; there is no way to draw.")
+    numbers, norms = [step.number for step in trace], np.array([step.residual_norm for step in trace])
     last, ways = trace[-1].values, dict[str, FloatArray]()
-    if all(p.value is not None for p in estimate.params.rows):
-        for p in estimate.params.rows:
-            way = np.array([step.values.get(p.name, math.nan) for step in trace])
-            if p.of_joint and p.free and last.get(p.name) and np.all(np.isfinite(way)):
-                ways[p.symbol] = way / last[p.name]
-
-    def draw() -> Figure:
-        columns = 2 if ways else 1
-        figure, (axes, *others) = panels([280] * columns, columns)
-        line(axes, numbers, norms, ERROR, dots=True)
-        falls = norms.min() > 0 and norms.max() > 10 * norms.min()
-        label(axes, "iteration", f"residual norm [{AxisSignals.of(estimate).unit}]", log="y" * bool(falls))
-        for place in others:
-            for (symbol, way), colour in zip(ways.items(), OTHERS * 2, strict=False):
-                line(place, numbers, way, colour, symbol, 1.4)
-            label(place, "iteration", "parameter over its last value")
-        return figure
-
-    caption = (
-        f"How the search went: {estimate.fit.iterations} iterations, "
-        f"{estimate.fit.simulations} simulations in "
-        f"all. The residual goes from {number(norms[0], 3)} to {number(norms[-1], 3)}."
-    )
-    if np.any(norms[1:] > _JUMP * norms[:-1]):
-        caption += (
-            " Where it jumps up the search goes on with another problem or from other values: a wider band, other "
-            "gains of the simulated loop, or a motor that may be moving at the first sample."
-        )
-    if ways:
-        caption += " Every parameter ends at 1: one that still moves there is not settled."
-    return Chart("convergence", caption, draw)
+    for p in estimate.params.rows:
+        way = np.array([step.values.get(p.name, math.nan) for step in trace])
+        if p.of_joint and p.free and last.get(p.name) and np.all(np.isfinite(way)):
+            ways[p.symbol] = way / last[p.name]
+    columns = 2 if ways and all(p.value is not None for p in estimate.params.rows) else 1
+    figure, (axes, *others) = panels([280] * columns, columns)
+    axes.plot(numbers, norms, color=ERROR, marker="o")
+    axes.set(xlabel="iteration", ylabel=f"residual norm [{AxisSignals.of(estimate).unit}]")
+    if norms.min() > 0 and norms.max() > 10 * norms.min():
+        axes.set_yscale("log")
+    for place in others:
+        for (symbol, way), colour in zip(ways.items(), OTHERS * 2, strict=False):
+            place.plot(numbers, way, color=colour, label=symbol)
+        place.set(xlabel="iteration", ylabel="parameter over its last value")
+    return figure
 
 
-def bounds_chart(estimate: Estimate) -> Chart | None:
-    """Return the lower bound of a refused stiffness, by the load's share of the inertia; None if it is not refused."""
+@styled
+def bounds_figure(estimate: Estimate) -> Figure:
+    """Draw the lower bound of a refused stiffness, by the load's share of the inertia."""
     known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
     if not known:
-        return None
-
-    def draw() -> Figure:
-        figure, (soft, slow) = panels((280, 280), 2)
-        share = np.array([b.share for b in known])
-        stiffness, mode = np.array([(b.stiffness, b.frequency) for b in known], dtype=np.float64).T
-        for axes, least, floor in ((soft, stiffness, 0.5 * stiffness.min()), (slow, mode, 0.0)):
-            band(axes, share, np.full(share.size, floor), least, OTHERS[3], "excluded")
-            line(axes, share, least, OTHERS[3], "", 1.6, dots=True)
-        label(soft, "load's share of the inertia", f"stiffness [{estimate['stiffness'].unit}]", log="y")
-        label(slow, "load's share of the inertia", "free-free mode [Hz]")
-        return figure
-
-    caption = (
-        "The stiffness is refused, and this is what is known of it instead: what lies in the shaded part is excluded "
-        "with 95 % confidence, for a mode damped by up to 15 %. The more of the inertia is behind the spring, the "
-        "stiffer it must be."
-    )
-    return Chart("bounds", caption, draw)
-
-
-def report_charts(given: ReportData) -> Iterator[Chart | None]:
-    """Yield the charts of a report; None for those that cannot be drawn."""
-    estimate, cutoff = given.estimate, given.estimate.settings.filtering.cutoff
-    if estimate.robot is not None:
-        assert given.diagnosis is not None
-        axes = AxisSignals.of_robot(given.diagnosis)
-        yield torque_chart(axes, "filtered as they were compared")
-        yield residual_chart(axes, "measured" if given.diagnosis.method == "idim" else "simulated")
-        yield spectra_chart(axes, cutoff, {})
-        return
-    axis = AxisSignals.of(estimate, given.motion)
-    yield torque_chart([axis], given.motion_source)
-    yield residual_chart([axis], given.motion_source, given.validation)
-    yield spectra_chart([axis], cutoff, estimate.frequencies)
-    yield bounds_chart(estimate)
-    yield response_chart(estimate, given.response)
-    yield correlation_chart(estimate)
-    yield profiles_chart(estimate, given)
-    yield convergence_chart(estimate)
+        raise RecordError("The stiffness is not refused, so there is no bound to draw.")
+    figure, (soft, slow) = panels((280, 280), 2)
+    share = [b.share for b in known]
+    stiffness, mode = np.array([(b.stiffness, b.frequency) for b in known], dtype=np.float64).T
+    for axes, least, floor in ((soft, stiffness, 0.5 * stiffness.min()), (slow, mode, 0.0)):
+        axes.fill_between(share, floor, least, color=OTHERS[3], label="excluded", **BAND)
+        axes.plot(share, least, color=OTHERS[3], linewidth=1.2, marker="o")
+        axes.set_xlabel("load's share of the inertia")
+    soft.set(ylabel=f"stiffness [{estimate['stiffness'].unit}]", yscale="log")
+    slow.set_ylabel("free-free mode [Hz]")
+    return figure

@@ -6,10 +6,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jointid import Drive, Record
-from jointid.common.charts import Chart
 from jointid.common.document import Document, typeset_block
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.fields import dumps, plain
@@ -22,18 +21,15 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.output.figures.charts import report_charts
 from jointid.output.json import REPORT_SCHEMA, to_dict
 from jointid.output.report.page import Repetition, page, repetition, require_page
-from jointid.output.report.sections import report_blocks
+from jointid.output.report.sections import draw_figures, report_blocks
 from jointid.tuning.tuned import Tuned
 
-__all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-_TUNING = (
-    "The joint's response, the loop cut open at the torque, and its Nyquist plot; the bands are the estimate's "
-    "interval, the circle about -1 the distance that was asked."
-)
+__all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -115,12 +111,9 @@ class Report:
         return self.data.estimate
 
     @property
-    def charts(self) -> dict[str, Chart]:
-        """Its figures by name."""
-        found = {chart.name: chart for chart in report_charts(self.data) if chart is not None}
-        if self.tuned is not None:
-            found["tuning"] = Chart("tuning", _TUNING, self.tuned.draw)
-        return found
+    def figures(self) -> dict[str, Figure]:
+        """Its figures by name, of matplotlib."""
+        return draw_figures(self.data, self.tuned)
 
     @property
     def title(self) -> str:
@@ -150,7 +143,7 @@ class Report:
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
-        blocks = report_blocks(self.data, self.charts, self.repetition, self.tuned, self.controllers)
+        blocks = report_blocks(self.data, self.figures, self.repetition, self.tuned, self.controllers)
         return Document(self.title, tuple(map(typeset_block, blocks)), self.answer())
 
     def html(self) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
-from jointid.common.charts import Chart, svg
+from jointid.common.charts import svg
 from jointid.common.document import (
     Block,
     Documented,
@@ -18,16 +20,21 @@ from jointid.common.document import (
     Table,
     Tone,
 )
+from jointid.common.errors import RecordError
 from jointid.common.text import join, number, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import bands_table
 from jointid.models.controllers import Controller
+from jointid.output.figures import charts
 from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
 from jointid.output.report.data_sheet import data_sheets
 from jointid.output.report.page import Repetition
 from jointid.tuning.tuned import Tuned
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TONES: Mapping[Trust, Tone] = {
     Trust.RELIABLE: "good",
@@ -37,16 +44,58 @@ _TONES: Mapping[Trust, Tone] = {
     Trust.NOT_CHECKED: "open",
 }
 _PICTURES = {
-    "bounds": "Lower bound of the stiffness",
-    "residual": "Residual",
-    "spectra": "Spectra",
-    "response": "Frequency response",
-    "correlation": "Correlations",
-    "profiles": "Profiles",
-    "convergence": "Convergence",
-    "tuning": "Tuned loop",
+    "torque": (
+        "",
+        "Measured and predicted torque lie on each other where the model is right; below is what they differ by. The "
+        "motion is {motion}. Lines break where nothing is compared.",
+    ),
+    "bounds": (
+        "Lower bound of the stiffness",
+        "The stiffness is refused, and this is what is known of it instead: what lies in the shaded part is excluded "
+        "with 95 % confidence, for a mode damped by up to 15 %. The more of the inertia is behind the spring, the "
+        "stiffer it must be.",
+    ),
+    "residual": (
+        "Residual",
+        "The error against the {motion} velocity and position of the motor, with its mean over all samples. Noise "
+        "alone has a mean of 0 everywhere: a mean that bends with velocity is friction, one that waves with position "
+        "is cogging, gravity or a screw's pitch. The autocorrelation is of the filtered error: white in the grey band.",
+    ),
+    "spectra": (
+        "Spectra",
+        "Amplitude spectra. Where the error lies well below the measured torque the model explains it; where it "
+        "reaches it, nothing is explained. The joint's frequencies are marked.",
+    ),
+    "response": (
+        "Frequency response",
+        "What the identified joint answers to its motor's torque moving forwards, without Coulomb friction; the shaded "
+        "band is 2 sigma of the estimate. Before a spring the motor shows a dip at the motor-locked frequency and a "
+        "peak at the free-free one; a controller has to stay away from the latter, or damp it.",
+    ),
+    "correlation": (
+        "Correlations",
+        "Correlations of the errors. Where one is near 1 or -1 the record tells a sum or a difference of the two, not "
+        "each.",
+    ),
+    "profiles": (
+        "Profiles",
+        "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
+        "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
+        "by the slopes at the estimate alone, takes it for. Where the two part, the profile is to be believed.",
+    ),
+    "convergence": (
+        "Convergence",
+        "How the search went. Where the residual jumps up it goes on with another problem or from other values: a "
+        "wider band, other gains of the simulated loop, or a motor that may be moving at the first sample. Every "
+        "parameter ends at 1: one that still moves there is not settled.",
+    ),
+    "tuning": (
+        "Tuned loop",
+        "The joint's response, the loop cut open at the torque, and its Nyquist plot; the bands are the estimate's "
+        "interval, the circle about -1 the distance that was asked.",
+    ),
 }
-"""The titles of the pictures of the appendix."""
+"""The titles of the pictures, and what to see in them; in the order of the appendix."""
 _MODES = {
     "free_free": ("free-free", "both sides free: the peak, and the pole a controller meets"),
     "motor_locked": ("motor locked", "the load on its spring: the dip the motor sees"),
@@ -57,7 +106,7 @@ _MODES = {
 
 def report_blocks(
     given: ReportData,
-    charts: Mapping[str, Chart],
+    figures: Mapping[str, Figure],
     repetition: Repetition,
     tuned: Tuned | None,
     controllers: Sequence[Controller | None] = (),
@@ -69,7 +118,7 @@ def report_blocks(
     yield Heading("Parameters")
     yield from _part(estimate)
     yield Heading("Torque")
-    yield from _picture(charts, "torque")
+    yield _picture(given, figures, "torque")
     for check in given.checks:
         yield Heading(f"Prediction of {check.record}")
         yield from _part(check)
@@ -87,11 +136,10 @@ def report_blocks(
         if part is not None:
             yield Heading(title)
             yield from _part(part)
-    for name, title in _PICTURES.items():
-        if name in charts:
-            yield Heading(title)
-            yield from _picture(charts, name)
-            yield from filter(None, (_beside(given, name),))
+    for name in [name for name in _PICTURES if name in figures and name != "torque"]:
+        yield Heading(_PICTURES[name][0])
+        yield _picture(given, figures, name)
+        yield from filter(None, (_beside(given, name),))
     if missing := [*given.absent.values(), *_without_profile(given)]:
         yield Heading("Not available")
         yield Listing(tuple(map(sentence, missing)))
@@ -105,9 +153,40 @@ def _part(result: Documented, *, details: bool = False) -> Iterator[Block]:
         yield replace(block, level=3) if isinstance(block, Heading) else block
 
 
-def _picture(charts: Mapping[str, Chart], name: str) -> Iterator[Block]:
-    chart = charts[name]
-    yield Picture(f"{name}.svg", partial(svg, chart), chart.caption, chart.wide)
+def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
+    """Return the figures of a report by their names, without those that cannot be drawn."""
+    estimate, cutoff = given.estimate, given.estimate.settings.filtering.cutoff
+    if estimate.robot is not None:
+        assert given.diagnosis is not None
+        axes = charts.AxisSignals.of_robot(given.diagnosis)
+    else:
+        axes = [charts.AxisSignals.of(estimate, given.motion)]
+    every: dict[str, Callable[[], Figure]] = {
+        "torque": lambda: charts.torque_figure(axes),
+        "residual": lambda: charts.residual_figure(axes, given.validation),
+        "spectra": lambda: charts.spectra_figure(axes, cutoff, {} if estimate.robot else estimate.frequencies),
+    }
+    if estimate.robot is None:
+        every["bounds"] = lambda: charts.bounds_figure(estimate)
+        every["correlation"] = lambda: charts.correlation_figure(estimate)
+        every["profiles"] = lambda: charts.profiles_figure(estimate, given.profiles)
+        every["convergence"] = lambda: charts.convergence_figure(estimate)
+        if given.response is not None:
+            every["response"] = partial(charts.response_figure, estimate, given.response)
+        if tuned is not None:
+            every["tuning"] = tuned.plot
+    found: dict[str, Figure] = {}
+    for name, draw in every.items():
+        with contextlib.suppress(RecordError):
+            found[name] = draw()
+    return found
+
+
+def _picture(given: ReportData, figures: Mapping[str, Figure], name: str) -> Picture:
+    by_robot = "measured" if given.diagnosis is not None and given.diagnosis.method == "idim" else "simulated"
+    motion = given.motion_source if given.estimate.robot is None else by_robot
+    words = _PICTURES[name][1].format(motion=motion)
+    return Picture(f"{name}.svg", partial(svg, figures[name], name), words, wide=name != "correlation")
 
 
 def _result(given: ReportData) -> Iterator[Block]:
