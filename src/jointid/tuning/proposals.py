@@ -1,4 +1,4 @@
-"""Gains, notch and feed-forward that keep margins over an interval of joints.
+"""Gains and a notch that keep margins for all joints of an interval, and feed-forward.
 
 A loop of the same structure is designed for a rate w and a damping ratio d of the rigid joint with total inertia J
 (g the controller's torque per unit, r a transmission's ratio)::
@@ -22,18 +22,15 @@ joint, valid below about a fifth of the first resonance.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, Quantity, unit_of
-from jointid.common.transmission import Transmission
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw, unit_of_number
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -56,61 +53,39 @@ _ROWS: tuple[tuple[str, str, Quantity, int], ...] = (
     ("coulomb", "coulomb_feedforward", Quantity.FORCE, 1),
     ("constant", "constant_feedforward", Quantity.FORCE, 1),
 )
-_PER_COUNT = {"inertia": "/(counts/s2)", "viscous": "/(counts/s)", "coulomb": "", "constant": ""}
-
 
 TunableController: TypeAlias = Cascade | PD
 """The laws that gains are proposed for; a PID is a PD, too."""
 
 
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """Settings of `tune`: what the proposed loop keeps in the worst case.
+    """Settings of `tune`: what the proposed loop keeps in the worst case."""
 
-    Attributes:
-        gain_margin: ratio by which the loop's gain may still grow, or fall, before it is unstable; 2 is 6 dB.
-        phase_margin: degrees.
-        modulus: smallest distance of the response from -1: the largest sensitivity is its inverse.
-        confidence: with which the interval of the estimate holds all its parameters together.
-        notch: whether a notch may be proposed.
-        seed: of the joints that are drawn in the interval.
-    """
-
-    gain_margin: float = 2.0
-    phase_margin: float = 45.0
-    modulus: float = 0.5
-    confidence: float = 0.95
-    notch: bool = True
-    seed: int = 0
+    gain_margin: float = setting(2.0, "ratio by which the loop's gain may still grow, or fall; 2 is 6 dB", at_least=1)
+    phase_margin: float = setting(45.0, "angle by which the loop may still turn", unit="deg", at_least=0, at_most=89)
+    modulus: float = setting(0.5, "smallest distance of the response from -1", above=0, at_most=0.99)
+    confidence: float = setting(0.95, "of all parameters of the interval together", above=0, at_most=0.9999)
+    notch: bool = setting(True, "whether a notch may be proposed")
+    seed: int = setting(0, "of the joints that are drawn in the interval", at_least=0)
 
     def __post_init__(self) -> None:
-        possible = {
-            f"gain_margin = {self.gain_margin}": 1 <= self.gain_margin < math.inf,
-            f"phase_margin = {self.phase_margin} degrees": 0 <= self.phase_margin < 90,
-            f"modulus = {self.modulus}": 0 < self.modulus < 1,
-            f"confidence = {self.confidence}": 0 < self.confidence < 1,
-        }
-        faults = [said for said, good in possible.items() if not good]
-        if faults:
-            raise MethodError(
-                "A gain margin is 1 or more, a phase margin from 0 to 90 degrees, and the distance from -1 and the "
-                f"confidence are between 0 and 1; received {', '.join(faults)}."
-            )
+        check_settings(self)
 
     @property
     def asked(self) -> FloatArray:
         """Required margins, in the order of `margins.NAMES`; none of the delay."""
         return np.array([self.gain_margin, self.gain_margin, math.radians(self.phase_margin), 0.0, self.modulus])
 
+    def is_met(self, margins: FloatArray, by: float = 1.0) -> bool:
+        """Test all margins, (joints, 5), against the required ones times a factor."""
+        return bool(np.all(margins >= by * self.asked) and np.all(margins[:, -1] > 0))
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A designed loop.
-
-    Attributes:
-        controller: with its gains. rate: w, rad/s. damping: d.
-        notch: that was added, if one was.
-    """
+    """A designed loop: its controller, rate w in rad/s, damping ratio d, and the notch that was added, if any."""
 
     controller: TunableController
     rate: float
@@ -134,18 +109,13 @@ def with_gains(controller: TunableController, inertia: float, rate: float, dampi
     velocity, slow = rate * inertia / (controller.gain * controller.ratio**2), rate / (4 * damping**2)
     faster = rate / (rate_of(controller, inertia) or rate)
     if isinstance(controller, Cascade):
-        return replace(
-            controller, velocity_gain=velocity, position_gain=slow, integral_gain=controller.integral_gain * faster
-        )
-    if isinstance(controller, PID):
-        integral = controller.integral_gain / controller.position_gain * faster if controller.position_gain else 0.0
-        return replace(
-            controller,
-            derivative_gain=velocity,
-            position_gain=velocity * slow,
-            integral_gain=integral * velocity * slow,
-        )
-    return replace(controller, derivative_gain=velocity, position_gain=velocity * slow)
+        integral = controller.integral_gain * faster
+        return replace(controller, velocity_gain=velocity, position_gain=slow, integral_gain=integral)
+    made = replace(controller, derivative_gain=velocity, position_gain=velocity * slow)
+    if isinstance(controller, PID) and isinstance(made, PID) and controller.position_gain:
+        share = controller.integral_gain / controller.position_gain * faster
+        return replace(made, integral_gain=share * made.position_gain)
+    return made
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,94 +136,53 @@ class StiffestLoop:
 
     def find(self, controller: TunableController, mode: float | None) -> Layout | None:
         """Find the stiffest loop, with a notch at a mode, in Hz, if it helps."""
-        best = self._best([(controller, None)])
+        best = self._improve(None, controller, None)
         if mode is None or mode * (controller.period or self.sample_time) >= _HIGHEST:
             return best
-        notches = [Notch(mode, width * mode, depth) for width in _WIDTHS for depth in _DEPTHS]
-        found = self._best(
-            [(replace(controller, torque_filters=(*controller.torque_filters, one)), one) for one in notches]
-        )
-        if found is None or (best is not None and found.stiffness < _WORTH * best.stiffness):
-            return best
-        return found
+        found: Layout | None = None
+        for notch in (Notch(mode, width * mode, depth) for width in _WIDTHS for depth in _DEPTHS):
+            found = self._improve(found, replace(controller, torque_filters=(*controller.torque_filters, notch)), notch)
+        helps = found is not None and (best is None or found.stiffness >= _WORTH * best.stiffness)
+        return found if helps else best
 
-    def _best(self, structures: Sequence[tuple[TunableController, Notch | None]]) -> Layout | None:
-        best: Layout | None = None
-        for controller, notch in structures:
-            for damping in DAMPINGS:
-                rate = self._fastest(controller, damping, best)
-                if rate is not None:
-                    best = Layout(with_gains(controller, self.inertia, rate, damping), rate, damping, notch)
+    def _improve(self, best: Layout | None, controller: TunableController, notch: Notch | None) -> Layout | None:
+        for damping in DAMPINGS:
+            rate = self._find_fastest(controller, damping, best)
+            if rate is not None:
+                best = Layout(with_gains(controller, self.inertia, rate, damping), rate, damping, notch)
         return best
 
-    def _fastest(self, controller: TunableController, damping: float, best: Layout | None) -> float | None:
-        """Highest rate that keeps the margins, if stiffer than the best loop."""
+    def _find_fastest(self, controller: TunableController, damping: float, best: Layout | None) -> float | None:
+        """Return the highest rate that keeps the margins, if stiffer than the best loop."""
         period = controller.period or self.sample_time
         present = rate_of(controller, self.inertia) or 0.02 / period
-        rates = [float(rate) for rate in present * _RATES if rate * period < math.pi]
         least = 0.0 if best is None else _BETTER * math.sqrt(best.stiffness) * damping
-        # What fails where it would begin to be of use is not examined further.
-        if least and not self._first_keeps(self._law(controller, least, damping)):
-            return None
-        for place, rate in enumerate(rates):
-            if rate <= least:
-                return None
-            if self._keeps(self._law(controller, rate, damping)):
-                good, bad = rate, rates[place - 1] if place else rate
-                for _ in range(_HALVINGS if place else 0):
-                    middle = math.sqrt(good * bad)
-                    keeps = self._keeps(self._law(controller, middle, damping))
-                    good, bad = (middle, bad) if keeps else (good, middle)
-                return good
-        return None
 
-    def _law(self, controller: TunableController, rate: float, damping: float) -> SampledLaw:
-        return with_gains(controller, self.inertia, rate, damping).law(self.sample_time)
+        def law(rate: float) -> SampledLaw:
+            return with_gains(controller, self.inertia, rate, damping).law(self.sample_time)
+
+        # What fails where it would begin to be of use is not examined further.
+        if least and not self._first_keeps(law(least)):
+            return None
+        rates = [float(rate) for rate in present * _RATES if least < rate < math.pi / period]
+        place = next((i for i, rate in enumerate(rates) if self._keeps(law(rate))), None)
+        if place is None:
+            return None
+        good, bad = rates[place], rates[max(place - 1, 0)]
+        for _ in range(_HALVINGS if place else 0):
+            middle = math.sqrt(good * bad)
+            good, bad = (middle, bad) if self._keeps(law(middle)) else (good, middle)
+        return good
 
     def _first_keeps(self, law: SampledLaw) -> bool:
-        return meets_margins(self.joints.first.margins(law), self.settings)
+        return self.settings.is_met(self.joints.first.margins(law))
 
     def _keeps(self, law: SampledLaw) -> bool:
         if not self._first_keeps(law):  # what the estimate itself does not bear is most of what is tried
             return False
         if self.band is not None and crossover(self.joints.response(law), self.joints.hertz) > self.band:
             return False
-        return meets_margins(self.joints.margins(law), self.settings)
-
-
-def meets_margins(margins: FloatArray, settings: Tuning, by: float = 1.0) -> bool:
-    """Test all margins, (joints, 5), against the required ones times a factor."""
-    return bool(np.all(margins >= by * settings.asked) and np.all(margins[:, -1] > 0))
-
-
-@dataclass(frozen=True, slots=True)
-class LumpedParameter:
-    """A weighted sum of the parameters of both sides.
-
-    Attributes:
-        formula: in symbols. value: in SI on the joint's side. std: None where nothing of it was free.
-    """
-
-    formula: str
-    value: float
-    std: float | None
-
-
-def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
-    """Total inertia, viscous and Coulomb friction and constant force, by name.
-
-    Direction-dependent friction is averaged; half the difference of the Coulomb forces belongs to the constant.
-    """
-    sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
-    law = estimate.settings.joint.friction
-    friction: dict[str, dict[str, float]] = {
-        part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS
-    }
-    constant: dict[str, float] = {n: w for side in sides for n, w in law.constant(side).items()}
-    names = {p.name for p in estimate.params.rows}
-    constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
-    wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
-    return {name: _lump(estimate, weights) for name, weights in wanted.items()}
+        return self.settings.is_met(self.joints.margins(law))
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,11 +190,9 @@ class FeedForward:
     """One feed-forward.
 
     Attributes:
-        key: its name in a joint file's [controller].
+        key: its name in a joint file's [controller]. formula: the sum of parameters that gives it, in symbols.
         value, std: in SI, on the joint's side; unit: of these. std is None where nothing of it was free.
-        before: what the controller has, in its own units. after, after_std: what is proposed, in the same.
-        in_drive: before, after, the latter's deviation, and their unit as the drive shows them.
-        drive: in per mille of the rated torque, and per count of the encoder; None where they are not known.
+        before, after, after_std: in the unit `shown_in`, as the drive shows it.
     """
 
     key: str
@@ -276,78 +203,57 @@ class FeedForward:
     before: float
     after: float
     after_std: float | None
-    in_drive: tuple[float, float, float | None, str]
-    drive: float | None = None
-    drive_unit: str = ""
+    shown_in: str
 
 
-def feedforward(
-    estimate: Estimate,
-    controller: Any,
-    whole: Mapping[str, LumpedParameter],
-    drive: units.DriveUnits | None = None,
-    shown: Mapping[str, DriveNumber] = MappingProxyType({}),
-) -> tuple[FeedForward, ...]:
+def lumped_parameters(estimate: Estimate) -> dict[str, tuple[str, float, float | None]]:
+    """Return total inertia, viscous and Coulomb friction and constant force: formula, value and deviation.
+
+    Direction-dependent friction is averaged; half the difference of the Coulomb forces belongs to the constant.
+    """
+    sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
+    law = estimate.settings.joint.friction
+    wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}}
+    wanted |= {part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS}
+    wanted["constant"] = {n: w for side in sides for n, w in law.constant(side).items()}
+    names = {p.name for p in estimate.params.rows}
+    wanted["constant"] |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
+    return {name: _add_up(estimate, weights) for name, weights in wanted.items()}
+
+
+def _add_up(estimate: Estimate, weights: Mapping[str, float]) -> tuple[str, float, float | None]:
+    """Return a weighted sum of parameters: in symbols, its value, and its deviation; None where nothing was free."""
+    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
+    factors = {1.0: "", -1.0: "- ", 0.5: "0.5 ", -0.5: "- 0.5 "}
+    terms = [f"{factors.get(w, f'{w:g} ')}{estimate[name].symbol}" for name, w in kept.items()]
+    formula = " + ".join(terms).replace("+ -", "-") or "0"
+    value = sum(weight * estimate.values[name] for name, weight in weights.items())
+    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
+    if not spread:
+        return formula, value, None
+    sizes, correlation = np.array(list(spread.values())), estimate.params.correlation_of(list(spread))
+    return formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0))
+
+
+def feedforward(estimate: Estimate, controller: Any, shown: Mapping[str, DriveNumber]) -> tuple[FeedForward, ...]:
     """Compute the feed-forwards of an estimate.
 
     Args:
         estimate: of the joint.
         controller: a `ServoController` with the intended units, on the joint's side.
-        whole: see `lumped_parameters`.
-        drive: with rated torque and encoder counts, if known.
         shown: conversion to the drive's numbers, by name.
     """
     found, kind, torque = [], estimate.settings.joint.kind, estimate.data.torque_unit
+    whole = lumped_parameters(estimate)
     for name, key, quantity, power in _ROWS:
-        total = whole[name]
+        formula, value, std = whole[name]
         ratio = controller.ratio if name == "constant" else abs(controller.ratio)
         per = 1.0 / (controller.gain * ratio**power)
-        before, after = float(getattr(controller, key, 0.0)), per * total.value
-        std = None if total.std is None else abs(per) * total.std
-        shown_as = before, after, std, unit_of_number(controller, key, POSITION_UNIT[kind], torque)
+        unit = unit_of_number(controller, key, POSITION_UNIT[kind], torque)
+        by = 1.0
         if (there := shown.get(key)) is not None and there.unit:
-            by = there.of(1.0, {})
-            shown_as = by * before, by * after, None if std is None else by * std, there.unit
-        per_mille = _per_mille(name, total.value, estimate, drive)
+            by, unit = there.of(1.0, {}), there.unit
+        before, spread = float(getattr(controller, key, 0.0)), None if std is None else by * abs(per) * std
         si = unit_of(quantity, kind, torque)
-        found.append(
-            FeedForward(key, total.formula, total.value, total.std, si, before, after, std, shown_as, *per_mille)
-        )
+        found.append(FeedForward(key, formula, value, std, si, by * before, by * per * value, spread, unit))
     return tuple(found)
-
-
-def _per_mille(name: str, value: float, estimate: Estimate, drive: units.DriveUnits | None) -> tuple[float | None, str]:
-    """Feed-forward in the drive's units on the motor's side, and their name."""
-    joint = estimate.settings.joint
-    if drive is None or estimate.data.torque_unit not in ("N", "N m"):
-        return None, ""
-    gear: Transmission | None = joint.transmission
-    kind = joint.kind if gear is None else gear.motor
-    torque = 1.0 if gear is None else gear.torque("motor")
-    try:
-        share = drive.resolve_unit(units.unit("permille"), kind).factor
-        per_count = 1.0 if name in ("coulomb", "constant") else drive.resolve_unit(units.unit("counts"), kind).factor
-    except units.UnitError:  # the drive's numbers are not all known
-        return None, ""
-    if name in ("inertia", "viscous"):
-        return value * per_count / (torque**2 * share), f"per mille{_PER_COUNT[name]}"
-    return value / ((abs(torque) if name == "coulomb" else torque) * share), "per mille"
-
-
-def _lump(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
-    if not weights:  # the law has no such friction
-        return LumpedParameter("0", 0.0, None)
-    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
-    halves = all(abs(w) == 0.5 for w in kept.values())  # a mean, which is written as one
-    terms = [
-        ("- " if w < 0 else "+ ") + ("" if halves or abs(w) == 1 else f"{abs(w):g} ") + estimate[name].symbol
-        for name, w in kept.items()
-    ]
-    formula = " ".join(terms).removeprefix("+ ")
-    formula = f"({formula})/2" if halves else formula
-    value = sum(weight * estimate.values[name] for name, weight in weights.items())
-    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
-    if not spread:
-        return LumpedParameter(formula, value, None)
-    sizes, correlation = np.array(list(spread.values())), estimate.params.correlation_of(list(spread))
-    return LumpedParameter(formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0)))

@@ -123,7 +123,7 @@ def tune(
         modulus: likewise, the smallest distance of the loop's response from -1; the inverse of the largest sensitivity.
         confidence: with which the interval holds all parameters together.
         notch: whether one may be proposed.
-        figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
+        figure: also save the responses of joint and loop as PNG, SVG or PDF.
     """
     from jointid import Tuning, figures
     from jointid import tune as run
@@ -132,7 +132,7 @@ def tune(
     figures.require_format(figure)
     file = options.load(joint, figure, what="Tuning", method="didim")
     _, estimate = options.identify(file)
-    tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
+    tuned = run(estimate, settings, shown=file.declared_numbers, progress=options.progress)
     deliver(tuned, options.json, (figure, lambda one: one.plot()))
 
 

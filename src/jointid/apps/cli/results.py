@@ -62,7 +62,7 @@ def report(
     else:
         record, found = file.record(options.record, judged=True), load_estimate(estimate, file)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
-    tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.axes[0].drive, file.declared_numbers))
+    tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.declared_numbers))
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
         controllers=file.controllers, feed_forward=file.feed_forward, repetition=again, progress=options.progress,

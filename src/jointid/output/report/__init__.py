@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointid import Drive, Record
+from jointid import Record
 from jointid.common.document import Document, typeset_block
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.fields import dumps, plain
@@ -165,7 +165,7 @@ class Report:
         return path
 
 
-def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber] = ()) -> Tuned | str | None:
+def tune_to_limit(estimate: Estimate, shown: Iterable[DriveNumber] = ()) -> Tuned | str | None:
     """Return margins and gains of a loop whose limit is declared; why there are none, or None where none is asked."""
     from numpy.linalg import LinAlgError
 
@@ -175,7 +175,7 @@ def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber]
     if loop is None or not math.isfinite(getattr(loop.controller, "limit", math.inf)):
         return None
     try:
-        return tune(estimate, drive=drive, shown=shown)
+        return tune(estimate, shown=shown)
     except JointidError as error:  # a refused parameter, say: the report is written all the same
         return str(error)
     except LinAlgError as error:  # values far outside all bounds have no margins
