@@ -24,8 +24,7 @@ from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.interval import ellipsoid_radius, possible_joints
-from jointid.tuning.margins import NAMES, joint_set
+from jointid.tuning.margins import NAMES, ellipsoid_radius, joint_set, possible_joints
 from jointid.tuning.proposals import Tuning, with_gains
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned

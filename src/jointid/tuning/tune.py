@@ -18,8 +18,7 @@ from jointid.models.controllers import PD, PID, Cascade, Controller, ServoContro
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import linear_joints, state_response
-from jointid.tuning.interval import Interval, possible_joints
-from jointid.tuning.margins import Margins, crossover
+from jointid.tuning.margins import Interval, Margins, crossover, possible_joints
 from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, feedforward, lumped_parameters
 from jointid.tuning.tuned import Gain, LoopMargins, Tuned
 
