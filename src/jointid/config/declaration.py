@@ -144,24 +144,9 @@ def table_of_items(kind: Any) -> Table | None:
 # The record
 
 
-@dataclass(frozen=True, slots=True)
-class TextKeys:
-    """Keys of [record] that are options of a text file."""
-
-    delimiter: str | None = setting(
-        None,
-        'character between the cells of a text file; " " is any run of blanks; without it found',
-        accept=lambda mark: TextOptions(delimiter=mark),
-    )
-    decimal: Literal[".", ","] | None = setting(None, "decimal mark of a text file; without it found")
-    header: bool | None = setting(
-        None, "whether a line above the numbers of a text file names the columns; without it found"
-    )
-
-
 def _make_record(channels: Mapping[str, Column] | None = None, **given: Any) -> tuple[Source, Mapping[str, Column]]:
     """Return the file of the record with the options of its format, and the channels."""
-    options = {key: given.pop(key) for key in keys_of(TextKeys) if key in given}
+    options = {key: given.pop(key) for key in keys_of(TextOptions) if key in given}
     source = Source(**given, options=options)
     if source.file is not None and source.files:
         raise key_error("files", f' stands beside file = "{source.file}"; keep one of them.')
@@ -185,7 +170,9 @@ _CHANNELS = Table(
         injected=(Table(keys_of(Column, without=("tap",)), Column), "known signal added to the controller's output"),
     )
 )
-_RECORD = Table(keys_of(Source, TextKeys) | _keys(channels=(_CHANNELS, "where the channels are found")), _make_record)
+_RECORD = Table(
+    keys_of(Source, TextOptions) | _keys(channels=(_CHANNELS, "where the channels are found")), _make_record
+)
 _DRIVE = Table(keys_of(Drive, without=("torque_constant", "torque_per_volt")), Drive)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside
 from jointid.records.formats import arrays, bags, columnar, folder, json, text
-from jointid.records.formats.table import Table, require_file
+from jointid.records.formats.table import Table, join_tables
 from jointid.records.formats.text import TextOptions
 
 __all__ = ["FORMATS", "Format", "Table", "TextOptions", "format_of", "read_blocks", "read_table", "write_table"]
@@ -23,39 +23,38 @@ class Format:
 
     Attributes:
         suffixes: the endings of its files, in lower case, with the dot.
-        read: the function that reads a whole file.
-        blocks: that reads it in chunks, where a format has consecutive rows.
-        write: that writes a table, so that `read` restores it.
+        read: the function that reads a whole file; None where its blocks are joined.
+        blocks: that reads so many rows after so many, where a format has consecutive rows.
+        write: that writes a table, so that it is read back.
         is_text: whether it is read packed by gzip, too.
     """
 
     name: str
     suffixes: tuple[str, ...]
-    read: Callable[..., Table]
+    read: Callable[[Path], Table] | None = None
     blocks: Callable[..., Iterator[Table]] | None = None
     write: Callable[..., None] | None = None
     is_text: bool = False
 
 
-_TEXT = Format("CSV", (".csv", ".txt", ".tsv", ".dat"), text.read_text, text.read_text_blocks, text.write_text, True)
+_TEXT = Format("CSV", (".csv", ".txt", ".tsv", ".dat"), None, text.read_text, text.write_text, True)
 _FOLDER = Format("folder of files", (), folder.read_folder)
 _BAG = Format("ROS 2 bag", bags.SUFFIXES, bags.read_bag)
 
 FORMATS: tuple[Format, ...] = (
     _TEXT,
-    Format("MAT", (".mat",), arrays.read_mat, None, arrays.write_mat),
-    Format("NPY", (".npy",), arrays.read_npy, arrays.read_npy_blocks, arrays.write_npy),
+    Format("MAT", (".mat",), arrays.read_mat, write=arrays.write_mat),
+    Format("NPY", (".npy",), None, arrays.read_npy, arrays.write_npy),
     Format("NPZ", (".npz",), arrays.read_npz),
     Format("JSON", (".json", ".jsonl", ".ndjson"), json.read_json, is_text=True),
     Format("HDF5", (".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
-    Format("Parquet", (".parquet", ".pq"), columnar.read_parquet, columnar.read_parquet_blocks, columnar.write_parquet),
+    Format("Parquet", (".parquet", ".pq"), None, columnar.read_parquet, columnar.write_parquet),
     Format("TDMS", (".tdms",), columnar.read_tdms),
     _FOLDER,
     _BAG,
 )
 """Every format there is."""
 
-_OPTIONS = tuple(option.name for option in fields(TextOptions))
 _PICKLES = (".pt", ".pth", ".pkl", ".pickle")
 
 
@@ -66,13 +65,11 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
         RecordError: unknown suffix, or an option that the format does not have.
     """
     found = _find_format(path)
-    known = _OPTIONS if found is _TEXT else ()
-    unknown = sorted(set(options) - set(known))
-    if unknown:
+    known = [option.name for option in fields(TextOptions)] if found is _TEXT else []
+    if unknown := sorted(set(options) - set(known)):
         listed = ", ".join(known) or "none"
         raise RecordError(f"Reading {found.name} has no option {', '.join(unknown)}; it has: {listed}.")
-    if known:
-        TextOptions(**options)  # type: ignore[arg-type]
+    TextOptions(**options)  # type: ignore[arg-type]
     return found
 
 
@@ -83,17 +80,12 @@ def _find_format(path: str | os.PathLike[str]) -> Format:
         return _FOLDER if is_folder and folder.is_record(path) else _BAG
     packed = path.suffix.lower() == ".gz"
     suffix = Path(path.stem).suffix.lower() if packed else path.suffix.lower()
-    if suffix in _PICKLES:
-        raise RecordError(
-            f"{path.name} is a pickle, which runs code when it is loaded, and is not read; convert it where it comes "
-            "from, by numpy.savez."
-        )
     found = next((one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed)), None)
     if found is None:
         known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
+        why = "is of a pickle, which runs code" if suffix in _PICKLES else "names no known format"
         raise RecordError(
-            f'{path.name} has the suffix "{suffix}", which names no known format ({known}; texts also with .gz); '
-            "convert it, or unpack it."
+            f'{path.name} has the suffix "{suffix}", which {why} ({known}; texts with .gz, too); convert or unpack it.'
         )
     return found
 
@@ -106,8 +98,10 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     """
     path, reader = Path(path), format_of(path, **options)
     with _explain_failure(path, reader):
-        require_file(path)
-        return reader.read(path, **options)
+        if reader.read is not None:
+            return reader.read(path)
+        assert reader.blocks is not None
+        return join_tables(reader.blocks(path, None, **options))
 
 
 def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
@@ -123,14 +117,16 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
         streamed = ", ".join(entry.name for entry in FORMATS if entry.blocks is not None)
         raise RecordError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
     with _explain_failure(path, reader):
-        require_file(path)
         yield from reader.blocks(path, rows, **options)
 
 
 @contextmanager
 def _explain_failure(path: Path, reader: Format) -> Iterator[None]:
-    """Say in a sentence why a file cannot be read, whatever the library of its format raises."""
+    """Refuse a path without content, and say why a file cannot be read, whatever the library of its format raises."""
     try:
+        size = path.stat().st_size
+        if not (path.is_dir() or (path.is_file() and size)):
+            raise RecordError(f"{path.name} is empty, a pipe or a device; log or copy it again, to a file.")
         yield
     except JointidError:
         raise

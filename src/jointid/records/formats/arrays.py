@@ -19,15 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import (
-    Found,
-    Table,
-    find_columns,
-    require_columns,
-    require_size,
-    require_width,
-    to_numbers,
-)
+from jointid.records.formats.table import Found, Table, find_columns, require_columns, require_room, to_numbers
 
 _HEADER = 2**16  # characters of the header of a NumPy array, for more than a thousand columns
 _REST = 2**8  # characters of it beside the names of the columns
@@ -42,52 +34,27 @@ _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
 _PACKED_MOST, _ANY_FILE = 10_000, 2**27  # bytes of numbers that a byte of a file, and any file, may declare
-_MEMBERS, _ELEMENTS = 100_000, 10_000  # datasets and groups of a file, elements of an array of structures
-_DEEPEST = 64  # structures within structures
+_MEMBERS = 100_000  # datasets and groups of a file
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
-_NO_NUMBERS = {"char": "it holds text", "cell": "a cell array"}  # by MATLAB's classes
 
 Member: TypeAlias = Any
 """A group or a dataset of h5py, which has no types."""
 
 
-def read_npy(path: Path) -> Table:
-    """Read a record array, or a matrix whose longer side are the samples."""
-    views, passed = _map_columns(path)
-    require_size(path, sum(view.size for view in views.values()))
-    return _read_rows(path, views, passed, 0, max(view.size for view in views.values()))
-
-
-def read_npy_blocks(path: Path, rows: int) -> Iterator[Table]:
-    """Yield so many rows after so many; instants count from that of the file's first row."""
-    views, passed = _map_columns(path)
-    total = max(view.size for view in views.values())
-    for first in range(0, total, rows):
-        yield _read_rows(path, views, passed, first, rows)
-
-
-def _map_columns(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, str]]:
+def read_npy(path: Path, rows: int | None) -> Iterator[Table]:
+    """Read a record array, or a matrix whose longer side are the samples; instants count from the first row."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what Python's parser says of a damaged header on the side
         array: np.ndarray[Any, Any] = np.lib.format.open_memmap(path, mode="r", max_header_size=_HEADER)
     passed: dict[str, str] = {}
     views = find_columns("", array, passed)
-    if not views:
-        raise RecordError(
-            f"{path.name} holds {array.dtype} of shape {array.shape}; expected a record array of numbers, or a matrix "
-            "of numbers whose longer side are the samples."
-        )
-    require_width(path, len(views))
-    return views, passed
-
-
-def _read_rows(
-    path: Path, views: dict[str, np.ndarray[Any, Any]], passed: dict[str, str], first: int, count: int
-) -> Table:
-    found = Found(path, passed=passed)
-    for name, view in views.items():
-        found.add(name, to_numbers(view[first : first + count], view[:1]))
-    return found.table()
+    total = max((view.size for view in views.values()), default=1)
+    require_room(path.name, 0 if rows else total * len(views), len(views))
+    for first in range(0, total, rows or total):
+        found = Found(path, passed=passed)
+        for name, view in views.items():
+            found.add(name, to_numbers(view[first : first + (rows or total)], view[:1]))
+        yield found.table()
 
 
 def write_npy(path: Path, table: Table) -> None:
@@ -111,8 +78,7 @@ def read_npz(path: Path) -> Table:
     found = Found(path)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        require_width(path, len(members))
-        require_size(path, sum(member.file_size for member in members) // 8)
+        require_room(path.name, sum(member.file_size for member in members) // 8, len(members))
         for member in members:
             name = member.filename.removesuffix(".npy")
             try:
@@ -130,7 +96,7 @@ def read_mat(path: Path) -> Table:
     with path.open("rb") as raw:
         head = raw.read(_HEADER_73 + len(_HDF5))
     if head.startswith(_HDF5) or head.startswith(_HDF5, _HEADER_73):
-        return _read_contents(path, matlab=True)
+        return read_hdf5(path, matlab=True)
     from scipy.io.matlab import MatReadWarning, loadmat
 
     with warnings.catch_warnings():
@@ -148,18 +114,15 @@ def read_mat(path: Path) -> Table:
 
 
 def _take_variable(found: Found, path: str, value: Any) -> None:
-    if type(value) is not np.ndarray:  # MATLAB's objects are subclasses
-        found.passed[path] = "a sparse matrix" if hasattr(value, "tocsr") else "an object of MATLAB"
-    elif value.dtype.names is not None:
+    if type(value) is not np.ndarray or value.dtype.kind == "O":  # MATLAB's objects are subclasses
+        found.passed[path] = "a cell array, a sparse matrix or an object of MATLAB"
+    elif value.dtype.names is None:
+        found.take(path, value)
+    else:
         for index, element in enumerate(value.ravel(order="F")):
             for field in value.dtype.names:
-                _take_variable(
-                    found, f"{path}.{field}" if value.size == 1 else f"{path}[{index}].{field}", element[field]
-                )
-    elif value.dtype.kind == "O":
-        found.passed[path] = "a cell array"
-    else:
-        found.take(path, value)
+                inner = f"{path}.{field}" if value.size == 1 else f"{path}[{index}].{field}"
+                _take_variable(found, inner, element[field])
 
 
 def write_mat(path: Path, table: Table) -> None:
@@ -176,96 +139,62 @@ def write_mat(path: Path, table: Table) -> None:
     savemat(path, dict(table.columns), do_compression=True, oned_as="column")
 
 
-def read_hdf5(path: Path) -> Table:
+def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
     """Read every dataset of numbers by its path; what another file or place holds is not followed."""
-    return _read_contents(path, matlab=False)
-
-
-def _read_contents(path: Path, *, matlab: bool) -> Table:
     h5py = extra("h5py", "logs", f"Reading {path.name}")
+    found, seen = Found(path), 0
+
+    def visit(name: str, member: Member) -> None:
+        nonlocal seen
+        seen += 1
+        if seen > _MEMBERS:
+            raise RecordError(f"{path.name} has more than {_MEMBERS} datasets and groups; log fewer.")
+        if not isinstance(member, h5py.Dataset) or (matlab and name.startswith("#")):
+            return
+        called = name.replace("/", ".") if matlab else name
+        if why := _refuse(h5py, member):
+            found.passed[called] = why
+        elif h5py.check_ref_dtype(member.dtype) is None:
+            _take_dataset(found, called, member, matlab)
+        else:  # the elements of an array of structures
+            above, _, field = name.rpartition("/")
+            for index, reference in enumerate(member[()].ravel()):
+                element = member.file[reference] if reference else None
+                visit(f"{above}[{index}]/{field}", element)
+                if isinstance(element, h5py.Group):
+                    element.visititems(lambda inner, one, at=f"{above}[{index}]/{field}": visit(f"{at}/{inner}", one))
+
     with h5py.File(path, "r") as file:
-        found = Found(path)
-        _Walk(h5py, found, matlab).enter("", file, 0)
+        file.visititems(visit)  # each once, and no link to another place
         return found.table()
 
 
-class _Walk:
-    """A walk through the groups of a file, each entered once."""
+def _take_dataset(found: Found, name: str, dataset: Member, matlab: bool) -> None:
+    """Read a dataset whose declared size is bearable."""
+    numbers = dataset.size * len(dataset.dtype.names or " ")
+    require_room(found.path.name, found.numbers + numbers)
+    if 8 * numbers > _ANY_FILE + _PACKED_MOST * found.path.stat().st_size:
+        raise RecordError(f"{found.path.name} declares numbers that were never written; log or copy it again.")
+    unit = next((text for key in _UNITS if (text := _text_of(dataset, key))), "")
+    array = np.asarray(dataset[()])
+    found.take(name, array.T if matlab else array, unit)
 
-    def __init__(self, h5py: Any, found: Found, matlab: bool) -> None:
-        self.h5py, self.found, self.matlab = h5py, found, matlab
-        self.entered: set[Any] = set()
-        self.seen = 0
 
-    def enter(self, path: str, group: Member, deep: int) -> None:
-        """Take the members of a group."""
-        address = self.h5py.h5o.get_info(group.id).addr
-        if address in self.entered or deep > _DEEPEST:
-            return
-        self.entered.add(address)
-        mark = "." if self.matlab else "/"
-        for name in group:
-            below = f"{path}{mark}{name}" if path else name
-            if not isinstance(group.get(name, getlink=True), self.h5py.HardLink):
-                self.found.passed[below] = "a link to another file or place, which is not followed"
-            elif not (self.matlab and name.startswith("#")):
-                self.visit(path, name, group[name], deep)
-
-    def visit(self, above: str, name: str, member: Member, deep: int) -> None:
-        """Take a dataset, the members of a group, or what an array of structures refers to."""
-        self.seen += 1
-        if self.seen > _MEMBERS:
-            raise RecordError(f"{self.found.path.name} has more than {_MEMBERS} datasets and groups; log fewer.")
-        path = f"{above}{'.' if self.matlab else '/'}{name}" if above else name
-        kind = _text_of(member, "MATLAB_class") if self.matlab else ""
-        if isinstance(member, self.h5py.Group):
-            if "MATLAB_sparse" in member.attrs:
-                self.found.passed[path] = "a sparse matrix"
-            else:
-                self.enter(path, member, deep + 1)
-        elif not isinstance(member, self.h5py.Dataset):
-            return
-        elif self.matlab and kind != "cell" and self.h5py.check_ref_dtype(member.dtype) is self.h5py.Reference:
-            if member.size > _ELEMENTS or self._refuse(member) or deep > _DEEPEST:
-                self.found.passed[path] = f"an array of {member.size} structures"
-                return
-            for index, reference in enumerate(member[()].ravel()):
-                if reference:
-                    self.visit(f"{above}[{index}]", name, member.file[reference], deep + 1)
-        elif why := _NO_NUMBERS.get(kind) or (
-            "it is empty" if "MATLAB_empty" in member.attrs else self._refuse(member)
-        ):
-            self.found.passed[path] = why
-        else:
-            self.take(path, member)
-
-    def take(self, path: str, dataset: Member) -> None:
-        """Read a dataset whose declared size is bearable."""
-        path_of_file, numbers = self.found.path, dataset.size * len(dataset.dtype.names or " ")
-        require_size(path_of_file, self.found.numbers + numbers)
-        if 8 * numbers > _ANY_FILE + _PACKED_MOST * path_of_file.stat().st_size:
-            raise RecordError(f"{path_of_file.name} declares numbers that were never written; log or copy it again.")
-        unit = next((text for key in _UNITS if (text := _text_of(dataset, key))), "")
-        array = dataset[()]
-        if self.matlab and array.size > 1:
-            for name, view in find_columns(path, array, self.found.passed, square_turned=True).items():
-                self.found.add(name, to_numbers(view), unit)
-        else:
-            self.found.take(path, np.asarray(array), unit)
-
-    def _refuse(self, dataset: Member) -> str:
-        """Reason to pass over a dataset: no numbers, numbers in another file, or too large chunks."""
-        h5py, properties = self.h5py, dataset.id.get_create_plist()
-        if dataset.shape is None or dataset.size == 0:
-            return "it is empty"
-        if h5py.check_string_dtype(dataset.dtype) is not None:
-            return "it holds text"
-        if dataset.dtype.kind == "c" or dataset.dtype.names in (("real", "imag"), ("r", "i")):
-            return "it holds complex numbers"
-        if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
-            return "its numbers are in another file"
-        packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
-        return f"its chunks are declared as {packed / 2**30:.3g} GiB each" if packed > _CHUNK else ""
+def _refuse(h5py: Any, dataset: Member) -> str:
+    """Reason to pass over a dataset: no numbers, numbers in another file, or too large chunks."""
+    properties, kind = dataset.id.get_create_plist(), _text_of(dataset, "MATLAB_class")
+    if dataset.shape is None or dataset.size == 0 or "MATLAB_empty" in dataset.attrs:
+        return "it is empty"
+    if kind in ("char", "cell") or h5py.check_string_dtype(dataset.dtype) is not None:
+        return "a cell array" if kind == "cell" else "it holds text"
+    if dataset.dtype.kind == "c" or dataset.dtype.names in (("real", "imag"), ("r", "i")):
+        return "it holds complex numbers"
+    if "MATLAB_sparse" in dataset.parent.attrs:
+        return "a sparse matrix"
+    if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
+        return "its numbers are in another file"
+    packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    return f"its chunks are declared as {packed / 2**30:.3g} GiB each" if packed > _CHUNK else ""
 
 
 def _text_of(member: Member, key: str) -> str:

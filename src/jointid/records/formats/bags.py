@@ -21,7 +21,7 @@ from urllib.parse import quote
 import numpy as np
 
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Found, Table, require_size
+from jointid.records.formats.table import Found, Table, require_room
 
 SUFFIXES = (".mcap", ".db3")
 """Endings of the files of a bag."""
@@ -80,7 +80,7 @@ def read_bag(path: Path) -> Table:
                 found.passed[name] = f"the bag has no definition of {kind}"
             except SkippedTopicError as error:
                 found.passed[name] = str(error)
-            require_size(path, count)
+            require_room(path.name, count)
     read = {name: topic.columns() for name, topic in topics.items() if name not in found.passed}
     dates = [stamps.min() for stamps, columns in read.values() if columns and stamps.min() >= _DATE]
     for name, (stamps, columns) in read.items():

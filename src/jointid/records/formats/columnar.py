@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,13 +12,12 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Found, Table, require_columns, require_size, to_numbers
+from jointid.records.formats.table import Found, Table, require_columns, require_room, to_numbers
 
 _GROUP = 65536  # rows of Parquet that are written, and decoded, together
 _LONGEST_LIST = 1000  # columns of a column of lists
 _UNITS = (b"units", b"unit")
 _TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one entry of a file's description
-_RAGGED = "its lists are empty, too long or of several lengths"
 _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _TDMS_UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
@@ -32,27 +30,13 @@ Nptdms: TypeAlias = Any
 """An object of npTDMS, which has no types."""
 
 
-def read_parquet(path: Path) -> Table:
-    """Read every column of numbers, booleans or instants; null is NaN, a list "name[0]", a member "name.member"."""
-    with _open_parquet(path) as file:
-        about = file.metadata
-        groups = [about.row_group(index) for index in range(about.num_row_groups)]
-        held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
-        require_size(path, max(held, about.num_rows * about.num_columns))
-        return _decode(path, file, file.read(columns=_list_wanted(file), use_threads=False), {})
+def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
+    """Read every column of numbers, booleans or instants; null is NaN, a list "name[0]", a member "name.member".
 
-
-def read_parquet_blocks(path: Path, rows: int) -> Iterator[Table]:
-    """Yield so many rows after so many; instants count from the file's first one."""
-    begins: dict[str, np.datetime64] = {}
-    with _open_parquet(path) as file:
-        for batch in file.iter_batches(rows, columns=_list_wanted(file), use_threads=False):
-            yield _decode(path, file, batch, begins)
-
-
-@contextmanager
-def _open_parquet(path: Path) -> Iterator[Arrow]:
+    Instants count from the first one of the file's first column of them.
+    """
     parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
+    begins: dict[str, np.datetime64] = {}
     # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
     with (
         path.open("rb") as raw,
@@ -65,19 +49,18 @@ def _open_parquet(path: Path) -> Iterator[Arrow]:
             page_checksum_verification=True,
         ) as file,
     ):
-        yield file
-
-
-def _list_wanted(file: Arrow) -> list[str]:
-    """Names of the columns that may be numbers; lists of several lengths, by the file's own count, are not decoded."""
-    about, sizes = file.metadata, dict[str, set[float]]()
-    for group in (about.row_group(index) for index in range(about.num_row_groups)):
-        for column in (group.column(index) for index in range(about.num_columns)):
-            name, inner, _ = str(column.path_in_schema).partition(".list.")
-            if inner and group.num_rows:
-                sizes.setdefault(name, set()).add(column.num_values / group.num_rows)
-    ragged = {name for name, found in sizes.items() if len(found) > 1 or max(found) > _LONGEST_LIST or max(found) % 1}
-    return [one.name for one in file.schema_arrow if _may_be_numbers(one.type) and one.name not in ragged]
+        about, wanted = file.metadata, [field for field in file.schema_arrow if _may_be_numbers(field.type)]
+        groups = [about.row_group(index) for index in range(about.num_row_groups)]
+        held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
+        require_room(path.name, 0 if rows else max(held, about.num_rows * about.num_columns))
+        passed = {field.name: f"it holds {field.type}" for field in file.schema_arrow if field not in wanted}
+        for batch in file.iter_batches(rows or _GROUP, columns=[field.name for field in wanted], use_threads=False):
+            found = Found(path, passed=passed)
+            for field, array in zip(wanted, batch.columns, strict=True):
+                _take_array(found, field.name, array, begins)
+                unit = next((field.metadata[key] for key in _UNITS if key in (field.metadata or {})), b"").decode()
+                found.units |= {field.name: unit.strip()} if unit.strip() and field.name in found.columns else {}
+            yield found.table()
 
 
 def _may_be_numbers(kind: Arrow) -> bool:
@@ -89,23 +72,8 @@ def _may_be_numbers(kind: Arrow) -> bool:
     return bool(types.is_primitive(kind) or types.is_decimal(kind))
 
 
-def _decode(path: Path, file: Arrow, batch: Arrow, begins: dict[str, np.datetime64]) -> Table:
-    """Return the rows of a batch; `begins` is the first instant of the first column of instants of all."""
-    found, schema = Found(path), file.schema_arrow
-    for index, name in enumerate(batch.schema.names):
-        array = batch.column(index)
-        _take_array(found, name, array.combine_chunks() if hasattr(array, "combine_chunks") else array, begins)
-    for entry in schema:
-        unit = next((entry.metadata[key] for key in _UNITS if key in (entry.metadata or {})), b"")
-        text = "s" if str(entry.type).startswith(("timestamp", "duration", "time")) else unit.decode("utf-8", "replace")
-        found.units |= {entry.name: text.strip()} if text.strip() else {}
-        if entry.name not in batch.schema.names:
-            held = str(entry.type).partition("<")[0]
-            found.passed[entry.name] = _RAGGED if "list" in held else f"it holds {held.replace('large_', '')}"
-    return found.table()
-
-
 def _take_array(found: Found, name: str, array: Arrow, begins: dict[str, np.datetime64]) -> None:
+    """Add the columns of an array; `begins` is the first instant of each column of them, and of all."""
     types, kind = extra("pyarrow.types", "logs", "Reading Parquet"), array.type
     if types.is_dictionary(kind):
         _take_array(found, name, array.dictionary_decode(), begins)
@@ -113,12 +81,12 @@ def _take_array(found: Found, name: str, array: Arrow, begins: dict[str, np.date
         for index, member in enumerate(array.flatten()):
             _take_array(found, f"{name}.{kind.field(index).name}", member, begins)
     elif hasattr(kind, "value_type"):
-        sizes = {kind.list_size} if types.is_fixed_size_list(kind) else set(array.value_lengths().to_pylist())
-        size = next(iter(sizes), 0)
-        if array.null_count or len(sizes) != 1 or not 0 < size <= _LONGEST_LIST:
-            found.passed[name] = _RAGGED
+        flat, size = _to_floats(array.flatten()), len(array.flatten()) // len(array)
+        sizes = [size] if types.is_fixed_size_list(kind) else array.value_lengths().unique().to_pylist()
+        if array.null_count or sizes != [size] or not 0 < size <= _LONGEST_LIST:
+            found.passed[name] = "its lists are empty, too long or of several lengths"
             return
-        for index, column in enumerate(_to_floats(array.flatten()).reshape(-1, size).T):
+        for index, column in enumerate(flat.reshape(-1, size).T):
             found.add(f"{name}[{index}]", np.ascontiguousarray(column))
     elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
         values = array.cast("int32" if types.is_time32(kind) else "int64").fill_null(0).to_numpy(zero_copy_only=False)
@@ -127,11 +95,11 @@ def _take_array(found: Found, name: str, array: Arrow, begins: dict[str, np.date
         known = instants[~np.isnat(instants)]
         own = begins.setdefault(name, known[0]) if types.is_timestamp(kind) and known.size else None
         late = 0.0 if own is None else float((own - begins.setdefault("", own)) / np.timedelta64(1, "s"))
-        found.add(name, to_numbers(instants, None if own is None else np.array([own])) + late)
-    elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
+        found.add(name, to_numbers(instants, None if own is None else np.array([own])) + late, "s")
+    elif _may_be_numbers(kind):
         found.add(name, _to_floats(array))
     else:
-        found.passed[name] = f"it holds {str(kind).partition('<')[0]}"
+        found.passed[name] = f"it holds {kind}"
 
 
 def _to_floats(array: Arrow) -> FloatArray:
@@ -142,9 +110,6 @@ def _to_floats(array: Arrow) -> FloatArray:
 def write_parquet(path: Path, table: Table) -> None:
     """Write float64 columns with checksums; their units are metadata."""
     require_columns(table, "Parquet")
-    refused = [name for name in table.columns if name != name.encode("utf-8", "replace").decode("utf-8") or not name]
-    if refused:
-        raise RecordError(f"{refused[0]!r} cannot name a column of Parquet, which is text; rename it.")
     arrow = extra("pyarrow", "logs", "Writing Parquet")
     parquet = extra("pyarrow.parquet", "logs", "Writing Parquet")
     stated = {name: {"unit": unit} for name, unit in table.units.items()}
@@ -172,7 +137,7 @@ def read_tdms(path: Path) -> Table:
         if file.file_status.incomplete_final_segment:
             raise RecordError(f"{path.name} ends in the middle of its data; log or copy it again.")
         every = [channel for group in file.groups() for channel in group.channels()]
-        require_size(path, sum(len(channel) for channel in every))
+        require_room(path.name, sum(len(channel) for channel in every))
         found = Found(path)
         for prefix, properties in [("", file.properties), *((f"{one.name}/", one.properties) for one in file.groups())]:
             numbers = {n: v for n, v in properties.items() if isinstance(v, int | float | np.number)}
@@ -198,27 +163,22 @@ def _take_group(found: Found, group: Nptdms, late: dict[str, float]) -> None:
     prefix = "" if group.name == _NAMELESS else f"{group.name}/"
     waves: dict[str, FloatArray] = {}
     for channel in group.channels():
-        properties = channel.properties
-        if len(channel) and float(properties.get(_STEP, 0.0)) > 0:
-            begin = late.get(channel.path, 0.0) + float(properties.get(_OFFSET, 0.0))
-            waves[channel.name] = np.asarray(begin + np.arange(len(channel)) * float(properties[_STEP]))
-    is_common = len({times.tobytes() for times in waves.values()}) == 1 and "time" not in {
-        channel.name for channel in group.channels()
-    }
+        step, offset = (float(channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
+        if len(channel) and step > 0:
+            waves[channel.name] = np.asarray(late.get(channel.path, 0.0) + offset + np.arange(len(channel)) * step)
+    is_common = len({times.tobytes() for times in waves.values()}) == 1 and "time" not in waves
     if is_common:
         found.add(f"{prefix}time", next(iter(waves.values())), "s")
     for channel in group.channels():
         name, kind = f"{prefix}{channel.name}", np.dtype(channel.dtype).kind
         if not len(channel) or kind not in "fiubM":
-            found.passed[name] = "it holds no numbers" if len(channel) else "it is empty"
+            found.passed[name] = "it holds no numbers"
             continue
-        values = channel.read_data()
+        values, begin = channel.read_data(), late.get(channel.path, 0.0) if kind == "M" else 0.0
         if values.size != len(channel):
             raise ValueError(f"{values.size} numbers where {len(channel)} are declared")
-        stated = (properties for key in _TDMS_UNITS if isinstance(properties := channel.properties.get(key), str))
-        unit = "s" if kind == "M" else next((text.strip() for text in stated if text.strip()), "")
-        seconds = to_numbers(values, values[:1]) + (late.get(channel.path, 0.0) if kind == "M" else 0.0)
+        unit = "s" if kind == "M" else str(next(filter(None, map(channel.properties.get, _TDMS_UNITS)), "")).strip()
         clock = "" if channel.name not in waves else f"{prefix}time" if is_common else f"{name}/time"
-        found.add(name, seconds, unit, clock)
+        found.add(name, to_numbers(values, values[:1]) + begin, unit, clock)
         if clock and not is_common:
             found.add(clock, waves[channel.name], "s")

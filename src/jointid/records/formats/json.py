@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.records.formats.stamps import Stamps, is_stamp
-from jointid.records.formats.table import Found, Table, find_columns, require_width
+from jointid.records.formats.stamps import find_stamps, is_stamp
+from jointid.records.formats.table import Found, Table
 from jointid.records.formats.text import find_encoding, open_text
 
 _LONGEST = 2**28  # bytes of text
@@ -35,25 +35,15 @@ def read_json(path: Path) -> Table:
 
 def _take(found: Found, name: str, value: Any) -> None:
     """Add the columns of a document by their paths; a list of records is a record of lists."""
-    if isinstance(value, dict) and len(value) > 1 and list(value) == [str(row) for row in range(len(value))]:
-        value = list(value.values())  # a column of pandas, by its rows
     if isinstance(value, dict):
         for key, member in value.items():
             _take(found, f"{name}.{key}" if name else key, member)
     elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
-        columns = dict[str, list[Any]]()
-        for row, one in enumerate(value):
-            for path, leaf in _leaves(name, one):
-                if path not in columns:
-                    require_width(found.path, len(columns) + 1)
-                    columns[path] = []
-                if len(columns[path]) > row:
-                    raise RecordError(f"{found.path.name} has two values called {path!r} in a record; rename one.")
-                columns[path] += [*[None] * (row - len(columns[path])), leaf]
-        for path, cells in columns.items():
-            _take_column(found, path, cells + [None] * (len(value) - len(cells)))
+        rows = [dict(_leaves(name, one)) for one in value]
+        for path in dict.fromkeys(path for row in rows for path in row):
+            _take_cells(found, path, [row.get(path) for row in rows])
     else:
-        _take_column(found, name or "value", value)
+        _take_cells(found, name or "value", value)
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -68,23 +58,16 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-def _take_column(found: Found, name: str, value: Any) -> None:
-    cells = np.array(value, dtype=object)
-    filled = [cell for cell in cells.flat if cell is not None]
-    of_time = bool(filled) and all(isinstance(cell, str) and is_stamp(cell) for cell in filled)
+def _take_cells(found: Found, name: str, cells: Any) -> None:
+    array = np.array(cells, dtype=object)
+    kinds = {type(cell) for cell in array.flat if cell is not None}
     try:
-        if of_time:
-            texts = [cell or "" for cell in value]
-            array = Stamps.of(texts).seconds(texts)
-        elif any(isinstance(cell, str | bool) for cell in filled):
-            raise ValueError
+        if kinds == {str} and all(is_stamp(cell) for cell in cells if cell):
+            texts = [cell or "" for cell in cells]
+            found.take(name, find_stamps(texts).seconds(texts), "s")
+        elif kinds <= {int, float}:
+            found.take(name, array.astype(np.float64))  # null becomes NaN
         else:
-            array = np.where(cells == None, np.nan, cells).astype(np.float64)  # noqa: E711 - each of them
-    except (ValueError, TypeError, OverflowError):
+            raise ValueError(kinds)
+    except (ValueError, OverflowError):
         found.passed[name] = "it holds more than numbers, or lists or instants that are not alike"
-        return
-    if not isinstance(value, list):
-        found.take(name, array)
-        return
-    for column, view in find_columns(name, array, found.passed).items():
-        found.add(column, np.array(view), "s" if of_time else "")

@@ -7,20 +7,15 @@ View manual, "Export to CSV".
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import short
 from jointid.records.formats.table import Found, Table
-
-if TYPE_CHECKING:
-    from jointid.records.formats.text import Line
 
 _ROWS = frozenset({
     "Name", "SymbolComment", "Data-Type", "SampleTime[ms]", "VariableSize", "SymbolBased", "IndexGroup", "IndexOffset",
@@ -41,24 +36,33 @@ class Scope:
 
     Attributes:
         rows: by their keys, the cells of each row that says something of the channels; those of the time columns too.
-        starts: of each group, the number of its time column.
+        groups: the columns of each, the time first.
         first: the first line of numbers among those of the file.
     """
 
     delimiter: str
     rows: Mapping[str, Sequence[str]]
-    starts: tuple[int, ...]
+    groups: tuple[range, ...]
     first: int
-
-    def groups(self) -> Iterator[range]:
-        """Yield the columns of each group, time first."""
-        for start, end in zip(self.starts, (*self.starts[1:], len(self.rows["Name"])), strict=True):
-            yield range(start, end)
 
     def cell(self, key: str, column: int, default: str = "") -> str:
         """Return a row's entry for a column."""
         cells = self.rows.get(key, ())
         return cells[column] if column < len(cells) else default
+
+    def name(self, column: int) -> str:
+        """Return a channel's name and, in brackets, its unit if stated.
+
+        The file does not say whether the values are scaled, so an unknown unit has to be declared.
+        """
+        names = [self.cell("Name", other) for group in self.groups for other in group[1:]]
+        name = self.cell("Name" if len(set(names)) == len(names) and all(names) else "SymbolName", column)
+        symbol = self.cell("Unit", column).partition(" (")[0].strip()
+        symbol = "" if symbol.startswith("(") else _SYMBOLS.get(symbol, symbol)
+        factors = (self.cell(key, column, "1").replace(",", ".") for key in ("ScaleFactor", "Unit ScaleFactor"))
+        if scaled := [factor for factor in factors if factor not in ("", "1")]:
+            return f"{name} [{symbol or 'no unit'}, drawn times {' times '.join(scaled)}]"
+        return f"{name} [{symbol}]" if symbol else name
 
 
 def find_scope(lines: Sequence[str]) -> Scope | None:
@@ -76,90 +80,64 @@ def find_scope(lines: Sequence[str]) -> Scope | None:
     starts = [c for c, cell in enumerate(rows["Name"]) if cell == "Name"]
     # Beside a full header a channel may be called "Name" too: its other rows are then not their keys.
     starts = [c for c in starts if all(len(cells) <= c or cells[c] == key for key, cells in rows.items())]
-    return Scope(mark, rows, tuple(starts), first)
+    groups = tuple(map(range, starts, (*starts[1:], len(rows["Name"]))))
+    return Scope(mark, rows, groups, first)
 
 
-def read_scope(path: Path, scope: Scope, lines: Sequence[Line], decimal: str | None = None) -> Table:
+def read_scope(path: Path, scope: Scope, lines: Sequence[str], decimal: str | None = None) -> Table:
     """Read an export, each column with its own clock.
 
     Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. None detects the decimal mark.
     """
-    file, names = path.name, _name_channels(path.name, scope)
-    rows = [line for line in lines[scope.first :] if line.text.rstrip(f" {scope.delimiter}") != "EOF"]
-    if not rows:
-        raise RecordError(f"{file} has no row of numbers below its channels; export it again.")
-    point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
-    values = _parse(file, scope, rows, point)
-    clocks = {group.start: values[~np.isnan(values[:, group.start]), group.start] for group in scope.groups()}
+    rows = [line for line in lines[scope.first :] if line.rstrip(f" {scope.delimiter}") != "EOF"]
+    if not rows or scope.delimiter == " " or not scope.groups or any(len(group) < 2 for group in scope.groups):
+        raise RecordError(
+            f"{path.name} has blanks between its columns, a time column without channels or no row; export it with "
+            "tabs or semicolons, and with a time column for each channel or each sample time."
+        )
+    point = decimal or ("," if scope.delimiter != "," and any("," in row for row in rows) else ".")
+    values = _parse(path.name, scope, rows, point)
+    clocks = {group.start: values[~np.isnan(values[:, group.start]), group.start] for group in scope.groups}
     alike = len({clock.tobytes() for clock in clocks.values()}) == 1
     found = Found(path)
-    for group in scope.groups():
-        numbers, first = values[: clocks[group.start].size, group.start : group.stop], names[group[1]]
+    for group in scope.groups:
+        numbers, first = values[: clocks[group.start].size, group.start : group.stop], scope.name(group[1])
         if not numbers.size or np.isnan(numbers).any():
-            raise RecordError(f'{file} has a row without a number of "{first}" or its time; leave it out.')
+            raise RecordError(f'{path.name} has a row without a number of "{first}" or its time; leave it out.')
         # Rows that repeat the one before are the export's padding.
         numbers = numbers[np.concatenate([[True], np.any(np.diff(numbers, axis=0) != 0, axis=1)])]
-        _check_step(file, numbers[:, 0], scope.cell("SampleTime[ms]", group[1]), first)
+        _check_step(path.name, numbers[:, 0], scope.cell("SampleTime[ms]", group[1]), first)
         clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
         if clock not in found.columns:
             found.add(clock, numbers[:, 0])
         for index, column in enumerate(group[1:], start=1):
-            found.add(names[column], numbers[:, index], clock="" if alike else clock)
+            found.add(scope.name(column), numbers[:, index], clock="" if alike else clock)
     return found.table()
 
 
-def _name_channels(file: str, scope: Scope) -> dict[int, str]:
-    """Channel names by column, with units in brackets."""
-    if scope.delimiter == " " or not scope.starts or any(len(group) < 2 for group in scope.groups()):
-        raise RecordError(
-            f"{file} has blanks between its columns, or a time column without channels; export it with tabs or "
-            "semicolons, and with a time column for each channel or each sample time."
-        )
-    channels = [column for group in scope.groups() for column in group[1:]]
-    for said in ("Name", "SymbolName"):
-        names = {column: scope.cell(said, column) for column in channels}
-        if len(set(names.values())) == len(channels) and all(names.values()):
-            return {column: name + _bracket_unit(scope, column) for column, name in names.items()}
-    raise RecordError(f"{file} has two channels of one name, or one without; rename them in the scope.")
-
-
-def _bracket_unit(scope: Scope, column: int) -> str:
-    """A channel's unit in brackets, if stated.
-
-    The file does not say whether the values are scaled, so an unknown unit has to be declared.
-    """
-    symbol = scope.cell("Unit", column).partition(" (")[0].strip()
-    symbol = "" if symbol.startswith("(") else _SYMBOLS.get(symbol, symbol)
-    factors = [scope.cell(key, column, "1").replace(",", ".") or "1" for key in ("ScaleFactor", "Unit ScaleFactor")]
-    scaled = [factor for factor in factors if factor != "1"]
-    if scaled:
-        return f" [{symbol or 'no unit'}, drawn times {' times '.join(scaled)}]"
-    return f" [{symbol}]" if symbol else ""
-
-
-def _parse(file: str, scope: Scope, rows: Sequence[Line], point: str) -> FloatArray:
+def _parse(file: str, scope: Scope, rows: Sequence[str], point: str) -> FloatArray:
     """Return the numbers of all columns, (rows, columns), NaN where a cell is empty."""
-    firsts = rows[0].text.split(scope.delimiter)
-    stamps = [firsts[start].strip() for start in scope.starts if start < len(firsts)]
-    origin = min((int(cell) for cell in stamps if cell.isdecimal() and len(cell) in _FILETIME), default=0)
     values = np.full((len(rows), len(scope.rows["Name"])), math.nan)
-    for index, row in enumerate(rows):
-        for column, cell in zip(range(values.shape[1]), map(str.strip, row.text.split(scope.delimiter)), strict=False):
-            try:
-                if cell and origin and column in scope.starts:
-                    # A FILETIME has 18 digits, and a float 16: the difference is taken before.
-                    values[index, column] = (int(cell) - origin) / _TICKS
+    cells = [[cell.strip() for cell in row.split(scope.delimiter)] for row in rows]
+    starts = [group.start for group in scope.groups]
+    stamps = [cells[0][start] for start in starts if start < len(cells[0])]
+    origin = min((int(cell) for cell in stamps if cell.isdecimal() and len(cell) in _FILETIME), default=0)
+    try:
+        for row, found in zip(values, cells, strict=True):
+            for column, cell in enumerate(found[: row.size]):
+                if cell and origin and column in starts:
+                    row[column] = (int(cell) - origin) / _TICKS  # as a float it would lose its last digits
                 elif cell:
-                    values[index, column] = float(cell if point == "." else cell.replace(".", "?").replace(",", "."))
-            except (ValueError, OverflowError):
-                raise RecordError(
-                    f'{file}: line {row.number} holds "{short(cell)}", where a number with the decimal mark "{point}" '
-                    "was expected; export it again, or delete that line."
-                ) from None
+                    row[column] = float(cell if point == "." else cell.replace(".", "?").replace(",", "."))
+    except (ValueError, OverflowError) as error:
+        raise RecordError(
+            f'{file} has a cell that is no number with the decimal mark "{point}"; export it again.'
+        ) from error
     return values
 
 
 def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
+    """Refuse a channel whose sample time is not the step of the time column before it."""
     try:
         expected = float(stated.replace(",", "."))
     except ValueError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -70,9 +70,8 @@ class Table:
             column.flags.writeable = False
             columns[name] = column
         object.__setattr__(self, "columns", MappingProxyType(columns))
-        object.__setattr__(self, "scalars", MappingProxyType({n: float(value) for n, value in self.scalars.items()}))
-        object.__setattr__(self, "units", MappingProxyType({n: u for n, u in self.units.items() if n in columns}))
-        object.__setattr__(self, "passed", MappingProxyType(dict(self.passed)))
+        for one in ("scalars", "units", "passed", "clocks"):
+            object.__setattr__(self, one, MappingProxyType(dict(getattr(self, one))))
 
     def list_columns(self) -> str:
         """List the first column names, quoted."""
@@ -95,13 +94,17 @@ class Table:
         return replace(self, columns={name: values[:rows] for name, values in self.columns.items()})
 
 
-def join_tables(tables: Sequence[Table]) -> Table:
+def join_tables(tables: Iterable[Table]) -> Table:
     """Concatenate tables; a column missing in a later one ends there."""
-    first = tables[0]
-    if len(tables) == 1:
-        return first
-    parts = {name: [table.columns[name] for table in tables if name in table.columns] for name in first.columns}
-    return replace(first, columns={name: freeze(np.concatenate(values)) for name, values in parts.items()})
+    every, numbers = list[Table](), 0
+    for table in tables:
+        every.append(table)
+        numbers += sum(values.size for values in table.columns.values())
+        require_room(table.source, numbers)
+    if len(every) == 1:
+        return every[0]
+    parts = {name: [table.columns[name] for table in every if name in table.columns] for name in every[0].columns}
+    return replace(every[0], columns={name: freeze(np.concatenate(values)) for name, values in parts.items()})
 
 
 @dataclass(slots=True)
@@ -122,7 +125,7 @@ class Found:
             self._require_new(name)
             self.scalars[name] = float(array.item())
             return
-        require_size(self.path, self.numbers + array.size * len(array.dtype.names or " "))
+        require_room(self.path.name, self.numbers + array.size * len(array.dtype.names or " "))
         for column, view in find_columns(name, array, self.passed).items():
             self.add(column, to_numbers(view), unit)
 
@@ -131,8 +134,7 @@ class Found:
         self._require_new(name)
         self.columns[name] = freeze(values)
         self.numbers += values.size
-        require_width(self.path, len(self.columns))
-        require_size(self.path, self.numbers)
+        require_room(self.path.name, self.numbers, len(self.columns))
         self.units |= {name: unit} if unit else {}
         self.clocks |= {name: clock} if clock else {}
 
@@ -153,34 +155,30 @@ class Found:
         return Table(self.columns, self.scalars, self.path.name, self.units, self.passed, self.clocks)
 
 
-def find_columns(
-    name: str, array: np.ndarray[Any, Any], passed: dict[str, str], *, square_turned: bool = False
-) -> dict[str, np.ndarray[Any, Any]]:
+def find_columns(name: str, array: np.ndarray[Any, Any], passed: dict[str, str]) -> dict[str, np.ndarray[Any, Any]]:
     """Return the columns of an array as views, by name, or note why it is passed over.
 
-    The samples run along the longest side. Sides of one number do not count: an array 1 x 1 x N is a column. Of a
-    square matrix the samples run along the first side, unless `square_turned`. A record array gives "name.field". The
-    columns of a matrix without a name are called "1", "2", ...
+    The samples run along the longest side, the first one of a square. Sides of one number do not count: an array
+    1 x 1 x N is a column. A record array gives "name.field". The columns of a matrix without a name are "1", "2", ...
     """
     if array.dtype.names:
         parts = ((f"{name}.{part}" if name else part, array[part]) for part in array.dtype.names)
         return {column: view for part in parts for column, view in find_columns(*part, passed).items()}
     sides = [size for size in array.shape if size != 1]
-    why = None if array.dtype.kind in _REAL + _INSTANTS else f"it holds {_KINDS.get(array.dtype.kind, 'no numbers')}"
-    if why is None and 0 in sides:
+    why = ""
+    if array.dtype.kind not in _REAL + _INSTANTS:
+        why = f"it holds {_KINDS.get(array.dtype.kind, 'no numbers')}"
+    elif 0 in sides:
         why = "it is empty"
-    if why is None and len(sides) > 2:
-        why = f"it has {len(sides)} dimensions"
-    if why is None and len(sides) == 2 and min(sides) > (_WIDEST_MATRIX if name else WIDEST):
-        why = f"it is a matrix of {sides[0]} x {sides[1]}"
-    if why is not None:
+    elif len(sides) > 2 or (len(sides) == 2 and min(sides) > (_WIDEST_MATRIX if name else WIDEST)):
+        why = f"it has the shape {array.shape}"
+    if why:
         passed[name or "the array"] = why
         return {}
     if len(sides) < 2:
         return {name or "1": array.reshape(-1)}
     matrix = array.reshape(sides)
-    turned = sides[1] > sides[0] or (square_turned and sides[0] == sides[1])
-    channels = matrix if turned else matrix.T
+    channels = matrix if sides[1] > sides[0] else matrix.T
     return {f"{name}[{k}]" if name else str(k + 1): channel for k, channel in enumerate(channels)}
 
 
@@ -202,39 +200,18 @@ def freeze(values: FloatArray) -> FloatArray:
 
 def require_columns(table: Table, target: str) -> None:
     """Refuse what no written format holds: scalars, and columns of unequal length."""
-    if table.scalars:
-        raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; leave them out.")
-    if len({values.size for values in table.columns.values()}) != 1:
+    if table.scalars or len({values.size for values in table.columns.values()}) != 1:
         lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-        raise RecordError(f"{target} has columns of one length; got {lengths or 'no column'}.")
-
-
-def require_file(path: Path) -> None:
-    """Refuse a path without content."""
-    if "\0" in str(path):
-        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
-    size = path.stat().st_size
-    if path.is_dir():
-        return
-    if not path.is_file():
-        raise RecordError(f"{path} is a pipe or a device; write what it gives to a file, and name that.")
-    if size == 0:
-        raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
-
-
-def require_size(path: Path, numbers: int) -> None:
-    """Refuse a file that declares too many numbers to be read at once."""
-    if 8 * numbers > WHOLE:
         raise RecordError(
-            f"{path.name} declares {8 * numbers / 2**30:.3g} GiB of numbers, and at most 1 GiB are read; log fewer "
-            "channels, or read it in chunks with jointid identify --window."
+            f"{target} holds columns of one length and no scalars; got {lengths or 'no column'}, and scalars "
+            f"{', '.join(table.scalars) or 'none'}: leave some out."
         )
 
 
-def require_width(path: Path, columns: int) -> None:
-    """Refuse a file of too many columns."""
-    if columns > WIDEST:
+def require_room(source: str, numbers: int, columns: int = 0) -> None:
+    """Refuse a file that declares too many numbers to be read at once, or too many columns."""
+    if 8 * numbers > WHOLE or columns > WIDEST:
         raise RecordError(
-            f"{path.name} has {columns} columns (at most {WIDEST} are read); log fewer channels, or write a row for "
-            "each sample."
+            f"{source} declares {8 * numbers / 2**30:.3g} GiB of numbers, or {columns} columns (at most 1 GiB and "
+            f"{WIDEST} are read); log fewer channels, or read it in chunks with jointid identify --window."
         )
