@@ -243,7 +243,7 @@ MISTAKES = (
     Mistake("base", _any("base"), _upside_down),
     Mistake("wrong model", _any("geometry"), _longer),
     Mistake("delay", _any("log_delay"), _logged(lambda q, u: (q, _late(u, 4)))),
-    Mistake("refresh", _at(1, "update_time"), _logged(lambda q, u: (q, _held(u, 1, 10)))),
+    Mistake("refresh", _at(1, "sample_time"), _logged(lambda q, u: (q, _held(u, 1, 10)))),
     Mistake("wrong gear", _at(1, "gear_ratio"), _logged(lambda q, u: (_scaled(q, 1, 1.25), _scaled(u, 1, 0.8)))),
     Mistake("coupled wrist", _at(-1, "coupled"), _coupled),
     Mistake("elastic joint", _at(1, "compliance"), _elastic),
@@ -273,7 +273,7 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
     except JointidError as error:
         return [("degrees" if "degrees" in str(error) else f"refused: {error}", 0)]
     said = [
-        ("update_time", names.index(one.split(":")[0]) + 1) for one in found.checks.warnings if "update_time" in one
+        ("sample_time", names.index(one.split(":")[0]) + 1) for one in found.checks.warnings if "sample_time" in one
     ]
     diagnosis = found.checks.diagnosis
     assert isinstance(diagnosis, Diagnosis)

@@ -208,7 +208,7 @@ def test_a_coarse_setpoint_that_the_drive_fills_in_is_named(way: Any, late: int)
     by = "lines, one setpoint" if way == "linear" else "cubics, two setpoints"
     remedy = f'interpolation = "{way}" and reference_delay = {late * coarse * LOG:g}'
     assert said.startswith(f"the drive interpolates a setpoint of 4 ms by {by} late")
-    assert f"declare update_time = 0.004 of the reference's channel, {remedy}" in said
+    assert f"declare sample_time = 0.004 of the reference's channel, {remedy}" in said
     declared = ji.identify(replace(shown, reference=slow), replace(loop, controller=right))
     assert declared.answer.reliable
     assert abs(declared["inertia"].value - RIGID["inertia"]) < 3 * declared["inertia"].stderr

@@ -7,7 +7,6 @@ from functools import cache
 from html.parser import HTMLParser
 from typing import Any
 
-import numpy as np
 import pytest
 
 import jointid as ji
@@ -58,23 +57,10 @@ def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
     assert html.count(f"<p>{words}") == 1  # a title that is the answer is not said again
 
 
-def test_a_record_is_a_data_frame_over_time() -> None:
-    pytest.importorskip("pandas")
-    record = results()["record"]
-    frame = record.to_dataframe()
-    assert tuple(frame.columns) == record.channels
-    assert frame.index.name == "time"
-    np.testing.assert_array_equal(frame["torque"], record.torque.values)
-    slow = ji.Record(
-        torque=ji.Channel(np.arange(4.0), "N", 1e-3), reference=ji.Channel(np.arange(2.0), "m", 2e-3), name="two rates"
-    ).to_dataframe()
-    assert np.isnan(slow["reference"]).tolist() == [False, True, False, True]
-
-
 def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ji.ExtraError):
-        results()["record"].to_dataframe()
+        results()["estimate"].to_dataframe()
 
 
 def test_pictures_are_a_word_away() -> None:

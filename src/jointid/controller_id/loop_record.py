@@ -25,7 +25,7 @@ from jointid.models.controllers import (
 )
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
-from jointid.records.resampling import at_period, position_at_period, running_mean
+from jointid.records.resampling import at_period, running_mean
 
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
@@ -210,7 +210,7 @@ def _read_inputs(record: Record, period: float, samples: int, rate: int, filled:
     if record.reference_velocity is not None:
         velocity = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
     inputs = law_inputs(at_period(record.reference, own, periods, "reference", filled), velocity)
-    inputs[:, POSITION] = position_at_period(record.motor_position, own, periods)
+    inputs[:, POSITION] = at_period(record.motor_position, own, periods, "motor_position", "spline")
     if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
         inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
     return inputs

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import number
-from jointid.common.units import unit, units_of
+from jointid.common.units import Unit, unit, units_of
 from jointid.records.columns import finite_faults
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
@@ -32,15 +30,11 @@ _DROOP = 0.1  # times its reference, that a servo without an integral moves agai
 _BY_DEVIATION = 0.995  # of the torque's variance, that the deviation from the reference and its rate explain there
 _BETTER = 0.5  # of the rest that the reference and its rate leave: less is evidence for the deviation
 _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
-_FAR_OFF = 0.25  # likewise, where a soft drive follows badly: another reason is then named, too
 _SLOWEST_SAMPLE = 0.1  # s: below 10 samples a second
 _SLOW_SAMPLE = 0.02  # s: data sets of 30 Hz, and slower
 _BEYOND = 3.0  # times the range of the model's limits, that a position may travel
 _GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
-_GEAR_ROUNDING = 0.03  # likewise of the round number that a gear's ratio is taken for
-_ROUNDING = 0.01  # of a torque's rms, that its rounding may be: the EMPS axis leaves 4 % for other reasons
 _LATE = 0.9  # of the encoders' difference, that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %
-_FEWEST_STEPS = 30.0  # of an encoder in a sample, rms, while the axis moves: with 16, rounding leaves 4 to 9 %
 _GRAIN = 1e-12  # of the travel: what is nearer than this is one value that was computed twice
 _MULTIPLE = 0.05  # of a step: how far a position may be from a multiple of it
 _MOSTLY = 0.95  # of the positions that are such multiples
@@ -51,29 +45,18 @@ _FEWEST_SAMPLES = 100
 # of their squares ends.
 _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
 
-# Of hunting:
-_RESTS = 1e-3  # of the greatest speed
-_SETTLED = 0.3  # s after a stop
-_LONGEST_MEAN = 0.02  # s that the torque is averaged over
-_SWING = 0.25  # of the torque's scatter, that it turns by: noise and the ringing of a stop turn by less
-_FEWEST = 4  # turning points in one rest
-_SLOWEST = 0.05  # s between two: what turns faster is an oscillation of the loop
-_LASTS = 0.6  # of the first half's swings, that those of the second are at least
-_SEEN = 8.0  # samples of a swing: a saw tooth of fewer cannot be distinguished from noise or a load
 
-
-def check_record(record: Record, *, limit: float | None = None, side: str | None = None, ratio: float = 1.0) -> None:
+def check_record(record: Record, *, limit: float | None = None, side: str | None = None) -> None:
     """Check that a record matches its declaration and allows identification.
 
     Args:
         record: what was logged.
         limit: the controller's torque limit, in the record's unit; None skips the check.
         side: transmission side of the record's torque and the limit; None without a transmission.
-        ratio: of the transmission, motor per load.
     """
-    faults = [f for name, c in record.items() for f in finite_faults(name, c.values, c.time)]
+    faults = [f for name, c in record.items() for f in finite_faults(name, c.values)]
     if not faults:  # of numbers that are none, nothing more can be said
-        faults += [*scale_faults(record, ratio), *still_faults(record), *rate_faults(record)]
+        faults += [*scale_faults(record), *still_faults(record), *rate_faults(record)]
         faults += [] if limit is None else limit_faults(record, limit, side)
     if faults:
         raise RecordError(faults)
@@ -89,13 +72,9 @@ def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
     travel, room = float(np.ptp(position.values)), limits[1] - limits[0]
     if not travel > _BEYOND * room > 0:
         return []
-    larger = [one for one in map(unit, units_of(unit(position.unit).dimension)) if one.factor < 1]
-    fitting = [one for one in larger if travel * one.factor <= room * (1 + _RATIO_TOLERANCE)]
-    looks = max(fitting, key=lambda one: one.factor, default=None)
-    hint = "" if looks is None else f', as positions in {looks.name} do: give unit = "{looks.name}", or'
     return [
         f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
-        f"{position.unit}{hint or ';'} check its unit, its gain and the side of its gear, or the limits of the model."
+        f"{position.unit}; check its unit, its gain and the side of its gear, or the limits of the model."
     ]
 
 
@@ -114,18 +93,6 @@ def rate_faults(record: Record) -> list[str]:
         f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
         "a joint's dynamics; log faster, or check the unit of the time column."
     ]
-
-
-def _rate_warnings(record: Record) -> Iterator[str]:
-    """Yield the limits of a slow record, a sentence each."""
-    period = _find_sample_time(record)
-    if period > _SLOW_SAMPLE:
-        rate = 1 / period
-        yield (
-            f"the record has {rate:.3g} samples a second: of a slow motion it tells inertia, friction and gravity; a "
-            f"motion above {rate / 2:.3g} Hz, a resonance there, a delay below {1e3 * period:.2g} ms and the law of a "
-            "faster drive are not seen"
-        )
 
 
 def still_faults(record: Record) -> list[str]:
@@ -178,7 +145,7 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> list[
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a wrong column can hold any number, the largest too
-def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
+def scale_faults(record: Record) -> list[str]:
     """Faults of signals with an implausible unit, sign or side."""
     reference, motor, velocity = record.reference, record.motor_position, record.reference_velocity
     faults = [fault for name, channel in record.items() for fault in _magnitude_faults(name, channel)]
@@ -189,7 +156,7 @@ def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
     if motor is not None:
         faults += _size_faults("motor_position", motor)
     if reference is not None and motor is not None and not _droops(record.torque, reference, motor):
-        faults += _ratio_faults("motor_position", motor, "reference", reference, ratio)
+        faults += _ratio_faults("motor_position", motor, "reference", reference)
     if reference is not None and velocity is not None and len(reference) > 1:
         slope = np.gradient(reference.values, reference.sample_time)
         derivative = Channel(slope, velocity.unit, reference.sample_time)
@@ -242,13 +209,13 @@ def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
 
 def _is_plain_ratio(ratio: float, declared: str) -> bool:
     """Return True for the ratio of a unit, or of a gear with a whole number."""
-    units = (factor for one in map(unit, units_of(unit(declared).dimension)) for factor in (one.factor, 1 / one.factor))
+    units = (factor for one in _units_like(declared) for factor in (one.factor, 1 / one.factor))
     return abs(ratio * round(1 / ratio) - 1) < _GEAR_TOLERANCE or any(
         abs(ratio * factor - 1) < _RATIO_TOLERANCE for factor in units
     )
 
 
-def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, gear: float = 1.0) -> list[str]:
+def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) -> list[str]:
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return []
@@ -260,51 +227,43 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
     if product < 0:
         faults.append(f"{name} runs against {other_name}; give one of them sign = -1.")
     if not _RATIO_BAND[0] <= ratio <= _RATIO_BAND[1]:
-        hint = _unit_hint(ratio, name, other_name, channel.unit, geared=gear != 1.0)
-        if gear != 1.0 and any(abs(ratio / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
-            hint = f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
-        faults.append(f"{name} is {ratio:.4g} times {other_name}, and should equal it{hint}.")
+        every = [
+            (abs(ratio * factor - 1), f", as if {suspect} were in {entry.name} and read as {entry.si}")
+            for entry in _units_like(channel.unit)
+            for suspect, factor in ((name, entry.factor), (other_name, 1 / entry.factor))
+            if factor != 1
+        ]
+        off, hint = min(every, default=(math.inf, ""))
+        faults.append(
+            f"{name} is {ratio:.4g} times {other_name}, and should equal it{hint if off < _RATIO_TOLERANCE else ''}; "
+            "check units and gains, or give the gear between them as transmission.ratio, and the side of each channel."
+        )
     return faults
 
 
-def _unit_hint(ratio: float, name: str, other_name: str, declared: str, *, geared: bool) -> str:
-    """Suggest the unit or the undeclared gear behind the ratio of two signals."""
-    every = [
-        (abs(ratio * factor - 1), f", as if {suspect} were in {entry.name} and read as {entry.si}")
-        for entry in map(unit, units_of(unit(declared).dimension))
-        for suspect, factor in ((name, entry.factor), (other_name, 1 / entry.factor))
-        if factor != 1
-    ]
-    off, said = min(every, default=(math.inf, ""))
-    near = said if off < _FAR_OFF else ""
-    if off < _RATIO_TOLERANCE or geared or ratio < 1 or (name, other_name) != ("motor_position", "reference"):
-        return f"{near}; check both units, and give the gain of the one that is off"
-    rounded = (float(f"{ratio:.{digits}g}") for digits in (1, 2, 3))
-    gear = next(one for one in rounded if abs(one / ratio - 1) < _GEAR_ROUNDING)  # a following error moves the ratio
-    return (
-        f"{near + ', or' if near else ','} as if the reference were of the load behind a gear of {gear:g}:1; give "
-        f'transmission.ratio = {gear:g} and record.channels.reference.side = "load", or check both units'
-    )
+def _units_like(declared: str) -> Iterator[Unit]:
+    """Yield the units that measure what a unit does."""
+    yield from map(unit, units_of(unit(declared).dimension))
 
 
 def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:
     """Warnings on the channels of a record, one sentence each.
 
-    Quantisation in steps of q adds an error of q / sqrt(12) rms. A torque that is refreshed every n samples is n / 2
-    samples late. An encoder lag looks like a spring with viscous friction; if it explains nearly all of the difference
-    between the encoders, it hides the stiffness.
+    A torque that is refreshed every n samples is n / 2 samples late. An encoder lag looks like a spring with viscous
+    friction; if it explains nearly all of the difference between the encoders, it hides the stiffness.
     """
-    notes = [*record.remarks, *_rate_warnings(record)]
-    for name, channel in record.items():
-        if name in channels:
-            every = update_interval(channel.values) if name == "torque" else 1
-            if every > 1:
-                notes.append(
-                    f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; "
-                    f"give its channel update_time = {every * channel.sample_time:g}, or it is read up to that much "
-                    "too late"
-                )
-            notes += _rounding_warnings(name, channel)
+    notes, torque, period = [*record.remarks], record.torque, _find_sample_time(record)
+    if period > _SLOW_SAMPLE:
+        notes.append(
+            f"the record has {1 / period:.3g} samples a second: of a slow motion it tells inertia, friction and "
+            f"gravity; a motion above {0.5 / period:.3g} Hz, a resonance there, a delay below {1e3 * period:.2g} ms "
+            "and the law of a faster drive are not seen"
+        )
+    if torque is not None and "torque" in channels and (every := update_interval(torque.values)) > 1:
+        notes.append(
+            f"the torque changes only every {every} samples: it is logged more often than it is refreshed; give its "
+            f"channel sample_time = {every * torque.sample_time:g}, or it is read up to that much too late"
+        )
     lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(channels) else None
     if lag is not None:
         notes.append(
@@ -312,8 +271,6 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
             f"{1e3 * lag.lag:.2g} ms later than {lag.early}: a spring is hidden behind it, and a stiffness from "
             "both encoders is not to be trusted"
         )
-    if {"torque", "reference"} <= set(channels):
-        notes += hunting_warnings(record)
     return tuple(notes)
 
 
@@ -351,103 +308,6 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
         return None
     late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
     return EncoderLag(late, early, abs(lag), share)
-
-
-@dataclass(frozen=True, slots=True)
-class Hunting:
-    """Sawtooth torque: its two levels, the period in seconds, and the samples of a swing."""
-
-    low: float
-    high: float
-    period: float
-    samples: float
-
-    @property
-    def seen(self) -> bool:
-        """False if the log is too slow to distinguish a saw tooth from noise or a load."""
-        return self.samples >= _SEEN
-
-
-def find_hunting(record: Record) -> Hunting | None:
-    """Detect hunting in the longest rest: a limit cycle of integral action against stiction; None without it.
-
-    While the axis sticks, the integral ramps the torque up until the friction gives way; the axis overshoots, and the
-    ramp reverses (B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30, 1994). Turning points are counted
-    in the longest rest of the reference: far apart, large against the torque in motion, and not decaying as ringing
-    does. Cycles longer than half of that rest are not detected. A record without torque and reference, or with an
-    injection, gives None.
-    """
-    torque, reference = record.torque, record.reference
-    if torque is None or reference is None or record.injected is not None or len(reference) < 2:
-        return None
-    speed = np.abs(np.gradient(reference.values, reference.sample_time))
-    still = np.interp(torque.time, reference.time, (speed > _RESTS * np.max(speed)).astype(float)) == 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
-    first, last = max(edges.reshape(-1, 2), key=lambda ends: ends[1] - ends[0], default=(0, 0))
-    first += math.ceil(_SETTLED / torque.sample_time)
-    over = max(round(_LONGEST_MEAN / torque.sample_time), 1)
-    if last - first < over:
-        return None
-    seen = np.convolve(torque.values[first:last], np.full(over, 1.0 / over), mode="valid")
-    turns = _turns(seen, _SWING * float(np.std(torque.values)))
-    if len(turns) < _FEWEST:
-        return None
-    swings = np.abs(np.diff(seen[turns]))
-    half = swings.size // 2
-    apart = float(np.mean(np.diff(turns))) * torque.sample_time
-    if apart < _SLOWEST or np.mean(swings[-half:]) < _LASTS * np.mean(swings[:half]):
-        return None
-    low, high = float(np.min(seen[turns])), float(np.max(seen[turns]))
-    return Hunting(low, high, 2 * apart, apart / torque.sample_time)
-
-
-def _turns(values: FloatArray, swing: float) -> list[int]:
-    """Indices at which values (samples,) turn by more than a swing."""
-    found: list[int] = []
-    low = high = sense = 0
-    for k, value in enumerate(values):
-        low, high = (k if value < values[low] else low), (k if value > values[high] else high)
-        if sense >= 0 and values[high] - value > swing:
-            found.append(high)
-            low, sense = k, -1
-        elif sense <= 0 and value - values[low] > swing:
-            found.append(low)
-            high, sense = k, 1
-    return found[1:]
-
-
-def hunting_warnings(record: Record) -> Iterator[str]:
-    """Yield a warning of hunting at rest."""
-    found = find_hunting(record)
-    if found is not None and found.seen and record.torque is not None:
-        yield (
-            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
-            f"{number(found.low, 2)} and {number(found.high, 2)} {record.torque.unit}, every "
-            f"{number(found.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
-            "model here has; use a longer integral time, and a record without long rests"
-        )
-
-
-def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
-    step = find_encoder_step(channel) if name in ("torque", "motor_position", "load_position") else None
-    if step is None:
-        return
-    if name == "torque":
-        error, size = step / math.sqrt(12), float(np.std(channel.values))
-        if error > _ROUNDING * size:
-            yield (
-                f"the torque comes in steps of {step:.3g} {channel.unit}, {step / size:.1%} of its rms about its mean: "
-                f"rounding alone leaves {error / size:.1%} of it"
-            )
-        return
-    moved = np.diff(channel.values) / step
-    moving = moved[moved != 0]
-    passed = float(np.sqrt(np.mean(moving**2))) if moving.size else 0.0
-    if passed < _FEWEST_STEPS:
-        yield (
-            f"{name} comes in steps of {step:.3g} {channel.unit}, of which it passes {passed:.2g} in a sample where it "
-            "moves (rms): its derivatives, and what a controller makes of it, are coarse"
-        )
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:

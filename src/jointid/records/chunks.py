@@ -68,7 +68,7 @@ class Log:
         options: of the format's reader.
 
     Raises:
-        RecordError: a column has a sample time, an update time or a time column of its own, or is to be resampled.
+        RecordError: a column has a sample time or a time column of its own, or is to be resampled.
 
     Example:
         >>> import jointid as ji
@@ -83,7 +83,7 @@ class Log:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        own = any(isinstance(c, Column) and (c.sample_time or c.update_time or c.time) for c in self.columns.values())
+        own = any(isinstance(c, Column) and (c.sample_time or c.time) for c in self.columns.values())
         if own or self.settings.get("resample") is not None or self.settings.get("cut", Cut()) != Cut():
             raise RecordError(
                 "A record that is read in chunks has one clock and is read whole; leave resample, start, stop and part "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
-from jointid.records.columns import finite_faults, format_instant, unit_fault, unit_in_name
+from jointid.records.columns import unit_fault, unit_in_name
 from jointid.records.formats import Table
 from jointid.records.formats.table import TIME_NAME
 from jointid.records.record import Irregularity
@@ -27,10 +27,8 @@ above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a mi
 
 # Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 _RATE_TOLERANCE = 1e-3
-_NEAR = 0.05  # of a mean period over stamps with jumps or gaps
 _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
-_BRIDGED = 3  # samples missing in a row that resampling bridges by default
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
 
@@ -47,16 +45,14 @@ class Clock:
     """
 
     sample_time: float
-    stamps: FloatArray = field(default_factory=lambda: np.zeros(0))
+    stamps: FloatArray
     column: str = ""
     jitter: float = 0.0
     first: float = 0.0
 
     def over(self, samples: int) -> Clock:
-        """Return the clock with stamps for so many samples."""
-        if self.column:
-            return self
-        return replace(self, stamps=np.asarray(self.first + np.arange(samples) * self.sample_time, dtype=np.float64))
+        """Return the clock of a column with so many samples, which may be shorter where there is no time column."""
+        return self if self.column else replace(self, stamps=self.stamps[:samples])
 
     def pick(self, rows: NDArray[np.bool_]) -> Clock:
         """Return the clock of some rows, (samples,), at the distance of the first two."""
@@ -71,13 +67,15 @@ class Clock:
     def straightened(self) -> FloatArray:
         """Return the straight line through the stamps [s], (samples,)."""
         times, centred = self.stamps - self.stamps[0], np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
-        return np.asarray(float(self.stamps[0]) + float(np.mean(times)) + _mean_step(self.stamps) * centred)
+        slope = float(centred @ times / (float(centred @ centred) or 1.0))
+        return np.asarray(float(self.stamps[0]) + float(np.mean(times)) + slope * centred)
 
 
-def _mean_step(stamps: FloatArray) -> float:
-    """Slope of the straight line through stamps [s]."""
-    centred = np.arange(stamps.size) - 0.5 * (stamps.size - 1)
-    return float(centred @ (stamps - stamps[0]) / (float(centred @ centred) or 1.0))
+def uniform_clock(sample_time: float, samples: int, first: float = 0.0) -> Clock:
+    """Return the clock of samples without stamps, from `first` on [s]."""
+    if not 0 < sample_time < np.inf:
+        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
+    return Clock(sample_time, np.asarray(first + np.arange(samples) * sample_time, dtype=np.float64), first=first)
 
 
 def find_clock(
@@ -96,20 +94,18 @@ def find_clock(
     Raises:
         RecordError: there is none, or it is at fault.
     """
-    if sample_time is not None and not 0 < sample_time < np.inf:
-        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
     if sample_time is not None and time is None:
-        return Clock(sample_time)
-    column, known = _find_time_column(table, time), units.units_of("time")
-    named, unit = unit_in_name(column, known), _find_time_unit(table, column, time_unit)
-    if time_unit is not None and named is not None and named != time_unit:
+        return uniform_clock(sample_time, table.rows)
+    names = [name for name in table.columns if name == time or (time is None and TIME_NAME.fullmatch(name))]
+    if len(names) != 1:
+        why = table.explain_missing([time] if time else (one for one in table.passed if TIME_NAME.fullmatch(one)))
+        called = f'"{time}"' if time else 'that alone is called "t" or "time"'
         raise RecordError(
-            f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
-            "rename the column."
+            f"{table.source} has no time column {called}{why}; it has {table.list_columns()}: give sample_time, or the "
+            "name of the time column as time."
         )
-    if unit not in known:
-        raise RecordError(unit_fault(f'time (column "{column}")', unit, known))
-    stamps = table.columns[column] * units.unit(unit).factor
+    (column,) = names
+    stamps = table.columns[column] * seconds_of(table, column, time_unit)
     if faults := clock_faults(stamps, tolerance, f'The time column "{column}"'):
         raise RecordError(faults)
     first, count = float(stamps[1] - stamps[0]), stamps.size - 1
@@ -129,27 +125,19 @@ def find_clock(
     return Clock(sample_time or period, stamps, column, jitter, float(stamps[0]))
 
 
-def _find_time_column(table: Table, time: str | None) -> str:
-    if time is not None:
-        if time not in table.columns:
-            why = table.explain_missing([time])
-            raise RecordError(f'{table.source} has no time column "{time}"{why}; it has {table.list_columns()}.')
-        return time
-    names = [name for name in table.columns if TIME_NAME.fullmatch(name)]
-    if len(names) != 1:
-        several = ", ".join(f'"{name}"' for name in names)
-        why = table.explain_missing(name for name in table.passed if TIME_NAME.fullmatch(name))
-        fact = f"more than one time column ({several})" if names else f'no column called "t" or "time"{why}'
-        raise RecordError(f"{table.source} has {fact}; give sample_time, or the name of the time column as time.")
-    return names[0]
+def seconds_of(table: Table, column: str, time_unit: str | None) -> float:
+    """Return the seconds of a time column's unit: as given, else known in its name or of the file, else as stated.
 
-
-def _find_time_unit(table: Table, column: str, time_unit: str | None) -> str:
-    """Return the unit of a time column as it is given, else known in its name or of the file, else as stated there."""
+    Raises:
+        RecordError: the unit is unknown, or contradicts the one in the column's name.
+    """
     known = units.units_of("time")
     named, stated = unit_in_name(column, known), units.normalise_unit(table.units.get(column, ""))
     # "time [hh:mm:ss]" was counted in seconds.
-    return time_unit or next((one for one in (named, stated) if one in known), named or stated or "s")
+    unit = time_unit or next((one for one in (named, stated) if one in known), named or stated or "s")
+    if unit not in known or (named is not None and time_unit not in (None, named)):
+        raise RecordError(unit_fault(f'time (column "{column}")', unit, known))
+    return units.unit(unit).factor
 
 
 def cut_table(
@@ -162,41 +150,32 @@ def cut_table(
     Raises:
         RecordError: a cut has no clock, or leaves fewer than two samples.
     """
+    columns, remarks, own = dict(table.columns), list[str](), own_clocks(table, time)
     common = time or next((name for name in table.columns if TIME_NAME.fullmatch(name)), None)
-    if sample_time is not None and time is None:
-        common = None
-    own = own_clocks(table, time)
+    common = None if sample_time is not None and time is None else common
     if cut != Cut() and common is None and sample_time is None and not own:
         raise RecordError(
             f"start, stop and part cut {table.source} by its clock, and no time column was found; name it as time, or "
             "give sample_time."
         )
-    columns, remarks = dict(table.columns), list[str]()
     own |= {clock: clock for clock in own.values()}  # a time column is cut with the columns that it stamps
     for clock in dict.fromkeys([common, *own.values()]):
-        stamps = table.columns.get(clock) if clock else np.asarray(np.arange(table.rows) * (sample_time or math.nan))
+        stamps = columns.get(clock) if clock else np.asarray(np.arange(table.rows) * (sample_time or math.nan))
         if stamps is None or stamps.size < 2 or not np.isfinite(stamps).all():
             continue
-        names = [
-            name
-            for name, values in columns.items()
-            if (own.get(name) or common) == clock and values.size == stamps.size
-        ]
-        if clock in columns and clock not in names:
-            names.append(clock)
-        kept = np.ones(stamps.size, dtype=bool)
-        again = np.flatnonzero(np.diff(stamps) == 0) + 1
-        if (
-            repaired
-            and again.size
-            and all(np.array_equal(columns[name][again], columns[name][again - 1], equal_nan=True) for name in names)
-        ):
+        names = [n for n, one in columns.items() if own.get(n, common) == clock and one.size == stamps.size]
+        names += [clock] if clock and clock not in names else []
+        kept, again = np.ones(stamps.size, dtype=bool), np.flatnonzero(np.diff(stamps) == 0) + 1
+        repeats = all(np.array_equal(columns[n][again], columns[n][again - 1], equal_nan=True) for n in names)
+        if repaired and again.size and repeats:
             kept[again] = False
             remarks.append(
-                f"{table.source} repeats {pluralise(again.size, 'whole row')}, the first after sample {again[0] - 1}"
-                f"{format_instant(stamps, int(again[0]))}: left out"
+                f"{table.source} repeats {pluralise(again.size, 'whole row')}, the first after sample {again[0] - 1}: "
+                "left out"
             )
-        kept[kept] = cut.find_rows(stamps[kept], seconds_of(table, clock, time_unit), clock or "the clock")
+        if cut != Cut():
+            seconds = seconds_of(table, clock, time_unit) if clock else 1.0
+            kept[kept] = cut.find_rows(stamps[kept] * seconds, clock or "the clock")
         columns |= {name: columns[name][kept] for name in names}
     return (table if not remarks and cut == Cut() else replace(table, columns=columns)), remarks
 
@@ -207,12 +186,6 @@ def own_clocks(table: Table, time: str | None) -> dict[str, str]:
     return {} if one_named else dict(table.clocks)
 
 
-def seconds_of(table: Table, clock: str | None, time_unit: str | None) -> float:
-    """Return the seconds of a time column's unit; 1 without a column or a known unit."""
-    unit = "s" if clock is None else _find_time_unit(table, clock, time_unit)
-    return units.unit(unit).factor if unit in units.units_of("time") else 1.0
-
-
 @dataclass(frozen=True, slots=True)
 class Cut:
     """The rows of a table to read: from `start` to `stop` of the log's own clock [s], of these a part between jumps."""
@@ -221,31 +194,25 @@ class Cut:
     stop: float | None = None
     part: int | None = None
 
-    def find_rows(self, stamps: FloatArray, seconds: float, clock: str) -> NDArray[np.bool_]:
-        """Return which of the rows of a clock are read, (samples,).
+    def find_rows(self, times: FloatArray, clock: str) -> NDArray[np.bool_]:
+        """Return which of the rows of a clock [s] are read, (samples,).
 
         Raises:
-            RecordError: fewer than two are.
+            RecordError: fewer than two are, or there is no such part.
         """
-        kept, times = np.ones(stamps.size, dtype=bool), stamps * seconds
-        for bound, outside in ((self.start, times < (self.start or 0.0)), (self.stop, times > (self.stop or 0.0))):
-            kept &= ~outside if bound is not None else True
-        if (self.start, self.stop) != (None, None) and np.count_nonzero(kept) < 2:
+        first = -math.inf if self.start is None else self.start
+        last = math.inf if self.stop is None else self.stop
+        kept = (times >= first) & (times <= last)
+        rows = np.flatnonzero(kept)
+        parts = find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
+        if rows.size < 2 or (self.part or 0) > len(parts):
             raise RecordError(
-                f"start and stop leave {np.count_nonzero(kept)} samples of {clock}, which goes from "
-                f"{times.min():.10g} to {times.max():.10g} s; give two instants between these."
+                f"start and stop leave {pluralise(rows.size, 'sample')} of {clock}, which goes from {times.min():.10g} "
+                f"to {times.max():.10g} s, with {pluralise(len(parts), 'part')} between its jumps; give two instants "
+                "in there, and a part of these or 0 for the longest."
             )
-        if self.part is not None:
-            rows = np.flatnonzero(kept)
-            parts = find_parts(stamps[rows])
-            if self.part > len(parts):
-                raise RecordError(
-                    f'part is {self.part}, but the time column "{clock}" has {pluralise(len(parts), "part")} between '
-                    f"its jumps; give one of 1 to {len(parts)}, or 0 for the longest."
-                )
-            lengths = [end - first for first, end in parts]
-            first, end = parts[self.part - 1 if self.part else int(np.argmax(lengths))]
-            kept[rows[:first]] = kept[rows[end:]] = False
+        begin, end = parts[self.part - 1] if self.part else max(parts, key=lambda one: one[1] - one[0])
+        kept[rows[:begin]] = kept[rows[end:]] = False
         return kept
 
 
@@ -281,14 +248,12 @@ def measure_irregularity(stamps: FloatArray) -> Irregularity:
         rms=float(np.sqrt(np.mean(off**2))),
         gaps=int(np.count_nonzero(skipped > 1)),
         longest_gap=int(skipped.max()) - 1,
-        repeats=int(np.count_nonzero(steps == 0)),
-        backward=int(np.count_nonzero(steps < 0)),
     )
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
-    """Faults of a clock: backward stamps and jumps.
+    """Fault of a clock that is none, or jumps.
 
     The sample time is the median step. A step off by more than half a sample time is a jump, otherwise jitter.
 
@@ -298,44 +263,19 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
             which may jump.
         name: of the clock, in sentences.
     """
-    if stamps.size < 2:
-        return [f"{name} has a single stamp, which tells no sample time; give sample_time."]
-    if faults := finite_faults(name, stamps):
-        return faults
     steps = np.diff(stamps)
-    largest, sample_time = float(np.max(np.abs(stamps))), float(np.median(steps))
-    if largest > _LATEST or 0 < sample_time < 1 / _LATEST:
+    sample_time, largest = float(np.median(steps)) if steps.size else 0.0, float(np.max(np.abs(stamps), initial=0.0))
+    if not (largest <= _LATEST and sample_time >= 1 / _LATEST):
         return [
-            f"{name} goes to {largest:.3g} s in steps of {sample_time:.3g} s, which is no time; name another time "
-            "column, or give its unit."
+            f"{name} does not run forward: of its {stamps.size} stamps {np.count_nonzero(~np.isfinite(stamps))} are no "
+            f"numbers, {np.count_nonzero(steps == 0)} repeat, {np.count_nonzero(steps < 0)} step back, and the largest "
+            f"is {largest:.3g} s; name another time column, give its unit, or give sample_time without time."
         ]
-    if sample_time <= 0:
-        mean = _mean_step(stamps)
-        given = f" = {mean:.6g}" if mean > 0 else ""
-        return [
-            f"{name} does not run forward: {np.count_nonzero(steps == 0)} of its {stamps.size} stamps repeat, and "
-            f"{np.count_nonzero(steps < 0)} step back; name another time column, or give sample_time{given} without "
-            "time if the samples are uniform."
-        ]
-    if tolerance is None:
+    jumps = np.flatnonzero(np.abs(steps / sample_time - 1) > max(_JUMP, tolerance or 0.0))
+    if tolerance is None or not jumps.size:
         return []
-    error = np.abs(steps / sample_time - 1)
-    jumped = error > max(_JUMP, tolerance)
-    if jumped.any():
-        first = int(np.argmax(jumped))
-        step, lost = float(steps[first]), round(float(steps[first]) / sample_time) - 1
-        late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
-        found = f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"
-        parts = find_parts(stamps)
-        begin, end = max(parts, key=lambda part: part[1] - part[0])
-        remedies = [f"part = {parts.index((begin, end)) + 1} (samples {begin} to {end - 1}, the longest)"]
-        if np.all(steps[jumped] > 0) and round(float(steps.max()) / sample_time) <= 1 + _BRIDGED:
-            remedies.append(f'resample = {{ sample_time = {sample_time:.6g}, method = "cubic" }}')
-        if stamps[-1] <= stamps[0] or abs((stamps[-1] - stamps[0]) / (steps.size * sample_time) - 1) <= _NEAR:
-            remedies.append(f"sample_time = {sample_time:.6g} without time if only the stamps are wrong")
-        faults.append(
-            f"{name} jumps {pluralise(int(jumped.sum()), 'time')}: after sample {first}"
-            f"{format_instant(stamps, first)} it {found if step else 'repeats its stamp'}; give "
-            f"{', or '.join(remedies)}."
-        )
-    return faults
+    return [
+        f"{name} jumps {pluralise(jumps.size, 'time')}, first after sample {jumps[0]} (t = {stamps[jumps[0]]:g} s) by "
+        f"{steps[jumps[0]]:g} s (expected {sample_time:g} s); give part = 0 for the longest part between the jumps, "
+        "resample to bridge short gaps, or sample_time without time if only the stamps are wrong."
+    ]

@@ -22,7 +22,9 @@ _BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
 _WHOLE_RANGE = 0.6  # of the range of a column: a larger step may be a wrap
 _ALIKE = 0.02  # of a wrap, that the jumps at it may differ by
 _AGAINST = 0.8  # of the jumps at a wrap, that go against a steady motion
+_WHOLE = 1e-3  # of 1: what is nearer to a whole number is one
 _KNOWN_WRAP, _PART_OF_TURN = 2e-3, 1e-4  # greatest relative distance of a jump from the wrap that it is taken for
+POSITIONS = ("motor_position", "load_position", "reference")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
@@ -32,8 +34,8 @@ class Column:
     """A file column for one channel: `sign` x `gain` x column, in `unit`.
 
     Raises:
-        RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, there is
-            no such side, or there are a sample time and a time column.
+        RecordError: gain, sample_time or wrap is not positive and finite, sign is not 1 or -1, there is no such side,
+            or there are a sample time and a time column.
     """
 
     column: str = setting(
@@ -54,7 +56,11 @@ class Column:
         "without it held for torque and injected, sampled for the others",
     )
     sample_time: float | None = setting(
-        None, "the channel's own time between samples, where it differs from the record's", unit="s", above=0
+        None,
+        "the channel's own time between samples, where it differs from the record's; a column that is logged more "
+        "often, repeats its values or is empty between is picked where they change",
+        unit="s",
+        above=0,
     )
     tap: Tap | None = setting(
         None,
@@ -77,13 +83,6 @@ class Column:
         None,
         "of a position: where the column wraps round, in its own numbers, such as 65536 or 360; it is unwrapped, and "
         "refused where it moves by more than 0.4 of it in a sample; without it found where the jumps are clear",
-        above=0,
-    )
-    update_time: float | None = setting(
-        None,
-        "time between refreshes of a column that is logged more often than that; it is picked at its own rate, from "
-        "where its values change, and becomes a channel of that sample time",
-        unit="s",
         above=0,
     )
     optional: bool = setting(False, "whether a record may lack the column")
@@ -112,15 +111,19 @@ class Column:
         return named if named in known and named != self.stated_unit(known) else None
 
     def misplaced_faults(self, channel: str) -> list[str]:
-        """Faults of settings that belong to other channels."""
-        faults = []
-        if channel != "torque" and self.tap is not None:
-            faults.append(f"{channel} has tap = {self.tap}, which says where a torque was logged; leave it out.")
-        if channel != "injected" and not (self.in_torque and self.at is InjectionPoint.AFTER_LIMIT):
-            faults.append(f"{channel} has at or in_torque, which are for an injected signal; leave them out.")
-        if self.wrap is not None and channel not in ("reference", "motor_position", "load_position"):
-            faults.append(f"{channel} has a wrap of {self.wrap:g}, which is for a position; leave it out.")
-        return faults
+        """Fault of settings that belong to other channels."""
+        wrong = [name for name, of in _ONLY.items() if channel not in of and getattr(self, name) != _DEFAULTS[name]]
+        listed = " and ".join(wrong)
+        return [f"{channel} has {listed}, which belongs to other channels; leave it out."] if wrong else []
+
+
+_ONLY = {
+    "tap": ("torque",),
+    "at": ("injected",),
+    "in_torque": ("injected",),
+    "wrap": POSITIONS,
+}
+_DEFAULTS = {name: getattr(Column(), name) for name in _ONLY}
 
 
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
@@ -156,81 +159,41 @@ def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> st
     return columns[channel].stated_unit(known) or default
 
 
-def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None, *, sparse: bool = False) -> list[str]:
-    """Faults of non-finite raw values (samples,): an early end, and gaps.
-
-    Args:
-        name: of the values, in sentences.
-        values: (samples,).
-        time: instants [s], (samples,), if known.
-        sparse: whether resampling would take the rows without NaN.
-    """
-    bad, rows = np.flatnonzero(~np.isfinite(values)), np.flatnonzero(~np.isnan(values))
+def finite_faults(name: str, values: FloatArray) -> list[str]:
+    """Fault of values (samples,) that are not finite; they have a name in sentences."""
+    bad = np.flatnonzero(~np.isfinite(values))
     if bad.size == 0:
         return []
-    if bad.size == values.size:
-        return [f"{name} has no finite number in its {values.size} samples; name another column."]
-    faults, end = [], int(rows[-1]) + 1
-    if values.size - end >= np.diff(rows, prepend=rows[0] - 1).max():  # longer than any gap
-        faults.append(
-            f"{name} ends early: after {end} of {values.size} samples it is empty (NaN); cut all columns to "
-            "one length, or give the channels of another rate their own sample_time."
-        )
-    bad = bad[bad < end]
-    if bad.size:
-        first = int(bad[0])
-        more = ", or give resample, which takes every channel at the rows in which it has a number"
-        faults.append(
-            f"{name} has {pluralise(bad.size, 'sample')} without a finite number, the first {values[first]} at "
-            f"sample {first}{format_instant(time, first)}; mend them, or cut the record there"
-            f"{more if sparse and not np.isinf(values).any() else ''}."
-        )
-    return faults
+    first = int(bad[0])
+    return [
+        f"{name} has {pluralise(bad.size, 'sample')} of {values.size} without a finite number, the first "
+        f"{values[first]} at sample {first}; mend them, cut the record there, give a channel of another rate its "
+        "sample_time, or give resample."
+    ]
 
 
-def format_instant(time: FloatArray | None, index: int) -> str:
-    """Format a sample's instant in brackets; empty if unknown."""
-    return "" if time is None else f" (t = {time[index]:g} s)"
-
-
-@dataclass(frozen=True, slots=True)
-class Wrap:
-    """Jumps of a position that look like a wrap.
-
-    Attributes:
-        size: of the jumps, in the column's own numbers.
-        count: of the jumps.
-        first: sample before the first one.
-        known: whether the size is a turn, turns of a gear, or a power of two.
-        clear: whether all jumps have one size, as far as the motion is even.
-    """
-
-    size: float
-    count: int
-    first: int
-    known: bool
-    clear: bool
-
-
-def find_wrap(values: FloatArray, turn: float = 2 * np.pi) -> Wrap | None:
-    """Find the wrap of a position (samples,); None without one.
+def find_wrap(values: FloatArray, turn: float = 2 * np.pi, grain: float = 1.0) -> tuple[float, bool] | None:
+    """Find the wrap of a position (samples,); None without jumps that are one for certain.
 
     At a wrap a step goes by nearly the whole range, against the motion before and after it. With that motion v it is
     as large as the wrap: W = |d - v|. A square wave rests where it jumps.
 
     Args:
-        values: the column, finite.
-        turn: one turn, in the column's numbers.
+        values: of the position, finite.
+        turn: one turn, in the unit of the values.
+        grain: 1 in the column of the file, in the unit of the values.
+
+    Returns:
+        The wrap in that unit, and whether it is a turn, turns or a part of one, or a power of two in the column.
 
     Example:
         >>> import numpy as np
         >>> find_wrap(np.mod(np.arange(1000.0), 360.0), 360.0)
-        Wrap(size=360.0, count=2, first=359, known=True, clear=True)
+        (360.0, True)
     """
     with np.errstate(over="ignore"):
         steps, span = np.diff(values), float(np.ptp(values))
-    (moved,) = np.nonzero(steps)  # a column that is refreshed slowly rests between
-    steps = steps[moved]
+    steps = steps[steps != 0]  # a column that is refreshed slowly rests between
     jumps = np.abs(steps) > _WHOLE_RANGE * span
     if not (np.isfinite(span) and jumps.any() and np.count_nonzero(~jumps) > _FEWEST_MOVES):
         return None
@@ -245,40 +208,32 @@ def find_wrap(values: FloatArray, turn: float = 2 * np.pi) -> Wrap | None:
     if np.count_nonzero(against & lone) <= _AGAINST * np.count_nonzero(lone):
         return None
     sizes = np.abs(steps[at] - (before + behind) / 2)[lone]
-    size = float(np.median(sizes))
-    if size < span * (1 - _BEYOND_WRAP):
-        return None
-    if np.any(np.abs(steps[others]) > _SAFE_STEP * size):
-        return None
-    spread = float(np.ptp(sizes))
+    size, spread = float(np.median(sizes)), float(np.ptp(sizes))
     uneven = 2 * float(np.max(np.abs(np.diff(steps[others]))))  # as of samples that jitter
-    parts = [turn * whole for whole in (*range(2, 11), *(1 / part for part in range(2, 201)))]
-    known = [
-        near
-        for wraps, most in (((turn, *(2.0**bits for bits in range(8, 33))), _KNOWN_WRAP), (parts, _PART_OF_TURN))
-        if abs((near := min(wraps, key=lambda one: abs(one - size))) - size)
-        <= min(max(spread, uneven) + _PART_OF_TURN * size, most * size)
-    ]
-    size = known[0] if known else float(round(size)) if np.all(values == np.round(values)) else size
-    return Wrap(size, int(at.size), int(moved[at[0]]), bool(known), spread <= _ALIKE * size + uneven)
+    slow = np.all(np.abs(steps[others]) <= _SAFE_STEP * size)
+    if size < span * (1 - _BEYOND_WRAP) or not slow or spread > _ALIKE * size + uneven:
+        return None
+    wraps = {turn * part: _PART_OF_TURN for part in (*range(2, 11), *(1 / whole for whole in range(2, 201)))}
+    wraps |= dict.fromkeys((turn, *(grain * 2.0**bits for bits in range(8, 33))), _KNOWN_WRAP)
+    near = min(wraps, key=lambda one: abs(one - size))
+    if abs(near - size) <= min(max(spread, uneven) + _PART_OF_TURN * size, wraps[near] * size):
+        return near, True
+    whole = np.allclose(values / grain, np.round(values / grain), rtol=0.0, atol=_WHOLE)
+    return grain * round(size / grain) if whole else size, False
 
 
-def unwrap(values: FloatArray, wrap: float) -> FloatArray:
-    """Unwrap a position (samples,), taking the shorter way at each step."""
-    steps = np.diff(values)
-    return np.asarray(values - wrap * np.concatenate([[0.0], np.cumsum(np.round(steps / wrap))]))
+def unwrap(values: FloatArray, wrap: float, name: str = "The position") -> FloatArray:
+    """Unwrap a position (samples,), taking the shorter way at each step.
 
-
-def wrap_faults(name: str, values: FloatArray, wrap: float) -> list[str]:
-    """Faults of raw values (samples,) that contradict their wrap or move too fast."""
-    span = float(np.ptp(values))
-    if span > wrap * (1 + _BEYOND_WRAP):
-        return [f"{name} spans {span:g}, more than its wrap of {wrap:g}; correct the wrap, or leave it out."]
-    steps = np.abs(np.diff(unwrap(values, wrap)))
-    fast = np.flatnonzero(steps > _SAFE_STEP * wrap)
-    if fast.size == 0:
-        return []
-    return [
-        f"{name} moves by {steps[fast[0]] / wrap:.2f} of its wrap of {wrap:g} after sample {fast[0]} (at most "
-        f"{_SAFE_STEP:g} can be distinguished from a move backwards); log it more often, or correct the wrap."
-    ]
+    Raises:
+        RecordError: the values span more than their wrap, or move by more than 0.4 of it in a sample.
+    """
+    steps, span = np.diff(values), float(np.ptp(values))
+    turns = np.round(steps / wrap)
+    fastest = float(np.max(np.abs(steps - wrap * turns), initial=0.0))
+    if span > wrap * (1 + _BEYOND_WRAP) or fastest > _SAFE_STEP * wrap:
+        raise RecordError(
+            f"{name} spans {span:g} and moves by up to {fastest:g} in a sample; expected at most its wrap of {wrap:g}, "
+            f"and {_SAFE_STEP:g} of it in a sample: log it more often, correct the wrap, or leave it out."
+        )
+    return np.asarray(values - wrap * np.concatenate([[0.0], np.cumsum(turns)]))

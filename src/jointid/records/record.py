@@ -17,14 +17,13 @@ from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import MEASURED, Charted, panels
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
-from jointid.common.errors import RecordError, extra
+from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import join, pluralise
 from jointid.common.transmission import Side, Transmission
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pandas import DataFrame
 
 _DECIMALS = 13  # of a period in seconds: more are of a period that has no end
 
@@ -143,8 +142,6 @@ class Irregularity:
         sample_time: of the uniform clock, s.
         largest, rms: deviation of the stamps from it, s.
         gaps: steps that leave out samples; longest_gap: samples left out in the longest.
-        repeats: stamps that are those before them again.
-        backward: steps back.
     """
 
     sample_time: float
@@ -152,15 +149,12 @@ class Irregularity:
     rms: float
     gaps: int = 0
     longest_gap: int = 0
-    repeats: int = 0
-    backward: int = 0
 
     def __str__(self) -> str:
         return (
             f"{1e3 * self.sample_time:.6g} ms, off by up to {self.largest / self.sample_time:.2g} samples "
             f"({self.rms / self.sample_time:.2g} rms), {pluralise(self.gaps, 'gap')} of up to "
-            f"{pluralise(self.longest_gap, 'sample')}, {pluralise(self.repeats, 'repeated stamp')}, "
-            f"{pluralise(self.backward, 'step back', 'steps back')}"
+            f"{pluralise(self.longest_gap, 'sample')}"
         )
 
 
@@ -171,16 +165,12 @@ class Resampled:
     Attributes:
         sample_time: of the record, s.
         methods: by channel, "hold", "linear", "cubic", or "mean" of what was logged as an average.
-        longest_gap: samples that might be missing in a row.
         clocks: by time column, what the stamps were.
-        channels: by channel, its time column.
     """
 
     sample_time: float
     methods: Mapping[str, str]
-    longest_gap: int
     clocks: Mapping[str, Irregularity]
-    channels: Mapping[str, str]
 
     def __str__(self) -> str:
         how = ", ".join(f"{name} {method}" for name, method in self.methods.items())
@@ -301,17 +291,6 @@ class Record(Charted, Documented):
             axes.plot(channel.time, channel.values, color=MEASURED)
             axes.set(ylabel=f"{name.replace('_', ' ')} [{channel.unit}]", xlabel="time [s]" * (axes is drawn[-1]))
         return figure
-
-    def to_dataframe(self) -> DataFrame:
-        """Return a pandas data frame; NaN where a slower channel has no sample.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
-        pandas = extra("pandas", "dataframe", "A data frame")
-        columns = {name: pandas.Series(channel.values, index=channel.time) for name, channel in self.items()}
-        frame: DataFrame = pandas.DataFrame(columns).rename_axis("time")
-        return frame
 
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""

@@ -1,4 +1,4 @@
-"""Resample channels to a uniform clock, their update rate, or a controller's period.
+"""Bring channels to one clock, their update rate, or a controller's period.
 
 Resampling is right where *samples* were taken at the stamps. If only the stamps jitter, use `sample_time` without a
 time column instead; resampling would add the jitter to the samples.
@@ -18,7 +18,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.text import pluralise
-from jointid.records.clock import Clock, measure_irregularity
+from jointid.records.clock import Clock, is_same_rate, measure_irregularity, uniform_clock
+from jointid.records.columns import POSITIONS, finite_faults
 from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
@@ -29,13 +30,13 @@ _LOWER_RATE = 1.1
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
 _FEWEST_ROWS = 3  # with a number, of a column that is empty between
+_SLOWER = 1.5  # sample times of the rows, from which on a stated one is that of refreshes
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
 _LONGEST = 10_000  # samples within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
-_FEWEST_OF_SPLINE = 4  # samples
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 
 WELL_SEEN = 0.1
@@ -50,11 +51,12 @@ class Resampling:
     A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
     through alike. Nothing is extrapolated.
 
-    An averaged channel is taken as the mean over the new periods, of values that are each the mean over their own.
+    A held channel stays held. An averaged one is taken as the mean over the new periods, of values that are each the
+    mean over their own.
 
     Example:
-        >>> Resampling(1e-3, "cubic").held
-        'hold'
+        >>> Resampling(1e-3, "cubic").longest_gap
+        3
     """
 
     sample_time: float = field(metadata=declare("time between samples of the record", unit="s", above=0))
@@ -63,9 +65,6 @@ class Resampling:
             "how a sampled channel is taken between its samples: the last one, a straight line, or the cubic spline "
             "through all of them, which is for positions"
         )
-    )
-    held: Interpolation = setting(
-        "hold", "how a held channel is; what a controller holds is not interpolated unless it is asked for here"
     )
     longest_gap: int = setting(3, "samples that may be missing in a row; a longer gap is refused", at_least=0)
 
@@ -76,26 +75,88 @@ class Resampling:
         """Interpolation method for a channel's timing."""
         if timing is Timing.AVERAGED:
             return "mean"
-        return self.held if timing is Timing.HELD else self.method
+        return "hold" if timing is Timing.HELD else self.method
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
-    """A channel as logged, and its clock; `picked` if it has a number in some rows of its time column alone."""
+    """A channel as logged, with its clock.
+
+    Attributes:
+        picked: whether it has a number in some rows of its time column alone.
+        grain: what 1 in the column is of the channel's position.
+        turn: what one turn of the column's side is of the channel's position.
+        wrap: at which a position wraps; None if that is not declared.
+        remark: on what was put right; empty if nothing was.
+    """
 
     channel: Channel
     clock: Clock
     picked: bool = False
-
-    @property
-    def name_of_clock(self) -> str:
-        """Name of the time column, with the channel's own if it has some of its rows."""
-        own = self.channel.source.partition(": ")[2]
-        return f"{self.clock.column}, {own}" if self.picked else self.clock.column
+    grain: float = 1.0
+    turn: float = 2 * math.pi
+    wrap: float | None = None
+    remark: str = ""
 
     def straighten(self) -> Signal:
         """Return the signal at instants on the straight line through its stamps."""
         return replace(self, clock=replace(self.clock, stamps=self.clock.straightened(), jitter=0.0))
+
+
+def pick_samples(
+    what: str, values: FloatArray, clock: Clock | None, period: float | None, *, resampled: bool
+) -> tuple[FloatArray, Clock, bool]:
+    """Return the new numbers of a column with their clock, and whether they are in some of its rows alone.
+
+    Args:
+        what: of the column, in sentences.
+        values: (rows,), NaN where it is empty.
+        clock: of the rows; None if only `period` is known.
+        period: sample time of the channel, if it is stated [s].
+        resampled: whether the channel comes to a new clock; else the rows have to be equally far apart.
+
+    Raises:
+        RecordError: a number is missing, or rows and period contradict each other.
+    """
+    clock = None if clock is None else clock.over(values.size)
+    is_of_clock = clock is not None and clock.stamps.size == values.size
+    kept = _find_filled_rows(values, resampled=resampled) if is_of_clock else None
+    if kept is None and (faults := finite_faults(what, values)):
+        raise RecordError(faults)
+    if kept is None and period is not None:
+        if clock is None or not is_of_clock or period < _SLOWER * clock.sample_time:  # samples of its own
+            return values, uniform_clock(period, values.size, 0.0 if clock is None else clock.first), False
+        kept = _find_refreshes(values, period / clock.sample_time)
+    if clock is None or not is_of_clock:
+        size = 0 if clock is None else clock.stamps.size
+        raise RecordError(f"{what} has {values.size} samples, the time {size}; name columns of one length.")
+    if kept is None:
+        return values, clock, False
+    picked = clock.pick(kept)
+    if period is not None and not resampled and not is_same_rate(picked.sample_time, period):
+        raise RecordError(
+            f"{what} has no new number every {period:g} s, as its sample_time says; correct that, or leave it out."
+        )
+    return values[kept], picked, True
+
+
+def _find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
+    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault."""
+    filled = ~np.isnan(values)
+    rows = np.flatnonzero(filled)
+    if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
+        return None
+    ends = max(rows[0] + 1, values.size - rows[-1]) <= longest
+    return filled if ends and (resampled or np.all(np.diff(rows) == longest)) else None
+
+
+def _find_refreshes(values: FloatArray, ratio: float) -> NDArray[np.bool_]:
+    """Return the rows, (samples,), at which a column is refreshed every `ratio` rows; all if it changes between."""
+    every = round(min(ratio, values.size))
+    changes = np.flatnonzero(np.diff(values)) + 1
+    phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
+    kept = np.arange(values.size) % every == phase
+    return kept if np.all(kept[changes]) and 2 * every <= values.size else np.ones(values.size, dtype=bool)
 
 
 def bring_together(
@@ -128,21 +189,20 @@ def _align(signals: Mapping[str, Signal], tolerance: float) -> tuple[dict[str, C
     if not signals:
         return {}, 0.0
     begins = {name: one.clock.beginning for name, one in signals.items()}
-    first, near = min(begins.values()), tolerance * min(one.clock.sample_time for one in signals.values())
-    whole = [begins[name] for name, one in signals.items() if not one.picked]
-    slowest = max(signals, key=lambda name: signals[name].clock.sample_time)
-    if max(whole, default=first) - min(whole, default=first) > near:
+    periods = {name: one.clock.sample_time for name, one in signals.items()}
+    near = tolerance * min(periods.values())
+    if np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0]) > near:
         return None
-    for count in range(min(_LONGEST, len(signals[slowest].channel))):
-        time = begins[slowest] + count * signals[slowest].clock.sample_time
-        late = {name: (time - begins[name]) / one.clock.sample_time for name, one in signals.items()}
-        if all(n > -0.5 and abs(n - round(n)) * signals[name].clock.sample_time <= near for name, n in late.items()):
-            cut = {
-                name: replace(one.channel, values=one.channel.values[round(late[name]) :])
-                for name, one in signals.items()
-            }
-            return cut, time - first
-    return None
+    slowest = max(periods, key=periods.__getitem__)
+    times = begins[slowest] + np.arange(min(_LONGEST, len(signals[slowest].channel))) * periods[slowest]
+    late = {name: (times - begins[name]) / periods[name] for name in signals}
+    common = [(n > -0.5) & (np.abs(n - np.round(n)) * periods[name] <= near) for name, n in late.items()]
+    instants = np.flatnonzero(np.all(common, axis=0))
+    if not instants.size:
+        return None
+    first = {name: round(float(n[instants[0]])) for name, n in late.items()}
+    cut = {n: replace(one.channel, values=one.channel.values[first[n] :]) for n, one in signals.items()}
+    return cut, float(times[instants[0]]) - min(begins.values())
 
 
 def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
@@ -152,30 +212,27 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
     It is relative to the first stamp of all.
     """
     zero = min((one.clock.stamps[0] for one in signals.values()), default=0.0)  # seconds since 1970 leave few digits
-    signals = {
-        name: replace(one, clock=replace(one.clock, stamps=one.clock.stamps - zero)) for name, one in signals.items()
-    }
-    clocks = {
-        one.name_of_clock: measure_irregularity(one.clock.stamps)
-        for one in signals.values()
-        if one.clock.stamps.size > 1
-    }
-    faults = [f for name, clock in clocks.items() for f in _clock_faults(name, clock, how)]
-    faults += [f for name, one in signals.items() for f in _rate_faults(name, one, clocks, how)]
-    if faults:
-        raise RecordError(faults)
-    ready, repeats = dict[str, tuple[Channel, FloatArray]](), list[str]()
+    T, clocks, faults = how.sample_time, dict[str, Irregularity](), list[str]()
+    ready = dict[str, tuple[Channel, FloatArray]]()
     for name, one in signals.items():
-        stamps, values = one.clock.stamps, one.channel.values
-        kept = np.concatenate([[True], (np.diff(stamps) != 0) | (np.diff(values) != 0)])
-        ready[name] = (replace(one.channel, values=values[kept]), stamps[kept])
-        repeats += [name] if np.any(np.diff(stamps[kept]) <= 0) else []
-    if repeats:
-        raise RecordError(
-            f"{' and '.join(repeats)} has several values at one stamp, of which none can be left out; give sample_time "
-            "without time if only the stamps are wrong."
-        )
-    T = how.sample_time
+        channel, stamps = one.channel, one.clock.stamps - zero
+        clock = measure_irregularity(stamps)
+        clocks.setdefault(one.clock.column, clock)
+        kept = np.concatenate([[True], (np.diff(stamps) != 0) | (np.diff(channel.values) != 0)])
+        ready[name] = replace(channel, values=channel.values[kept]), stamps[kept]
+        if clock.longest_gap > how.longest_gap or np.any(np.diff(stamps[kept]) <= 0):
+            faults.append(
+                f"The stamps of {name} leave out up to {pluralise(clock.longest_gap, 'sample')} in a row (at most "
+                f"{how.longest_gap} are bridged), step back, or repeat with other values; cut the record there, set "
+                "longest_gap, or give sample_time without time if only the stamps are wrong."
+            )
+        if channel.timing is not Timing.AVERAGED and _LOWER_RATE * clock.sample_time < T:
+            faults.append(
+                f"{name} has a sample every {clock.sample_time:g} s, and what is fast in it would alias if resampled "
+                f"to {T:g} s; give a shorter sample time: [filtering] then decimates torque and model alike."
+            )
+    if faults:
+        raise RecordError(list(dict.fromkeys(faults)))
     first = max(stamps[0] + (T if one.timing is Timing.AVERAGED else 0.0) for one, stamps in ready.values())
     last = min(stamps[-1] for _, stamps in ready.values())
     begin = _find_beginning(first, [at for one, at in ready.values() if how.method_for(one.timing) == "hold"], T)
@@ -190,47 +247,39 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
     for name, (channel, stamps) in ready.items():
         methods[name] = how.method_for(channel.timing)
         values = _interpolate(channel.values, stamps, np.minimum(grid, stamps[-1]), methods[name], T)
-        held_on = channel.timing is not Timing.HELD or methods[name] == "hold"
-        timing = channel.timing if held_on else Timing.SAMPLED  # of what is interpolated nothing is held
-        channels[name] = replace(channel, values=values, sample_time=T, timing=timing)
-    done = Resampled(T, methods, how.longest_gap, clocks, {name: one.name_of_clock for name, one in signals.items()})
-    return channels, begin, done
+        channels[name] = replace(channel, values=values, sample_time=T)
+    return channels, begin, Resampled(T, methods, clocks)
 
 
 def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dict[str, Signal], str]:
     """Return the resampling of channels with jittering stamps, the signals at straight stamps, and a remark.
 
     No channel is resampled where no position follows the stamps of its own clock.
+    """
+    jittering = [one.clock for one in signals.values() if one.clock.jitter]
+    told = dict[str, bool]()
+    for one in (signals[name] for name in POSITIONS if name in signals):
+        follows = _follows_stamps(one) if one.clock.jitter and not one.picked else None
+        if follows is not None:
+            told[one.clock.column] = follows or told.get(one.clock.column, False)
+    resampled = any(told.values())
+    straight = {
+        name: one.straighten() if one.clock.jitter and not told.get(one.clock.column, resampled) else one
+        for name, one in signals.items()
+    }
+    how = Resampling(min(clock.sample_time for clock in jittering), "cubic") if resampled else None
+    names = " and ".join(f'"{column}"' for column in dict.fromkeys(clock.column for clock in jittering))
+    does = "a position follows them, so that all channels are resampled by them (cubic)"
+    said = f"the stamps of {names} jitter by up to {max(clock.jitter for clock in jittering):.1%} of the sample time: "
+    return how, straight, said + (does if resampled else "no position follows them, and the samples count as uniform")
+
+
+def _follows_stamps(one: Signal) -> bool | None:
+    """Test whether a position was sampled at its stamps; None if it does not tell.
 
     A position x that was sampled at instants off by d from a uniform clock is x(t + d), so the third differences of x
     follow those of d v, with v its velocity. Where only the stamps jitter they do not.
     """
-    told = {
-        name: follows
-        for name in ("motor_position", "load_position", "reference")
-        if name in signals and signals[name].clock.jitter and not signals[name].picked
-        if (follows := _follows_stamps(signals[name])) is not None
-    }
-    name = max(told, key=lambda one: told[one], default=max(signals, key=lambda one: signals[one].clock.jitter))
-    clock = signals[name].clock
-    steps = np.abs(np.diff(clock.stamps) / clock.sample_time - 1)
-    said = (
-        f'the time column "{clock.column}" jitters by up to {clock.jitter:.1%} of the sample time of '
-        f"{clock.sample_time:g} s ({np.sqrt(np.mean(steps**2)):.1%} rms), most after sample {int(np.argmax(steps))}: "
-    )
-    of_stamps = {signals[one].clock.column for one, follows in told.items() if follows}
-    if not of_stamps:
-        straight = {name: one.straighten() if one.clock.jitter else one for name, one in signals.items()}
-        return None, straight, f"{said}the samples are taken as uniform, since no position follows that jitter"
-    how = Resampling(min(one.clock.sample_time for one in signals.values() if one.clock.jitter), "cubic")
-    uniform = dict.fromkeys(column for one in told if (column := signals[one].clock.column) not in of_stamps)
-    made = {name: one.straighten() if one.clock.column in uniform else one for name, one in signals.items()}
-    others = "".join(f', those of "{column}" as uniform samples' for column in uniform)
-    return how, made, f"{said}{name} follows its stamps, so that all channels are resampled by them (cubic){others}"
-
-
-def _follows_stamps(one: Signal) -> bool | None:
-    """Test whether a position was sampled at its stamps; None if it does not tell."""
     values, period, stamps = one.channel.values, one.clock.sample_time, one.clock.stamps
     if stamps.size < _CHANGES:
         return None
@@ -241,29 +290,6 @@ def _follows_stamps(one: Signal) -> bool | None:
     if not size or max(share, 1.0 - share) ** 2 * size <= _SHOWN * float(np.mean((x - share * moved) ** 2)):
         return None
     return share > 0.5
-
-
-def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
-    if not clock.backward and clock.longest_gap <= how.longest_gap:
-        return []
-    bridge = "" if clock.backward else f" set longest_gap = {clock.longest_gap},"
-    return [
-        f'The time column "{name}" steps back {pluralise(clock.backward, "time")} and leaves out up to '
-        f"{clock.longest_gap} samples in a row (at most {how.longest_gap} are bridged); cut the record there,{bridge} "
-        "or give sample_time without time if only the stamps are wrong."
-    ]
-
-
-def _rate_faults(name: str, one: Signal, clocks: Mapping[str, Irregularity], how: Resampling) -> list[str]:
-    if one.name_of_clock not in clocks:
-        return [f"{name} has a single sample, between which and others nothing can be taken; log more of it."]
-    own = clocks[one.name_of_clock].sample_time
-    if one.channel.timing is Timing.AVERAGED or how.sample_time <= _LOWER_RATE * own or own <= 0:
-        return []
-    return [
-        f"{name} has a sample every {own:g} s, and resampled to {how.sample_time:g} s what is fast in it would alias; "
-        f"give a sample time of at most {own:g} s: [filtering] then filters and decimates torque and model alike."
-    ]
 
 
 def _find_beginning(first: float, held: Sequence[FloatArray], T: float) -> float:
@@ -294,44 +320,6 @@ def _interpolate(values: FloatArray, stamps: FloatArray, grid: FloatArray, metho
     return np.asarray((np.interp(grid, stamps, sums) - np.interp(grid - T, stamps, sums)) / T)
 
 
-def find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
-    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault.
-
-    Args:
-        values: the column, (samples,), with NaN where it is empty.
-        resampled: whether the channel comes to a new clock; else the rows have to be equally far apart.
-    """
-    filled = ~np.isnan(values)
-    rows = np.flatnonzero(filled)
-    if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
-        return None
-    ends = max(rows[0] + 1, values.size - rows[-1]) <= longest
-    return filled if ends and (resampled or np.all(np.diff(rows) == longest)) else None
-
-
-def find_refreshes(what: str, values: FloatArray, period: float, update_time: float) -> NDArray[np.bool_]:
-    """Return the rows, (samples,), at which a column is refreshed, less often than it is logged.
-
-    Raises:
-        RecordError: its values change at other instants.
-    """
-    every = round(min(update_time / period, values.size))
-    if every < 1 or abs(update_time / period / every - 1) > _WHOLE or 2 * every > values.size:
-        raise RecordError(
-            f"{what} has an update time of {update_time:g} s, and {values.size} samples of {period:g} s; expected a "
-            "whole number of them, and two refreshes: correct one of the two."
-        )
-    changes = np.flatnonzero(np.diff(values)) + 1
-    phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
-    wrong, longer = changes[changes % every != phase], update_interval(values)
-    if wrong.size or longer > every:
-        said = f"{wrong.size} of its {changes.size} changes come between; correct update_time, or leave it out"
-        if longer > every:
-            said = f"its changes are {longer} samples apart; give update_time = {longer * period:g}"
-        raise RecordError(f"{what} is said to be refreshed every {every} samples, but {said}.")
-    return np.asarray(np.arange(values.size) % every == phase)
-
-
 def update_interval(values: FloatArray) -> int:
     """Number of samples between changes of a signal (samples,); 1 if irregular."""
     changes = np.flatnonzero(np.diff(values))
@@ -344,44 +332,32 @@ def default_interpolation(channel: Channel) -> Interpolation:
 
 
 def at_period(
-    channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
+    channel: Channel,
+    period: float,
+    periods: int,
+    name: str,
+    interpolation: Interpolation | Literal["spline"] | None = None,
 ) -> FloatArray:
-    """Resample a channel to the controller's instants.
+    """Resample a channel to the controller's instants, (periods,).
 
-    A faster channel is decimated. A slower one is held, or interpolated by lines or Catmull-Rom cubics; the last value
-    stays. The default follows from the channel's timing; a sampled one gets lines.
+    A faster channel is decimated. A slower one is held, or interpolated by lines, Catmull-Rom cubics or the cubic
+    spline through all samples; the last value stays. The default follows from the channel's timing; a sampled one gets
+    lines. A law differentiates a measured position, and needs the spline: the slope of a line is that of half a sample
+    earlier. Values that are not finite have lines between the others.
     """
     every, repeat = period_ratio(period, channel.sample_time, name)
-    if interpolation is None:
-        interpolation = default_interpolation(channel)
-    if repeat == 1 or interpolation == "hold" or channel.values.size < 2:
-        return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
-    values, at = channel.values, np.minimum(np.arange(periods) / repeat, channel.values.size - 1)
-    if interpolation == "linear":
-        return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
-    begin = np.minimum(at.astype(np.intp), values.size - 2)
-    ends = np.concatenate([2 * values[:1] - values[1:2], values, 2 * values[-1:] - values[-2:-1]])
-    before, first, second, after = (ends[begin + i] for i in range(4))
-    t = at - begin
-    straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
-    curve = (low - straight) * (1 - t) - (high - straight) * t
-    return np.asarray(first + t * (straight + (1 - t) * curve))
+    way = interpolation or default_interpolation(channel)
+    values, samples = channel.values, np.arange(channel.values.size)
+    if repeat == 1 or way == "hold" or values.size < 2:
+        return np.asarray(np.repeat(values[::every], repeat)[:periods])
+    at = np.minimum(np.arange(periods) / repeat, values.size - 1)
+    if way == "linear" or not np.all(np.isfinite(values)):
+        return np.asarray(np.interp(at, samples, values), dtype=np.float64)
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-
-def position_at_period(position: Channel, period: float, periods: int) -> FloatArray:
-    """Resample a measured position to the controller's instants, (periods,).
-
-    Between the samples of a slower log it follows the cubic spline through all of them. A law differentiates it, and
-    the slope of a line is that of half a sample earlier. The last value stays. Values that are not finite stay as they
-    are, with lines between the others.
-    """
-    _, repeat = period_ratio(period, position.sample_time, "motor_position")
-    if repeat == 1 or position.values.size < _FEWEST_OF_SPLINE or not np.all(np.isfinite(position.values)):
-        return at_period(position, period, periods, "motor_position")
-    from scipy.interpolate import CubicSpline
-
-    at = np.minimum(np.arange(periods) / repeat, position.values.size - 1)
-    return np.asarray(CubicSpline(np.arange(position.values.size), position.values)(at))
+    if way == "spline":
+        return np.asarray(CubicSpline(samples, values)(at))
+    return np.asarray(CubicHermiteSpline(samples, values, np.gradient(values))(at))
 
 
 def fill_in(channel: Channel, every: int, period: float, interpolation: Interpolation) -> Channel:

@@ -17,7 +17,7 @@ from jointid.common.errors import RecordError
 from jointid.models.controllers import POSITION, respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.resampling import position_at_period
+from jointid.records.resampling import at_period
 from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.sensitivities import Sensitivities
@@ -75,7 +75,7 @@ def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
         experiment: what `prepare` made of its record.
     """
     law, inputs = experiment.law, experiment.inputs.copy()
-    inputs[:, POSITION] = position_at_period(position, law.period, experiment.periods)
+    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position", "spline")
     start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
     output = run(law, inputs, start).output + experiment.shown
     integral, columns = law.integral(), [output]
@@ -118,6 +118,6 @@ class SeenPosition:
         law, experiment = self.experiment.law, self.experiment
         channel = Channel(position, "", experiment.sample_time)
         inputs = inputs.copy()
-        inputs[:, POSITION] = position_at_period(channel, law.period, experiment.periods)
+        inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position", "spline")
         start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
         return to_log(experiment, respond(law, inputs, start)[:, law.output])

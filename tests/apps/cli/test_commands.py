@@ -201,8 +201,8 @@ kind = "revolute"
 [record]
 file = "trace.csv"
 [record.channels]
-torque = { column = "i", update_time = 0.004 }
-reference = { column = "r", update_time = 0.004 }
+torque = { column = "i", sample_time = 0.004 }
+reference = { column = "r", sample_time = 0.004 }
 [controller]
 law = "cascade"
 position_gain = 10.0

@@ -152,7 +152,7 @@ def test_a_geared_axis_is_asked_for_its_gear_in_step_2_and_passes_it(asker: Aske
     columns = {f"record.channels.{name}.column": column for name, column in channels.items()}
     status, said = asker.post("/channels", {"joint.kind": "revolute", **columns})
     assert status == 422
-    assert "behind a gear of 100:1; give transmission.ratio = 100" in said
+    assert "transmission.ratio" in said
     geared = {"transmission.ratio": "100", "record.channels.reference.side": "load"}
     status, said = asker.post("/channels", geared)
     assert (status, "The record is sound" in said) == (200, True)

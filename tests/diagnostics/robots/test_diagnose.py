@@ -199,7 +199,7 @@ def test_a_torque_that_is_refreshed_seldom_is_warned_of_at_its_joint() -> None:
     held = logged_torque(records, 2, lambda torque: np.repeat(torque[::10], 10)[: torque.size])
     assert not any("refreshed" in one for one in identified(arm(3), records).checks.warnings)
     (said,) = (one for one in identified(arm(3), held).checks.warnings if "refreshed" in one)
-    assert said.startswith("joint3: the torque changes only every 10 samples") and "update_time = 0.02" in said
+    assert said.startswith("joint3: the torque changes only every 10 samples") and "sample_time = 0.02" in said
 
 
 def test_a_model_that_holds_leaves_noise() -> None:

@@ -35,7 +35,7 @@ _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _STAND_IN = {"law": "cascade", "position_gain": 1.0, "velocity_gain": 1.0}
 """A law that stands where the real one is not known yet, to have the record read."""
 _KINDS = ("prismatic", "revolute")
-_OF_READING = ("sample_time", "update_time", "optional", "time")  # of a channel, in the further lines
+_OF_READING = ("sample_time", "optional", "time")  # of a channel, in the further lines
 _LONGEST, _MOST = 300, 100_000  # characters of a field, and of the further lines
 _NAME = 80  # characters of a file's name
 _OTHER = re.compile(r"[^\w .()+-]")

@@ -163,7 +163,7 @@ def late_interpolations(controller: Controller, record: Record, period: float) -
         words = f"the drive interpolates a setpoint of {1e3 * setpoint:.4g} ms by {_BY[way]}{late}"
         remedy = [f'interpolation = "{way}"', *([f"reference_delay = {delay:.6g}"] if wait else [])]
         if every > 1:
-            remedy = [f"update_time = {setpoint:.6g} of the reference's channel", *remedy]
+            remedy = [f"sample_time = {setpoint:.6g} of the reference's channel", *remedy]
         filled = fill_in(reference, every, min(period, reference.sample_time), way) if every > 1 else None
         law = replace(controller, interpolation=way, reference_delay=delay)
         said = " and ".join(filter(None, (", ".join(remedy[:-1]), remedy[-1])))

@@ -82,7 +82,7 @@ class Cascade(DiagramController):
     )
     position_offset: float = setting(
         0.0,
-        "from the first sample of the record's file, whatever update_time leaves out of it, to the position loop's "
+        "from the first sample of the record's file, whatever is left out of it, to the position loop's "
         "next evaluation; the controller's next instant counts",
         unit="s",
         at_least=0,
