@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from jointid.common.text import align
+from jointid.common.document import Document, Table
 from studies.registry import STUDIES
 from studies.seeds import judge_tasks
 from studies.stored import ROOT, Entry, Program, make_table, read_entries, write_entries
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     if command == "list":
         rows = [(study.name, str(len(study.tasks())), study.shows) for study in STUDIES]
-        _say(align(("study", "tasks", "shows"), rows, (False, True, False)))
+        _say(Document("", (Table(("study", "tasks", "shows"), tuple(rows), words=(0, 2)),)).text())
         return 0
     if command == "tables":
         return _check_stored() if given.check else _say(make_table(STUDIES, read_entries()))
@@ -74,7 +74,7 @@ def _run(chosen: Sequence[Study], seeds: range | None, out: Path | None) -> int:
         for label, letters in shares.items():
             held, of = counted(letters)
             rows.append((label, f"{held}", f"{of}", f"{100 * held / max(of, 1):.1f}"))
-        _say(align((study.name, "holds in", "of", "%"), rows, (False, True, True, True)))
+        _say(Document("", (Table((study.name, "holds in", "of", "%"), tuple(rows)),)).text())
         _say(f"{seconds:.1f} s of the processor\n")
         if seeds is None:
             entry = Entry(program, tuple(study.seeds), len(study.settings), seconds, shares)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import io
 from html.parser import HTMLParser
 
-from rich.console import Console
-
-from jointid.apps.cli.terminal import print_blocks
 from jointid.common.document import (
     Code,
     Document,
@@ -19,6 +16,7 @@ from jointid.common.document import (
     Table,
     Verdicts,
     block_html,
+    plain_console,
 )
 
 EVIL = '<script>alert("1")</script>\x1b[31m[red](javascript:x)'
@@ -76,7 +74,7 @@ def test_html_makes_no_tag_of_a_text() -> None:
 def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
     def printed(document: Document) -> str:
         out = io.StringIO()
-        print_blocks(document, Console(file=out, force_terminal=True, width=100, color_system="standard"))
+        document.print(plain_console(file=out, force_terminal=True, width=100, color_system="standard"))
         return out.getvalue()
 
     said = printed(EVERY)

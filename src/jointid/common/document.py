@@ -1,41 +1,43 @@
-"""Results as documents, rendered as text or HTML."""
+"""Results as documents: blocks, shown by rich as text or on a terminal, and by one template as HTML."""
 
 from __future__ import annotations
 
 import base64
+import io
 import re
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from jointid.common.text import align, encodable, wrap
+from jointid.common.text import encodable, printable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from rich.console import Console, RenderableType
 
 Mark: TypeAlias = bool | Literal["noted"] | None
 """The answer to a question; None if undecided, noted if it is no but changes nothing."""
 
-_MARKS: Mapping[Mark, str] = {True: "yes", False: "no", None: "?", "noted": "noted"}
+_MARKS: Mapping[Mark, tuple[str, str]] = {
+    True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow"), "noted": ("noted", "cyan"),
+}  # fmt: skip
 WIDTH = 80
 """Characters of a line of plain text."""
 
-_LEAST = 13  # characters of a fact's name, or blocks of facts would not line up with each other
-_ASKED = 19  # characters of a question
+_LEAST, _ASKED = 13, 19  # characters of a fact's name and of a question, or blocks would not line up with each other
+_RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the header, and none else
+_WIDEST = 10_000  # characters of a table whose numbers are not to be cut
 
 # Typography of a page:
 _THIN = "\u202f"  # a thin space at which no line ends
 _UNITS = r"(?:%|°|k?Hz|[mµ]?s|k?g|k?N|[mk]?m|m?rad|[mk]?A|[mk]?V|dB|σ|sigma)"
-_SMALL = 1e-3  # a smaller p-value is said to be smaller than this
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
 _RULES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\+-", "±"),
-    (r"\bp (=|<) (\d[\d.]*(?:e-?\d+)?)", lambda found: f"p {_p_value(found[1], float(found[2].rstrip('.')))}"),
     (r" >= ", " ≥ "),
     (r" <= ", " ≤ "),
     (r"(?<=[a-z])\^(-?\d)", lambda found: found[1].translate(_SUPERSCRIPTS)),
@@ -146,16 +148,22 @@ class Document:
         object.__setattr__(self, "blocks", kept)
 
     def text(self, width: int = WIDTH) -> str:
-        """Render as plain text with aligned columns.
+        """Render as plain text with aligned columns; code and tables of numbers may be wider."""
+        drawn = io.StringIO()
+        self.print(plain_console(file=drawn, width=width, color_system=None))
+        return "\n".join(line.rstrip() for line in drawn.getvalue().splitlines())
 
-        Args:
-            width: maximum line length; long words and code exceed it.
-        """
-        text, gap = wrap(self.title, width), "\n" if self.blocks and isinstance(self.blocks[0], Facts) else "\n\n"
+    def print(self, console: Console) -> None:
+        """Print on a console, in colour where it has any; see `plain_console`."""
+        console.print(printable(self.title), style="bold")
+        before: Block | None = None
         for block in self.blocks:
-            text += gap + _block_text(block, width)
-            gap = "\n" if isinstance(block, Heading) else "\n\n"
-        return text
+            if not (isinstance(before, Heading) or (before is None and isinstance(block, Facts))):
+                console.print()
+            style = "bold" if isinstance(block, Heading) else None
+            shown = _render(_with_texts(block, printable), console)
+            console.print(shown, style=style, crop=False, soft_wrap=isinstance(block, Code))
+            before = block
 
     @property
     def pictures(self) -> dict[str, bytes]:
@@ -199,47 +207,62 @@ def common_facts(resampled: object | None, transmission: object | None) -> tuple
     return tuple((name, str(value)) for name, value in found if value is not None)
 
 
-def _block_text(block: Block, width: int) -> str:
+def plain_console(**options: Any) -> Console:
+    """Return a console of rich to which names of files are plain text, whatever they hold."""
+    from rich.console import Console
+
+    return Console(markup=False, emoji=False, highlight=False, **options)
+
+
+def _render(block: Block, console: Console) -> RenderableType:
+    """Return a block as rich prints it; what passed is green, what did not red."""
+    from rich.table import Table as Grid
+    from rich.text import Text
+
     if isinstance(block, Heading | Paragraph | Picture):
-        return wrap(block.text, width)
+        return block.text
     if isinstance(block, Listing):
-        return "\n".join(wrap(item, width, below=2) for item in block.items)
-    if isinstance(block, Facts):
-        names = max([_LEAST, *(len(name) for name, _ in block.pairs)])
-        return "\n".join(wrap(value, width, f"{name.ljust(names)} ") for name, value in block.pairs)
-    if isinstance(block, Verdicts):
-        return "\n".join(_verdict_text(*row, width) for row in block.rows)
+        return "\n".join(block.items)
     if isinstance(block, Code):
-        return f"{block.caption}\n{block.text}" if block.caption else block.text
-    return "\n".join([*([wrap(block.caption, width)] if block.caption else []), _table_text(block, width)])
+        return f"{block.caption}\n{block.text}".lstrip("\n")
+    if isinstance(block, Table):
+        return _table(block, console)
+    rows: Iterable[tuple[RenderableType, ...]] = (
+        block.pairs
+        if isinstance(block, Facts)
+        else ((asked, Text(*_MARKS[good]), "\n".join(reasons)) for asked, good, reasons in block.rows)
+    )
+    grid = Grid.grid(padding=(0, 1, 0, 0))
+    for width in (_LEAST,) if isinstance(block, Facts) else (_ASKED, 5):
+        grid.add_column(min_width=width, overflow="fold")
+    grid.add_column(overflow="fold")
+    for row in rows:
+        grid.add_row(*row)
+    return grid
 
 
-def _verdict_text(asked: str, good: Mark, reasons: Sequence[str], width: int) -> str:
-    head = f"{asked:{_ASKED}} {_MARKS[good]:5} "
-    if not reasons:
-        return wrap("", width, head)
-    first, *others = reasons
-    below = (wrap(other, width - 1, " " * len(head)) for other in others)  # a comma takes one
-    return ",\n".join((wrap(first, width - 1, head), *below))
+def _table(block: Table, console: Console) -> RenderableType:
+    """Return a table as wide as its numbers need: no line of them is cut, on a narrow terminal neither."""
+    from rich.box import Box
+    from rich.console import Group
+    from rich.measure import Measurement
+    from rich.segment import Segments
+    from rich.table import Table as Grid
 
-
-def _table_text(block: Table, width: int) -> str:
-    table = [block.header, *block.rows]
-    widths = [max(len(row[i]) for row in table) for i in range(len(block.header))]
-    parts, taken = [[0]], widths[0]
-    for i in range(1, len(widths)):
-        if len(parts[-1]) > 1 and taken + 2 + widths[i] > width:
-            parts.append([0])
-            taken = widths[0]
-        parts[-1].append(i)
-        taken += 2 + widths[i]
-    shown = []
-    for part in parts:
-        header, *rows = ([row[i] for i in part] for row in table)
-        if part is not parts[0]:
-            rows = [row for row in rows if any(row[1:])]
-        shown.append(align(header, rows, [i not in block.words for i in part]))
-    return "\n\n".join(shown)
+    grid = Grid(
+        box=Box(_RULE, ascii=True), show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim",
+        border_style="dim",
+    )  # fmt: skip
+    for i, cells in enumerate(zip(block.header, *block.rows, strict=True)):
+        if i in block.words:
+            grid.add_column(cells[0], overflow="fold")
+        else:
+            grid.add_column(cells[0], justify="right", min_width=max(map(len, cells)))
+    for row in block.rows:
+        grid.add_row(*row)
+    least = Measurement.get(console, console.options.update(max_width=_WIDEST), grid).minimum
+    shown = Segments([*console.render(grid, console.options.update(max_width=max(console.width, least)))])
+    return Group(block.caption, shown) if block.caption else shown
 
 
 @cache
@@ -275,26 +298,18 @@ def typeset(text: str) -> str:
     return text
 
 
-def p_value(value: float) -> str:
-    """Format a p-value to two digits, or as below 0.001."""
-    return f"< {_SMALL}" if value < _SMALL else f"{value:.2g}"
-
-
 def typeset_block(block: Block) -> Block:
     """Typeset the texts of a block, except code and names with values: hashes and names of files are among them."""
-    if isinstance(block, Code | Facts):
-        return block
-    changed: dict[str, Any] = {one.name: _deep(getattr(block, one.name)) for one in fields(block)}
-    return replace(block, **changed)
+    return block if isinstance(block, Code | Facts) else _with_texts(block, typeset)
 
 
-def _deep(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(map(_deep, value))
-    return typeset(value) if isinstance(value, str) else value
+def _with_texts(block: Block, change: Callable[[str], str]) -> Block:
+    """Return a block with each of its texts changed."""
 
+    def changed(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(changed, value))
+        return change(value) if isinstance(value, str) else value
 
-def _p_value(relation: str, value: float) -> str:
-    if value < _SMALL or (relation == "<" and value <= _SMALL):
-        return f"< {_SMALL}"
-    return f"{relation} {value:.2g}"
+    texts: dict[str, Any] = {one.name: changed(getattr(block, one.name)) for one in fields(block)}
+    return replace(block, **texts)

@@ -1,12 +1,10 @@
-"""Plain text: rounded numbers and aligned columns."""
+"""Plain text: rounded numbers, names and words."""
 
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 
-_NARROWEST = 20  # characters beside a long name, where words still make lines
 _EXACT = 1e7  # times its spread: a larger value would be mostly digits
 
 
@@ -84,27 +82,6 @@ def interval(value: float, spread: float) -> str:
     return " ± ".join(shown)
 
 
-def wrap(text: str, width: int, head: str = "", below: int | None = None) -> str:
-    """Wrap a text without breaking words.
-
-    Args:
-        text: its own line breaks stay.
-        width: of a line, in characters.
-        head: beginning of the first line.
-        below: indent of further lines; that of the head if None.
-    """
-    indent = " " * (len(head) if below is None else below)
-    lines = [
-        line
-        for i, own in enumerate(text.split("\n"))
-        for line in textwrap.wrap(
-            own, max(width, len(indent) + _NARROWEST), initial_indent=indent if i else head, subsequent_indent=indent,
-            break_long_words=False, break_on_hyphens=False,
-        ) or [head.rstrip() if not i else ""]
-    ]  # fmt: skip
-    return "\n".join(lines)
-
-
 def in_words(name: str) -> str:
     """Return the name of a parameter in words, of a robot's behind its joint: "elbow, rotor inertia"."""
     axis, _, quantity = name.rpartition(".")
@@ -130,17 +107,6 @@ def join(words: Sequence[str]) -> str:
     """Join words: "Fc", "Fc and Fv", "Fc, Fv and F12"."""
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
-
-
-def align(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
-    """Align rows under a header; columns marked in `right` to the right."""
-    table = [list(header), *[list(row) for row in rows]]
-    widths = [max(len(row[i]) for row in table) for i in range(len(header))]
-    lines = [
-        "  ".join(cell.rjust(w) if r else cell.ljust(w) for cell, w, r in zip(row, widths, right, strict=True)).rstrip()
-        for row in table
-    ]
-    return "\n".join([lines[0], "-" * max(len(line) for line in lines), *lines[1:]])
 
 
 def show(name: str) -> str:

@@ -181,13 +181,11 @@ def show(result: object = "", *, details: bool = False) -> None:
 
     Control characters of names in a file are not sent to the terminal.
     """
-    from jointid.common.document import Documented
+    from jointid.common.document import Documented, plain_console
 
     clear_bars()
     if isinstance(result, Documented) and sys.stdout.isatty():
-        from jointid.apps.cli.terminal import print_blocks
-
-        print_blocks(result.to_document(details=details))
+        result.to_document(details=details).print(plain_console())
         return
     text = result.summary(details=details) if isinstance(result, Documented) else str(result)
     put(f"{printable(text)}\n", sys.stdout)

@@ -94,7 +94,7 @@ class Plots:
         """
         from jointid.diagnostics.intervals import intervals
 
-        return charts.profiles_figure(self.estimate, intervals(self.estimate, record, quantities).profiles)
+        return charts.profiles_figure(self.estimate, intervals(self.estimate, record, quantities))
 
 
 def save(figure: Figure, path: str | Path) -> Path:

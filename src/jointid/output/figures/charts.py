@@ -25,14 +25,14 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.position_forces import Motion
 from jointid.records.record import instants
-from jointid.uncertainty.profile import ProfileInterval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from jointid.diagnostics.diagnosis import Diagnosis
-    from jointid.diagnostics.report_data import FrequencyResponse
+    from jointid.diagnostics.intervals import Intervals
+    from jointid.diagnostics.report_data import FrequencyResponse, ReportData
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
@@ -334,9 +334,9 @@ def correlation_figure(estimate: Estimate) -> Figure:
 
 
 @styled
-def profiles_figure(estimate: Estimate, profiles: Sequence[ProfileInterval]) -> Figure:
+def profiles_figure(estimate: Estimate, found: Intervals | ReportData) -> Figure:
     """Draw the profiles, each beside the interval of the table."""
-    shown = [one for one in profiles if one.points.size > 2]
+    shown = [one for one in found.profiles if one.points.size > 2]
     if not shown:
         raise RecordError("No quantity has a profile; name others, or identify from a motion that tells these.")
     figure, drawn = panels([210] * len(shown), 3)

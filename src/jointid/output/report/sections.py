@@ -169,7 +169,7 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
     if estimate.robot is None:
         every["bounds"] = lambda: charts.bounds_figure(estimate)
         every["correlation"] = lambda: charts.correlation_figure(estimate)
-        every["profiles"] = lambda: charts.profiles_figure(estimate, given.profiles)
+        every["profiles"] = lambda: charts.profiles_figure(estimate, given)
         every["convergence"] = lambda: charts.convergence_figure(estimate)
         if given.response is not None:
             every["response"] = partial(charts.response_figure, estimate, given.response)
