@@ -155,6 +155,6 @@ def _default(one: Declared) -> str:
     if one.required:
         return "required"
     value = one.default
-    if value in (None, "", MISSING, math.inf) or one.factory is not None or table_of(one.type) is not None:
+    if value in (None, "", MISSING, math.inf) or isinstance(value, dict) or table_of(one.type) is not None:
         return "—"
     return f"`{json.dumps(value)}`"

@@ -78,23 +78,3 @@ class Room(threading.local):
             first = -room.ctypes.data % _LINE
             held = self._bytes[name] = room[first : first + size]
         return held[:size].view(dtype).reshape(shape)
-
-
-def inverses(matrices: FloatArray, lost: float) -> FloatArray:
-    """Pseudo-inverses, (..., n, n); ordinary ones where well-conditioned, ten times faster.
-
-    Args:
-        matrices: (..., n, n).
-        lost: of the largest: a singular value that is taken for 0.
-    """
-    if matrices.shape[-1] == 1 and np.all(np.abs(matrices) > 0.0):
-        return 1.0 / matrices
-    try:
-        found = np.linalg.inv(matrices)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrices, rcond=lost))
-    condition = np.linalg.norm(matrices, axis=(-2, -1)) * np.linalg.norm(found, axis=(-2, -1))  # not below the true one
-    near = ~(condition < 1 / lost)
-    if np.any(near):
-        found[near] = np.linalg.pinv(matrices[near], rcond=lost)
-    return np.asarray(found)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +17,40 @@ from jointid.common.units import Kind
 
 POSITION_UNIT: Mapping[str, str] = {"prismatic": "m", "revolute": "rad"}
 TORQUE_UNIT: Mapping[str, str] = {"prismatic": "N", "revolute": "N m"}
+_INERTIAS: Mapping[str, str] = {"N": "kg", "N m": "kg m2"}
 
 
 class Quantity(StrEnum):
-    """The physical quantity of a parameter, which determines its unit."""
+    """The physical quantity of a parameter.
 
-    INERTIA = "inertia"
-    VISCOUS = "viscous friction"
-    FORCE = "force"
-    STIFFNESS = "stiffness"
-    CUBIC_STIFFNESS = "stiffness per position squared"
-    FORCE_RATE = "force per position"
-    COMPLIANCE = "compliance"
-    FORCE_DRIFT = "force per time"
-    VISCOUS_DRIFT = "viscous friction per time"
-    POSITION = "position"
-    VELOCITY = "velocity"
-    TIME = "time"
-    RATIO = "ratio"
-    GAIN = "gain"
+    Attributes:
+        unit: with {f} for the unit of a torque and {q} for that of a position.
+        power: that of the ratio of a transmission by which it goes to the other side.
+    """
+
+    INERTIA = "inertia", "{f} s2/{q}", 2
+    VISCOUS = "viscous friction", "{f} s/{q}", 2
+    FORCE = "force", "{f}", 1
+    STIFFNESS = "stiffness", "{f}/{q}", 2
+    CUBIC_STIFFNESS = "stiffness per position squared", "{f}/{q}3", 4
+    FORCE_RATE = "force per position", "{f}/{q}", 2
+    COMPLIANCE = "compliance", "{q}/{f}", -2
+    FORCE_DRIFT = "force per time", "{f}/s", 1
+    VISCOUS_DRIFT = "viscous friction per time", "{f} s/{q} per s", 2
+    POSITION = "position", "{q}", -1
+    VELOCITY = "velocity", "{q}/s", -1
+    TIME = "time", "s", 0
+    RATIO = "ratio", "1", 0
+    GAIN = "gain", "as declared", 0
+
+    unit: str
+    power: int
+
+    def __new__(cls, words: str, unit: str, power: int) -> Self:
+        """Make a member of its words, with unit and power."""
+        made = str.__new__(cls, words)
+        made._value_, made.unit, made.power = words, unit, power
+        return made
 
 
 ADDED = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.FORCE, Quantity.VISCOUS_DRIFT, Quantity.FORCE_DRIFT)
@@ -70,24 +86,11 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
 
     With torque in A or V, inertias and other parameters are per ampere or volt.
     """
-    position = POSITION_UNIT[kind]
-    inertia = {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
-    return {
-        Quantity.INERTIA: inertia,
-        Quantity.VISCOUS: f"{torque_unit} s/{position}",
-        Quantity.FORCE: torque_unit,
-        Quantity.STIFFNESS: f"{torque_unit}/{position}",
-        Quantity.CUBIC_STIFFNESS: f"{torque_unit}/{position}3",
-        Quantity.FORCE_RATE: f"{torque_unit}/{position}",
-        Quantity.COMPLIANCE: f"{position}/({torque_unit})" if " " in torque_unit else f"{position}/{torque_unit}",
-        Quantity.FORCE_DRIFT: f"{torque_unit}/s",
-        Quantity.VISCOUS_DRIFT: f"{torque_unit} s/{position} per s",
-        Quantity.POSITION: position,
-        Quantity.VELOCITY: f"{position}/s",
-        Quantity.TIME: "s",
-        Quantity.RATIO: "1",
-        Quantity.GAIN: "as declared",
-    }[quantity]
+    if quantity is Quantity.INERTIA and torque_unit in _INERTIAS:
+        return _INERTIAS[torque_unit]
+    if quantity is Quantity.COMPLIANCE and " " in torque_unit:
+        torque_unit = f"({torque_unit})"
+    return quantity.unit.format(f=torque_unit, q=POSITION_UNIT[kind])
 
 
 def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
@@ -118,12 +121,6 @@ class Bounds:
         """Return the bounds of parameters, in their order."""
         return cls(np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters]))
 
-    @classmethod
-    def infinite(cls, size: int) -> Bounds:
-        """Unbounded parameters."""
-        anywhere = np.full(size, np.inf)
-        return cls(-anywhere, anywhere)
-
     def clip(self, x: FloatArray) -> FloatArray:
         """Return the nearest point within the bounds."""
         return np.minimum(np.maximum(x, self.lower), self.upper)
@@ -143,7 +140,3 @@ class Bounds:
     def within(self, reach: FloatArray | None) -> Bounds:
         """Tighten bounds on a step to a step limit, if given."""
         return self if reach is None else Bounds(np.maximum(self.lower, -reach), np.minimum(self.upper, reach))
-
-    def in_units(self, unit: FloatArray) -> Bounds:
-        """Bounds in units of positive scale factors."""
-        return Bounds(self.lower / unit, self.upper / unit)

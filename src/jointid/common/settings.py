@@ -32,8 +32,7 @@ class Setting:
         help: its meaning, a phrase.
         unit: of its value.
         above: what its value is greater than. at_least: what it is not less than. at_most: what it is not greater than.
-        infinite: whether its value may be infinite.
-        nonzero: whether its value may not be 0.
+        infinite: whether its value may be infinite. nonzero: whether it may not be 0.
         only: the whole numbers that are allowed, where they are few.
         none: the word of the joint file for None, where leaving the key out means something else.
         expected: what is expected of a value, in words, where type and bounds do not say it.
@@ -80,7 +79,6 @@ class Declared:
         type: of its value, without None.
         optional: whether its value may be None.
         default: of the field; `dataclasses.MISSING` where it has none.
-        factory: makes its default, where that is not a value.
     """
 
     name: str
@@ -88,7 +86,6 @@ class Declared:
     optional: bool
     default: Any
     setting: Setting
-    factory: Callable[[], Any] | None = None
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -102,29 +99,25 @@ class Declared:
     @property
     def required(self) -> bool:
         """True if it has no default."""
-        return self.default is MISSING and self.factory is None
+        return self.default is MISSING
 
     @property
     def expected(self) -> str:
         """Description of the expected value."""
-        expected = self.setting.expected
-        if not expected and self.choices:
-            expected = messages.either(self.choices)
-        elif not expected and self.setting.only:
-            expected = " or ".join(map(str, self.setting.only))
-        elif not expected:
-            expected = self._range if self.type in (int, float) else _WORDS.get(self.type, "a table")
-        return expected
-
-    @property
-    def _range(self) -> str:
+        declared = self.setting
+        if declared.expected:
+            return declared.expected
+        if self.choices or declared.only:
+            return messages.either(self.choices) if self.choices else " or ".join(map(str, declared.only))
+        if self.type not in (int, float):
+            return _WORDS.get(self.type, "a table")
         noun = "whole number" if self.type is int else "number"
-        if self.setting.above is not None:
-            return f"a positive {noun}" if self.setting.above == 0 else f"a {noun} above {self.setting.above:g}"
-        if self.setting.at_least is not None:
-            most = self.setting.at_most
-            return f"a {noun}, {self.setting.at_least:g} {'or more' if most is None else f'to {most:g}'}"
-        return f"a {noun} other than 0" if self.setting.nonzero else f"a {noun}"
+        if declared.above is not None:
+            return f"a positive {noun}" if declared.above == 0 else f"a {noun} above {declared.above:g}"
+        if declared.at_least is not None:
+            most = "or more" if declared.at_most is None else f"to {declared.at_most:g}"
+            return f"a {noun}, {declared.at_least:g} {most}"
+        return f"a {noun} other than 0" if declared.nonzero else f"a {noun}"
 
     def fault(self, value: Any) -> str | None:
         """Describe an invalid value; None for a valid one."""
@@ -139,23 +132,17 @@ class Declared:
             return self.optional
         if self.choices:
             return isinstance(value, str) and value in self.choices
-        if self.type is bool or (self.type in (int, float) and isinstance(value, bool)):
-            return self.type is bool and isinstance(value, bool)
+        if self.type is bool:
+            return isinstance(value, bool)
         if self.type in (int, float):
-            is_number = isinstance(value, Integral if self.type is int else Real)
-            return (
-                is_number
-                and not (isinstance(value, int) and abs(value) > sys.float_info.max)
-                and self._within(float(value))
-            )
-        return self.type != tuple[int, int] or (
-            len(value) == 2 and all(isinstance(one, int) and one >= 0 for one in value)
-        )  # a part checks itself
+            kind = Integral if self.type is int else Real
+            return isinstance(value, kind) and not isinstance(value, bool) and self._within(value)
+        return self.type != tuple[int, int] or (len(value) == 2 and min(value) >= 0)  # a part checks itself
 
-    def _within(self, value: float) -> bool:
+    def _within(self, value: Any) -> bool:
         declared = self.setting
         return (
-            (math.isfinite(value) or (declared.infinite and not math.isnan(value)))
+            (abs(value) <= sys.float_info.max or (declared.infinite and abs(value) == math.inf))
             and (declared.above is None or value > declared.above)
             and (declared.at_least is None or value >= declared.at_least)
             and (declared.at_most is None or value <= declared.at_most)
@@ -182,9 +169,9 @@ def settings_of(owner: type) -> tuple[Declared, ...]:
             hint = hints[one.name]
             parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
             kept = [part for part in parts if part is not NoneType]
-            factory = None if one.default_factory is MISSING else one.default_factory
+            default = one.default if one.default_factory is MISSING else one.default_factory()
             kind = kept[0] if len(kept) == 1 else hint
-            found.append(Declared(one.name, kind, len(kept) < len(parts), one.default, one.metadata[_KEY], factory))
+            found.append(Declared(one.name, kind, len(kept) < len(parts), default, one.metadata[_KEY]))
     return tuple(found)
 
 
@@ -196,13 +183,13 @@ def check_settings(owner: Any, error: type[JointidError] = MethodError, called: 
         error: type to raise.
         called: name in sentences, instead of the type's.
     """
-    kind: Any = type(owner)  # mypy does not take a type for something with a hash
-    found = ((one.name, one.fault(getattr(owner, one.name))) for one in settings_of(kind))
-    before = f"{called}: " if called else f"{kind.__name__}."
+    declared = settings_of(type(owner))
+    before = f"{called}: " if called else f"{type(owner).__name__}."
+    found = ((one.name, one.fault(getattr(owner, one.name))) for one in declared)
     faults = [f"{before}{name}{fault}" for name, fault in found if fault is not None]
     if faults:
         raise error(faults if issubclass(error, FaultsError) else "\n".join(faults))  # type: ignore[arg-type]
-    for one in settings_of(kind):
+    for one in declared:
         if one.setting.accept is not None and (value := getattr(owner, one.name)) is not None:
             one.setting.accept(value)
 

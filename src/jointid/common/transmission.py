@@ -19,7 +19,6 @@ proportional to the transmitted torque is spread over these and the load inertia
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -31,21 +30,6 @@ from jointid.common.settings import add_settings_to_docstring, check_settings, d
 Side: TypeAlias = Literal["motor", "load"]
 
 SIDES: tuple[Side, ...] = ("motor", "load")
-
-_POWERS: Mapping[Quantity, int] = {
-    Quantity.INERTIA: 2,
-    Quantity.VISCOUS: 2,
-    Quantity.VISCOUS_DRIFT: 2,
-    Quantity.STIFFNESS: 2,
-    Quantity.CUBIC_STIFFNESS: 4,
-    Quantity.FORCE_RATE: 2,
-    Quantity.COMPLIANCE: -2,
-    Quantity.FORCE: 1,
-    Quantity.FORCE_DRIFT: 1,
-    Quantity.POSITION: -1,
-    Quantity.VELOCITY: -1,
-}
-"""Of the ratio from one side to the other; what is not here is the same on both."""
 
 _TURNED = (
     "offset", "force_drift", "cosine", "_position", "_velocity", "initial_torque", "gravity_constant", "gravity_cos",
@@ -93,8 +77,7 @@ class Transmission:
         if (self.ratio is None) == (self.lead is None):
             raise MethodError(
                 "A transmission has either a ratio (motor per load) or a lead (m per turn of the motor); received "
-                "ratio = "
-                f"{self.ratio} and lead = {self.lead}: give one of them."
+                f"ratio = {self.ratio} and lead = {self.lead}: give one of them."
             )
         if self.lead is not None and self.load == "revolute":
             raise MethodError("A lead is of a load that is prismatic; of a revolute one give the ratio.")
@@ -168,12 +151,9 @@ class OtherSide:
 
     def name(self, name: str) -> str:
         """Name of a parameter on this side; a negative ratio exchanges directions."""
-        if self.ratio > 0:
-            return name
-        for one, other in (("forwards", "backwards"), ("backwards", "forwards")):
-            if name.endswith(one):
-                return name.removesuffix(one) + other
-        return name
+        stem, separator, way = name.rpartition("_")
+        exchanged = {"forwards": "backwards", "backwards": "forwards"} if self.ratio < 0 else {}
+        return f"{stem}{separator}{exchanged.get(way, way)}"
 
     def unit(self, unit: str) -> str:
         """Return the unit of a quantity there, from its unit here."""
@@ -185,7 +165,7 @@ class OtherSide:
     def factor(self, name: str, unit: str) -> float:
         """Factor of a value with that name and unit to the other side."""
         quantity = self._quantity(unit)
-        size = abs(self.ratio) ** (0 if quantity is None else _POWERS.get(quantity, 0))
+        size = abs(self.ratio) ** (0 if quantity is None else quantity.power)
         return -size if self.ratio < 0 and name.endswith(_TURNED) else size
 
     def _quantity(self, unit: str) -> Quantity | None:

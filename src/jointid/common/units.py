@@ -125,8 +125,6 @@ _BASES: Mapping[str, Mapping[str, int]] = {
 """The powers of the base units in each dimension; a cycle is one, since 1 Hz and 1 rad/s are not the same."""
 
 _LONGEST = 100  # characters of a unit
-_TOGETHER = {"Nms": "N m s", "Ns": "N s", "As": "A s", "Vs": "V s", "mNms": "mN m s", "kgm": "kg m"}
-_WRITTEN_TOGETHER = re.compile(rf"(?<![^\W\d])({'|'.join(_TOGETHER)})(\^?-?\d+)?(?!\w)")
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--")
 _MULTIPLIED = str.maketrans("·⋅*×", "    ")
 _POINT = re.compile(r"(?<=[^\W\d])\.(?=[^\W\d])")  # between two units, as in N.m
@@ -210,7 +208,6 @@ def parse_unit(text: str) -> Compound:
     if "," in text:
         raise UnitError('write the number with a point, as "0.8 A s/rad"')
     spaced = _POINT.sub(" ", text.translate(_RAISED).translate(_MULTIPLIED).replace("per mille", "permille")).strip()
-    spaced = _WRITTEN_TOGETHER.sub(lambda found: f"({_TOGETHER[found[1]]}{found[2] or ''})", spaced)
     brackets = dict[str, Compound]()
     if 0 < len(spaced) <= _LONGEST:
         with contextlib.suppress(ValueError, OverflowError, ZeroDivisionError):

@@ -121,7 +121,7 @@ def _keys(**declared: tuple[Any, str]) -> dict[str, Declared]:
 
 
 def _require(one: Declared) -> Declared:
-    return replace(one, default=MISSING, factory=None, optional=False)
+    return replace(one, default=MISSING, optional=False)
 
 
 @cache
@@ -889,7 +889,7 @@ def list_keys(owner: Table = JOINT_FILE, place: str = "", kind: str = "") -> Ite
             yield FileKey(at, one, word)
             if get_origin(one.type) is Mapping:
                 at = f"{at}.<name>"
-                item = replace(one, name="<name>", type=get_args(one.type)[1], default=None, factory=None)
+                item = replace(one, name="<name>", type=get_args(one.type)[1], default=None)
                 yield FileKey(at, item, word)
             if below is not None:
                 yield from list_keys(below, f"{at}.", word)

@@ -194,7 +194,7 @@ class TrustRegion:
             if self.eager and _at_minimum(bounds, at, *counted.linearise(at), self.tolerance):
                 raise StopIteration
 
-        scaled = bounds.in_units(unit)
+        scaled = Bounds(bounds.lower / unit, bounds.upper / unit)
         # Of a loop that runs away the derivatives are so large that their squares are infinite: no step comes of it.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             found = least_squares(

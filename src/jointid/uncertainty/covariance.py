@@ -35,7 +35,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms, inverses
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
 from jointid.uncertainty.spectral import spectral_covariance
@@ -320,7 +320,8 @@ def residual_left_out(
 
     shares = _products(Z, slopes, first)
     scores = add_blocks(Z * before[:, np.newaxis])
-    moved = inverses(np.eye(len(spread)) - spread @ shares, _LOST) @ (spread @ scores[..., np.newaxis])
+    inverses = np.linalg.pinv(np.eye(len(spread)) - spread @ shares, rcond=_LOST)
+    moved = inverses @ (spread @ scores[..., np.newaxis])
     rows = np.diff(first, append=len(block))
     after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, inverses
+from jointid.common.arrays import FloatArray
 
 _FEWEST = 4  # frequencies of a band: eight degrees of freedom
 _SHARE = 0.25  # of its frequency, that a band is wide
@@ -82,7 +82,7 @@ def spectral_covariance(
     i, j = np.triu_indices(J.shape[1])
     M = (K * np.where(i == j, 1.0, 2.0)) @ H.T + np.diag(np.concatenate([b.left for b in bands]))
     freedom = np.maximum(np.diag(M), 1e-3)
-    inverse = inverses(M, _ROUNDING)
+    inverse = np.linalg.pinv(M, rcond=_ROUNDING)
     level = _solve_levels(inverse, M, power, freedom)
     size = J.shape[1] if asked is None else asked.shape[1]
     (i, j), covariance = np.triu_indices(size), np.empty((size, size))

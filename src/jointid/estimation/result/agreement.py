@@ -344,7 +344,7 @@ class _Fit:
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
         """Return the fit of some windows, a step from x."""
         sums = total([w.sums for w in windows])
-        step = step_of(sums, Bounds.infinite(x.size))
+        step = step_of(sums, Bounds(np.full(x.size, -np.inf), np.full(x.size, np.inf)))
         scale = scale_of(sums.A)
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
         kept = values > _SINGULAR * values[-1]
