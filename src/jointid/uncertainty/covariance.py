@@ -320,8 +320,7 @@ def residual_left_out(
 
     shares = _products(Z, slopes, first)
     scores = add_blocks(Z * before[:, np.newaxis])
-    inverses = np.linalg.pinv(np.eye(len(spread)) - spread @ shares, rcond=_LOST)
-    moved = inverses @ (spread @ scores[..., np.newaxis])
+    moved = np.linalg.pinv(np.eye(len(spread)) - spread @ shares, _LOST) @ (spread @ scores[..., np.newaxis])
     rows = np.diff(first, append=len(block))
     after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
