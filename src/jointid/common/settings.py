@@ -183,8 +183,9 @@ def check_settings(owner: Any, error: type[JointidError] = MethodError, called: 
         error: type to raise.
         called: name in sentences, instead of the type's.
     """
-    declared = settings_of(type(owner))
-    before = f"{called}: " if called else f"{type(owner).__name__}."
+    kind: Any = type(owner)  # mypy does not take a type for something with a hash
+    declared = settings_of(kind)
+    before = f"{called}: " if called else f"{kind.__name__}."
     found = ((one.name, one.fault(getattr(owner, one.name))) for one in declared)
     faults = [f"{before}{name}{fault}" for name, fault in found if fault is not None]
     if faults:
