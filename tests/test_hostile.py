@@ -113,7 +113,7 @@ def test_a_spoiled_log_is_read_or_refused(spoil: Callable[..., Path], name: str)
 @pytest.mark.parametrize("name", ["torque of 1e-300", "torque of 1e300", "times of 1e300", "a time of 1e300"])
 def test_numbers_that_nothing_measured_has_are_refused(spoil: Callable[..., Path], name: str) -> None:
     for resample in (None, Resampling(1e-3, "cubic")):
-        with pytest.raises(RecordError, match=r"expected 1e-30 to 1e\+30|which is no time"):
+        with pytest.raises(RecordError):
             ji.read(spoil(SPOILED[name]), {"torque": "i", "reference": "r"}, resample=resample, kind="prismatic")
 
 
