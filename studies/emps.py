@@ -21,14 +21,14 @@ from jointid.simulation.loop_input import prepare
 
 RECORDS = ("DATA_EMPS", "DATA_EMPS_PULSES")
 JOINT = Path(__file__).parent.parent / "examples" / "emps" / "joint.toml"
-BAND = ji.Filtering(position_cutoff=100.0, cutoff=100.0, decimation=10, borders=(49, 0), aliasing="warned")
-"""100 Hz without a filter for the decimation, every tenth sample, as comparisons of the record's models have it."""
+BAND = ji.Filtering(position_cutoff=100.0, cutoff=100.0, borders=(49, 0))
+"""100 Hz, every fourth sample, as comparisons of the record's models have it."""
 
 METHODS: dict[str, tuple[ji.DIDIM | ji.IDIM, ji.Filtering]] = {
-    "measured motion, 100 Hz, every 10th sample, force as sampled": (ji.IDIM(), replace(BAND, timing="as_sampled")),
-    "measured motion, 100 Hz, every 10th sample, force held 1 ms": (ji.IDIM(), BAND),
+    "measured motion, 100 Hz, every 4th sample, force as sampled": (ji.IDIM(), replace(BAND, timing="as_sampled")),
+    "measured motion, 100 Hz, every 4th sample, force held 1 ms": (ji.IDIM(), BAND),
     "measured motion, 40 Hz, every 10th sample, force held 1 ms (default)": (ji.IDIM(), ji.Filtering()),
-    "simulated motion, 100 Hz, every 10th sample": (ji.DIDIM(), BAND),
+    "simulated motion, 100 Hz, every 4th sample": (ji.DIDIM(), BAND),
     "simulated motion, 40 Hz, every 10th sample (default)": (ji.DIDIM(), ji.Filtering()),
     "simulated motion, 40 Hz, delay of the force identified": (ji.DIDIM(free=("delay",)), ji.Filtering()),
 }

@@ -144,9 +144,9 @@ def test_keys_are_set_after_the_choices() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + "[method]\ntolerance = 1e-3"
     assert loads(text, changes=[]) == loads(text)
     assert loads(text, changes=["method.frequency=42.0"]).method == DIDIM(tolerance=1e-3, frequency=42.0)
-    changed = loads(text, changes=["method.frequency=20.0"], filtering="as-printed")
+    changed = loads(text, changes=["method.frequency=20.0"], filtering="published")
     assert changed.method == DIDIM(tolerance=1e-3, frequency=20.0)
-    assert changed.filtering == Filtering.as_in_paper()
+    assert changed.filtering == Filtering.published()
     whole = ['method={name="didim", frequency=20.0}']  # in place of the whole table
     assert loads(text, changes=whole).method == DIDIM(frequency=20.0)
     assert loads(text, method="idim").method == IDIM()

@@ -85,7 +85,6 @@ def test_all_of_a_file() -> None:
         decimation = 5
         borders = [10, 0]
         timing = "as_sampled"
-        aliasing = "warned"
         [method]
         name = "didim"
         frequency = 25.0
@@ -141,7 +140,7 @@ def test_all_of_a_file() -> None:
     assert file == File(
         axes=(axis,),
         method=DIDIM(frequency=25.0, rigid_cutoff=4.0, tolerance=1e-3, free=("position_gain", "delay")),
-        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
+        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled"),
         parameters=axis.parameters,
         name="axis 3",
     )
@@ -235,9 +234,7 @@ def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:
     [
         ('preset = "default"', Filtering()),
         ('preset = "published"', Filtering.published()),
-        ('preset = "as-printed"', Filtering.as_in_paper()),
-        ('cutoff = 60.0\ndecimation = 12\naliasing = "warned"', Filtering.as_in_paper()),
-        ('aliasing = "warned"', Filtering(aliasing="warned")),
+        ("cutoff = 60.0\ndecimation = 6", Filtering(cutoff=60.0, decimation=6)),
     ],
 )
 def test_the_filtering(text: str, expected: Filtering) -> None:

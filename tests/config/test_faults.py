@@ -105,7 +105,7 @@ FAULTS = [
         + '[controller]\nlaw = "state_space"\nA = [[1.0]]\nB = { position = [1.0, 2.0] }\nC = [1.0]\nD = {}',
         "controller contradiction",
     ),
-    (SMALLEST + '[filtering]\npreset = "as-printed"\naliasing = "refused"', "filtering.aliasing contradiction"),
+    (SMALLEST + '[filtering]\npreset = "published"\ncutoff = 40.0', "filtering.cutoff contradiction"),
     (SMALLEST.replace('"r"', '"r", unit = "deg"'), "record.channels.reference.unit unit"),
     (SMALLEST.replace('"r"', '"r", unit = "N"'), "record.channels.reference.unit unit"),
     (SMALLEST.replace('"r"', '"r", unit = "clicks"'), "record.channels.reference.unit unit"),

@@ -83,14 +83,6 @@ def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -
     np.testing.assert_allclose(found, filtering.decimate(values, T), atol=1e-10)
 
 
-def test_columns_are_decimated_like_the_torque() -> None:
-    columns = np.random.default_rng(0).normal(size=(2000, 3))
-    filtering = Filtering().resolve(T)
-    both = filtering.decimate(columns, T)
-    for i in range(3):
-        assert np.array_equal(both[:, i], filtering.decimate(columns[:, i], T))
-
-
 def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
     assert Filtering(cutoff=60.0).resolve(T).decimation == 6  # not the paper's 12
     assert Filtering().resolve(T) == Filtering(100.0, 40.0, 10, (50, 50))

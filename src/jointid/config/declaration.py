@@ -49,7 +49,6 @@ EFFECTS = ("harmonics", "period", "drift")
 FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "default": Filtering,
     "published": Filtering.published,
-    "as-printed": Filtering.as_in_paper,
 }
 """The presets of [filtering]."""
 
@@ -434,9 +433,7 @@ def _make_filtering(preset: str | None = None, **given: Any) -> Filtering:
 class FilteringKeys:
     """Keys of [filtering] beside the filtering's own."""
 
-    preset: Literal["default", "published", "as-printed"] | None = setting(
-        None, "all of it at once, in place of the other keys"
-    )
+    preset: Literal["default", "published"] | None = setting(None, "all of it at once, in place of the other keys")
 
 
 _FILTERING = Table(keys_of(FilteringKeys, Filtering), _make_filtering)

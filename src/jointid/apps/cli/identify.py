@@ -19,7 +19,7 @@ def identify(
     options: Options = DEFAULTS,
     window: float | None = None,
     method: MethodName | None = None,
-    filtering: Literal["default", "published", "as-printed"] | None = None,
+    filtering: Literal["default", "published"] | None = None,
     friction: str | None = None,
     figure: Path | None = None,
     details: Flag = False,
@@ -35,8 +35,7 @@ def identify(
             identified in windows, and tested for drift.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side reads torque and motor position, and no controller.
-        filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
-            which aliases at 1 kHz and warns of it; default is the program's own.
+        filtering: published repeats the results of the EMPS benchmark; default is the program's own.
         friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.

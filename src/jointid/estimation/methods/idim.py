@@ -281,7 +281,7 @@ def _like_gravity(names: tuple[str, ...], correlation: FloatArray) -> tuple[str,
 
 def _warnings(record: Record, filtering: Filtering, error: float) -> tuple[str, ...]:
     assert record.torque is not None
-    found = list(filtering.warnings(record.torque.sample_time))
+    found = []
     if filtering.timing == "as_sampled" and record.torque.timing is not Timing.SAMPLED:
         found.append(
             f"the torque is {record.torque.timing.value} but read as sampled, half a period early, as the published "

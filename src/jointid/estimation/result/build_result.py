@@ -262,7 +262,6 @@ def build_closed_loop_result(
             warnings=(
                 *([] if converged else [NOT_CONVERGED]),
                 *warn_of_limit(run.at_limit),
-                *problem.filtering.warnings(problem.sample_time),
                 *poor_fit(fit.filtered_error),
                 *ask_of_gains(problem.loop.controller, problem.loop.joint, values, problem.sample_time),
             ),
@@ -367,7 +366,6 @@ def build_prescribed_result(
         ),
         *warn_of_bounds(held),
         *warn_of_inseparable(names, covariance.correlation, [i for i, n in enumerate(names) if n not in LOAD_STATE]),
-        *problem.filtering.warnings(problem.sample_time),
         *after,
         *poor_fit(fit.filtered_error),
     )

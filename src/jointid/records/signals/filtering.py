@@ -66,11 +66,6 @@ class Filtering:
         "whether a held or averaged torque is brought to the instants of the positions, or read half a period early, "
         "as published results were",
     )
-    aliasing: Literal["refused", "warned"] = setting(
-        "refused",
-        "whether a decimation that leaves the cut-off above 80 % of the new Nyquist frequency is refused, or done; "
-        "where it is above that frequency itself, DIDIM of a flexible joint warns of it",
-    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -83,23 +78,6 @@ class Filtering:
         sampled.
         """
         return cls(position_cutoff=100.0, cutoff=40.0, decimation=10, borders=(49, 0), timing="as_sampled")
-
-    @classmethod
-    def as_in_paper(cls) -> Self:
-        """The paper's filtering of a flexible joint: 60 Hz, decimated by twelve, which aliases at 1 kHz."""
-        return cls(cutoff=60.0, decimation=12, aliasing="warned")
-
-    def warnings(self, sample_time: float) -> tuple[str, ...]:
-        """Warnings on this filtering, which must be resolved (`resolve`)."""
-        assert self.cutoff is not None
-        assert self.decimation is not None
-        nyquist = 0.5 / (sample_time * self.decimation)
-        if self.cutoff <= nyquist:
-            return ()
-        return (
-            f"one sample in {self.decimation} has its Nyquist frequency at {nyquist:.1f} Hz, below the cut-off of "
-            f"{self.cutoff:g} Hz: what lies between is folded onto lower frequencies, as the paper printed it",
-        )
 
     def resolve(self, sample_time: float, model: str = "rigid", limit: float = math.inf) -> Filtering:
         """Fill in the defaults for a sample time and a joint's model.
@@ -125,7 +103,7 @@ class Filtering:
                     f"{name} = {value:g} Hz is not below the Nyquist frequency of {nyquist:g} Hz; lower it."
                 )
         most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
-        if self.decimation is not None and self.decimation > most and self.aliasing == "refused":
+        if self.decimation is not None and self.decimation > most:
             raise MethodError(
                 f"Keeping one sample in {self.decimation} puts the new Nyquist frequency at "
                 f"{nyquist / self.decimation:.4g} Hz, too close to the cut-off of {cutoff:g} Hz: keep at least one "
@@ -165,10 +143,7 @@ class Filtering:
             >>> filtering.decimation, len(filtering.decimate(np.ones(3001), 1e-3))
             (6, 501)
         """
-        from scipy.signal import sosfiltfilt
-
-        cutoff, keep, first, padding = _plan_decimation(values, self, sample_time)
-        return np.asarray(sosfiltfilt(_design_chebyshev(cutoff), values, axis=0, padlen=padding))[first::keep]
+        return decimate_all([values], self, sample_time)[0]
 
 
 def default_cutoffs(sample_time: float, model: str) -> tuple[float, float]:
@@ -189,19 +164,17 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray
     """
     from scipy.signal import sosfiltfilt
 
-    sections = _design_butterworth(2 * cutoff * sample_time)
-    padding = _require_padding(values, _POSITION_ORDER)
-    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
+    padding = 3 * _POSITION_ORDER
+    _require_samples(values, padding)
+    return np.asarray(sosfiltfilt(_design_butterworth(2 * cutoff * sample_time), values, axis=0, padlen=padding))
 
 
-def _require_padding(values: FloatArray, order: int) -> int:
-    padding = 3 * order
+def _require_samples(values: FloatArray, padding: int) -> None:
     if len(values) <= padding:
         raise RecordError(
             f"A record of {len(values)} samples is too short to filter: more than {padding} are needed; "
             "use a longer record."
         )
-    return padding
 
 
 def thin_channel(channel: Channel, sample_time: float) -> Channel:
@@ -222,13 +195,13 @@ def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
 
 
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
-    """Decimate several signals as `Filtering.decimate` does, but faster, by `modes`.
-
-    The parts are (samples,) or (samples, columns). The compiled filter pays off in a search.
-    """
-    cutoff, keep, first, padding = _plan_decimation(parts[0], filtering, sample_time)
+    """Decimate several signals, (samples,) or (samples, columns), as `Filtering.decimate` does."""
+    assert filtering.cutoff is not None
+    assert filtering.decimation is not None
+    keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
+    _require_samples(parts[0], padding)
     series = [np.ascontiguousarray(np.atleast_2d(part.T), dtype=np.float64) for part in parts]
-    kept = _design_thinning(cutoff, keep, padding)(series, first)
+    kept = _design_thinning(2 * filtering.cutoff * sample_time, keep, padding)(series, (samples - 1) % keep)
     ends = np.cumsum([len(each) for each in series])
     return [
         kept[end - len(each)] if part.ndim == 1 else kept[end - len(each) : end].T
@@ -256,29 +229,12 @@ def decimated_at(rows: int, samples: int, filtering: Filtering) -> NDArray[np.in
     return np.asarray(samples - 1 - filtering.decimation * np.arange(rows)[::-1], dtype=np.intp)
 
 
-def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:
-    """Return relative cut-off, decimation factor, first sample and padding."""
-    assert filtering.cutoff is not None
-    assert filtering.decimation is not None
-    keep, n = filtering.decimation, len(values)
-    first = keep - (keep * math.ceil(n / keep) - n) - 1
-    return 2 * filtering.cutoff * sample_time, keep, first, _require_padding(values, _ORDER)
-
-
 @lru_cache(maxsize=64)
 def _design_butterworth(cutoff: float) -> FloatArray:
     """Second-order sections of a position filter; cut-off relative to Nyquist."""
     from scipy.signal import butter
 
     return np.asarray(butter(_POSITION_ORDER, cutoff, output="sos"))
-
-
-@lru_cache(maxsize=64)
-def _design_chebyshev(cutoff: float) -> FloatArray:
-    """Second-order sections of the decimation filter."""
-    from scipy.signal import cheby1
-
-    return np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
 
 
 @lru_cache(maxsize=64)
