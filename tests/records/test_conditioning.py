@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.checks import find_encoder_step, find_record_warnings
 from jointid.records.clock import Cut, cut_table
@@ -236,26 +235,6 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
             share, lag = (float(text) for text in re.findall(r"(\d+)%.* were ([\d.]+) ms later", said)[0])
             assert share >= 94
             assert 2.7 <= lag <= 3.2
-
-
-def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
-    """The log has a sample each period of the loop, and shows every fourth torque four times, from its second on."""
-    loop = ji.ClosedLoop(
-        ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T)
-    )
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=T)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    made = ji.simulated_record(loop, reference, truth, sample_time=T)
-    assert made.torque is not None
-    assert made.reference is not None
-    torque = made.torque.values
-    shown = torque[np.maximum((np.arange(torque.size) - 1) // 4 * 4 + 1, 0)]
-    write_table(tmp_path / "run.mat", Table({"r": made.reference.values, "i": shown}))
-    columns = {"torque": Column("i", sample_time=4 * T), "reference": Column("r")}
-    record = read(tmp_path / "run.mat", columns, sample_time=T, kind="prismatic")
-    estimate = ji.identify(record, loop, filtering=ji.Filtering(cutoff=20.0))
-    assert estimate["inertia"].value == pytest.approx(30.0, rel=1e-4)
-    assert estimate["coulomb"].value == pytest.approx(15.0, rel=1e-3)
 
 
 def test_a_second_clock_is_not_cut_by_the_first() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
 from jointid.records.columns import Column
-from jointid.records.formats import Table, read_table, write_table
+from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.writing import write
@@ -185,12 +185,6 @@ def test_an_injected_signal_is_in_the_unit_of_the_torque(saved: Saved) -> None:
     np.testing.assert_allclose(record.injected.channel.values, POSITION * 1e-3, rtol=1e-15)
 
 
-def test_a_wrong_unit_is_noticed_on_reading(saved: Saved) -> None:
-    path = saved(t=TIME, q=POSITION * 1e3, r=POSITION)
-    assert len(faults_of(path, {"motor_position": "q", "reference": "r"})) == 2
-    read(path, {"motor_position": Column("q", unit="mm"), "reference": "r"}, kind="prismatic")
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".mat"])
 @given(
     values=st.lists(
@@ -217,31 +211,3 @@ def test_what_is_written_is_read_to_the_last_bit(
     for (_, old), (_, new) in zip(record.items(), again.items(), strict=True):
         assert new.values.tobytes() == old.values.tobytes()
         assert (new.unit, new.sample_time, new.timing) == (old.unit, old.sample_time, old.timing)
-
-
-def test_the_emps_record_is_read(emps_path: Path) -> None:
-    columns = {"torque": Column("vir", unit="V"), "reference": "qg", "motor_position": "qm"}
-    record = read(emps_path, columns, kind="prismatic")
-    assert record.channels == ("torque", "reference", "motor_position")
-    assert record.torque is not None
-    assert (record.torque.unit, record.torque.sample_time, len(record.torque)) == ("V", 1e-3, 24841)
-    np.testing.assert_array_equal(record.torque.values, read_table(emps_path).columns["vir"])
-    agreed = read(emps_path, columns, time="t", sample_time=1e-3, kind="prismatic")
-    assert agreed.duration == record.duration
-
-
-def test_the_motor_bench_record_is_read(data_dir: Path) -> None:
-    record = read(
-        data_dir / "motorbench" / "MultisineTypeA.mat",
-        {
-            "torque": Column("iq_refx", unit="A"),
-            "motor_position": "theta_mx",
-            "load_position": Column("theta_my", sign=-1),
-        },
-        time="time",
-        time_unit="us",
-        kind="revolute",
-    )
-    assert record.torque is not None
-    assert record.torque.sample_time == 4e-4
-    assert record.duration == pytest.approx(20)

@@ -243,7 +243,7 @@ class RecordReader:
             return
         for name, gain in profile.gain_columns(index_columns(table.columns), self.drive.place).items():
             values, declared = table.columns[name], self.gains.get(gain.key)
-            low, high = float(np.nanmin(values)), float(np.nanmax(values))
+            low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
             if declared is not None and max(abs(low - declared), abs(high - declared)) > _SAME_GAIN * abs(declared):
                 yield (
                     f'{gain.name} (column "{name}") goes from {low:g} to {high:g} in the record, and '
@@ -262,11 +262,10 @@ def _unwrap(signals: Mapping[str, Signal]) -> dict[str, Signal]:
         wrap, remark = one.wrap, one.remark
         if wrap is None:
             wrap, known = find_wrap(one.channel.values, one.turn, one.grain) or (0.0, False)
-            motor = made.get("motor_position") if name == "reference" else None
-            follows = motor is not None and not motor.wrap and np.ptp(motor.channel.values) < _TURNS_ON * wrap
-            wrap = 0.0 if follows or (name == "reference" and motor is None and not known) else wrap
-            if wrap:
-                remark = f"{name} jumps by its wrap of {wrap / one.grain:.10g}: it is unwrapped"
+            if name == "reference" and (motor := made.get("motor_position")) is not None:
+                known = bool(motor.wrap) or float(np.ptp(motor.channel.values)) > _TURNS_ON * wrap
+            wrap = wrap if known or name != "reference" else 0.0
+            remark = f"{name} jumps by its wrap of {wrap / one.grain:.10g}: it is unwrapped" if wrap else remark
         if wrap:
             values = unwrap(one.channel.values, wrap, name)
             made[name] = replace(one, channel=replace(one.channel, values=values), wrap=wrap, remark=remark)

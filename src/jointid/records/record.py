@@ -150,13 +150,6 @@ class Irregularity:
     gaps: int = 0
     longest_gap: int = 0
 
-    def __str__(self) -> str:
-        return (
-            f"{1e3 * self.sample_time:.6g} ms, off by up to {self.largest / self.sample_time:.2g} samples "
-            f"({self.rms / self.sample_time:.2g} rms), {pluralise(self.gaps, 'gap')} of up to "
-            f"{pluralise(self.longest_gap, 'sample')}"
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Resampled:
@@ -174,8 +167,9 @@ class Resampled:
 
     def __str__(self) -> str:
         how = ", ".join(f"{name} {method}" for name, method in self.methods.items())
-        logged = "; ".join(f'"{name}" {clock}' for name, clock in self.clocks.items())
-        return f"to {1e3 * self.sample_time:g} ms ({how}); stamps of {logged}"
+        worst = max((clock.largest / clock.sample_time for clock in self.clocks.values()), default=0.0)
+        gaps = pluralise(sum(clock.gaps for clock in self.clocks.values()), "gap")
+        return f"to {1e3 * self.sample_time:g} ms ({how}); stamps off by up to {worst:.2g} samples, with {gaps}"
 
 
 CHANNELS = ("torque", "reference", "reference_velocity", "motor_position", "load_position", "injected")

@@ -23,6 +23,7 @@ from jointid.records.columns import POSITIONS, finite_faults
 from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
+Between: TypeAlias = Interpolation | Literal["spline"]
 
 # Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist frequency,
 # where a joint leaves nothing.
@@ -331,13 +332,7 @@ def default_interpolation(channel: Channel) -> Interpolation:
     return "linear" if channel.timing is Timing.SAMPLED and update_interval(channel.values) == 1 else "hold"
 
 
-def at_period(
-    channel: Channel,
-    period: float,
-    periods: int,
-    name: str,
-    interpolation: Interpolation | Literal["spline"] | None = None,
-) -> FloatArray:
+def at_period(channel: Channel, period: float, periods: int, name: str, way: Between | None = None) -> FloatArray:
     """Resample a channel to the controller's instants, (periods,).
 
     A faster channel is decimated. A slower one is held, or interpolated by lines, Catmull-Rom cubics or the cubic
@@ -346,7 +341,7 @@ def at_period(
     earlier. Values that are not finite have lines between the others.
     """
     every, repeat = period_ratio(period, channel.sample_time, name)
-    way = interpolation or default_interpolation(channel)
+    way = way or default_interpolation(channel)
     values, samples = channel.values, np.arange(channel.values.size)
     if repeat == 1 or way == "hold" or values.size < 2:
         return np.asarray(np.repeat(values[::every], repeat)[:periods])
