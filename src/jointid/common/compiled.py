@@ -2,26 +2,77 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import warnings
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar, cast
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 from numba import types
-from numba.extending import intrinsic
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiler_cache import KernelCache, warn
 
 F = TypeVar("F", bound=Callable[..., object])
-MODES = 4
-"""Of the filter that is compiled: it has the order 8."""
-
-Four: TypeAlias = tuple[float, float, float, float]
-
 _NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many machines are a hundred times slower
-_BLOCK = 16  # kept samples between two checks for one
+
+
+class CacheWarning(UserWarning):
+    """The compiler's cache is unusable, so kernels are compiled again."""
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache of one kernel on disk; one that is damaged or cannot be written costs time alone.
+
+    Numba's own stamp covers the kernel's file only, so that names of files have a hash of all kernels instead.
+    """
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}.{hash_kernels()}", "")
+
+    def holds_any(self) -> bool:
+        """Test whether the cache holds the kernel of the present sources."""
+        return Path(self._cache_file._index_path).exists()
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a compiled kernel; None if it is missing or damaged."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # a damaged pickle raises anything
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save a compiled kernel, if possible."""
+        try:
+            super().save_overload(sig, data)
+        except Exception as error:
+            _warn(f"The compiler's cache in {self.cache_path} cannot be written ({type(error).__name__}: {error})")
+
+
+_SOURCES = ("common/compiled.py", "simulation/plant.py", "simulation/kernels/*.py", "models/robots/*.py")
+"""The modules of kernels, and of the named tuples that they take, whose fields they read by position."""
+
+
+@cache
+def hash_kernels() -> str:
+    """Hash the sources of all kernels."""
+    package = Path(__file__).parents[1]
+    files = sorted(file for pattern in _SOURCES for file in package.glob(pattern))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+@cache  # said once
+def _warn(said: str) -> None:
+    remedy = "every start compiles again; free space, or name another folder by NUMBA_CACHE_DIR."
+    warnings.warn(f"{said}, so that {remedy}", CacheWarning, stacklevel=3)
 
 
 def compile_kernel(function: F) -> F:
@@ -34,7 +85,7 @@ def compile_kernel(function: F) -> F:
         try:
             kernel._cache = KernelCache(function)
         except (RuntimeError, OSError):  # there is no such folder, or there are no files of sources
-            warn("The compiler's cache has no folder, so that every start compiles again; name one by NUMBA_CACHE_DIR.")
+            _warn("The compiler's cache has no folder")
     return cast("F", kernel)
 
 
@@ -50,26 +101,6 @@ def inline_kernel(function: F) -> F:
     A real call passes an array as seven values and counts references; Python wrappers take a fifth of the compile time.
     """
     return _njit(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def _prefer_wide_vectors(_: Any) -> tuple[Any, Any]:
-    def lower(context: Any, builder: Any, *_: Any) -> Any:
-        # A set whose own `add` knows the attributes without a value only, so call that of any set.
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
-        return context.get_dummy_value()
-
-    return types.void(), lower
-
-
-_intrinsic: Any = intrinsic  # its types know no function without arguments
-wide_vectors: Callable[[], None] = (
-    (lambda: None) if numba.config.DISABLE_JIT else _intrinsic(_prefer_wide_vectors)  # type: ignore[attr-defined]
-)
-"""Let the function that calls this use all of the machine's vectors, as those it inlines must ask, too.
-
-Of vectors of 512 bits LLVM takes halves, since a program that seldom needs them would lose by them (a machine may slow
-down for the first). A loop that is made of nothing else gains by them.
-"""
 
 
 def _njit(function: F, **options: bool) -> F:
@@ -94,40 +125,25 @@ def assign(to: FloatArray, values: FloatArray) -> None:
         to[i] = values[i]
 
 
-@inline_kernel
-def _four(values: FloatArray) -> Four:
-    return values[0], values[1], values[2], values[3]
-
-
 @compile_kernel
 def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
     """Propagate the modes of a filter from each kept sample to the next.
 
     Args:
-        powers: (2, MODES) real and imaginary part of each mode's factor between two kept samples.
-        said: (columns, kept, 2 MODES) initial modes, then the contribution of each interval, real parts first; replaced
+        powers: (2, modes) real and imaginary part of each mode's factor between two kept samples.
+        said: (columns, kept, 2 modes) initial modes, then the contribution of each interval, real parts first; replaced
             by the modes at each kept sample.
         step: 1 forwards, -1 backwards.
     """
-    wide_vectors()
-    (a0, a1, a2, a3), (b0, b1, b2, b3) = _four(powers[0]), _four(powers[1])
-    count = said.shape[1]
+    count, modes = said.shape[1], powers.shape[1]
     for k in range(1, count):
-        at = np.uint64(k if step > 0 else count - 1 - k)
-        last = np.uint64(k - 1 if step > 0 else count - k)
-        if k % _BLOCK == 0:  # what is left of a signal that ended long ago
-            for j in range(said.shape[0]):
-                for i in range(2 * MODES):
-                    said[j, last, i] = said[j, last, i] if abs(said[j, last, i]) > _NOTHING else 0.0
+        at = k if step > 0 else count - 1 - k
         for j in range(said.shape[0]):
-            r0, r1, r2, r3 = said[j, last, 0], said[j, last, 1], said[j, last, 2], said[j, last, 3]
-            i0, i1, i2, i3 = said[j, last, 4], said[j, last, 5], said[j, last, 6], said[j, last, 7]
-            s0, t0 = said[j, at, 0] + (a0 * r0 - b0 * i0), said[j, at, 4] + (b0 * r0 + a0 * i0)
-            s1, t1 = said[j, at, 1] + (a1 * r1 - b1 * i1), said[j, at, 5] + (b1 * r1 + a1 * i1)
-            s2, t2 = said[j, at, 2] + (a2 * r2 - b2 * i2), said[j, at, 6] + (b2 * r2 + a2 * i2)
-            s3, t3 = said[j, at, 3] + (a3 * r3 - b3 * i3), said[j, at, 7] + (b3 * r3 + a3 * i3)
-            said[j, at, 0], said[j, at, 1], said[j, at, 2], said[j, at, 3] = s0, s1, s2, s3
-            said[j, at, 4], said[j, at, 5], said[j, at, 6], said[j, at, 7] = t0, t1, t2, t3
+            for i in range(modes):
+                real, imaginary = said[j, at - step, i], said[j, at - step, modes + i]
+                if abs(real) + abs(imaginary) > _NOTHING:
+                    said[j, at, i] += powers[0, i] * real - powers[1, i] * imaginary
+                    said[j, at, modes + i] += powers[1, i] * real + powers[0, i] * imaginary
 
 
 @compile_kernel

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compile_kernel, inline_kernel, wide_vectors
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.simulation.kernels.drive import Feedback, SampledLoop, Trace
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
@@ -115,7 +115,6 @@ def _propagate(
     A motion is what the motor has travelled, its velocity, the stretch, what the load has travelled, its velocity.
     `steady` is 1 where the constant forces act and 0 for the response to anything else.
     """
-    wide_vectors()
     one, two = mode // 3, mode % 3
     K, F = spring[0], spring[1]
     h1, h2 = h * side[0, 0, one], h * side[1, 0, two]
@@ -188,7 +187,6 @@ def _fill(
 @inline_kernel
 def _push(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
     """Write what the parameters change in the map of a part, for the motion there is."""
-    wide_vectors()
     m = np.uint64(b)  # Numba looks for negative indices among the signed
     for i in range(_WIDE):
         moved = (M[m, 4 * _WIDE + i] + M[m, i] * v1) + M[m, _WIDE + i] * stretch
@@ -200,7 +198,6 @@ def _step(
     q: FloatArray, phi: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float
 ) -> None:
     """Move the derivatives over a part in which nothing happened."""
-    wide_vectors()
     p00, p01, p02, p03 = phi[b, 0], phi[b, 1], phi[b, 2], phi[b, 3]
     p10, p11, p12, p13 = phi[b, 4], phi[b, 5], phi[b, 6], phi[b, 7]
     p20, p21, p22, p23 = phi[b, 8], phi[b, 9], phi[b, 10], phi[b, 11]
@@ -218,7 +215,6 @@ def _step(
 @inline_kernel
 def _write_output(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
     """Write the derivatives of the law's output: all are read first, so that the machine need not fear an overlap."""
-    wide_vectors()
     a, b, c, d = q[_OUT], q[_OUT + 1], q[_OUT + 2], q[_OUT + 3]
     e, f, g, h = q[_OUT + 4], q[_OUT + 5], q[_OUT + 6], q[_OUT + 7]
     du[0, at], du[1, at], du[2, at], du[3, at] = a, b, c, d
@@ -236,7 +232,6 @@ def _glide(
     Nearly all periods are of this kind. One loop whose every value is written once: a machine keeps it in vectors, and
     no value waits in memory.
     """
-    wide_vectors()
     p00, p01, p02, p03 = phi[mode, 0], phi[mode, 1], phi[mode, 2], phi[mode, 3]
     p10, p11, p12, p13 = phi[mode, 4], phi[mode, 5], phi[mode, 6], phi[mode, 7]
     p20, p21, p22, p23 = phi[mode, 8], phi[mode, 9], phi[mode, 10], phi[mode, 11]
@@ -270,7 +265,6 @@ def _rest(
     explicit: FloatArray, first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
     """Do what `_glide` does while both masses are at rest: the law alone goes on."""
-    wide_vectors()
     for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
         q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
     while k < end and modes[k] == mode and abs(u[k]) < limit:
@@ -402,7 +396,6 @@ def control_small(
     du: FloatArray,
 ) -> None:  # fmt: skip
     """Write the derivatives of the output u of a law of two states at most, and move those of its states."""
-    wide_vectors()
     row = np.uint64(at)
     saturated = 0.0 if abs(u) < limit else math.copysign(1.0, u)
     for i in range(explicit.shape[2]):
@@ -557,7 +550,6 @@ def follow(
     u, excess, states, modes, tape = trace.u, trace.excess, trace.states, trace.modes, trace.tape
     explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
     S, Z, du, dstates = columns.start, columns.memory, slopes.u, slopes.states
-    wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     hanging, pieces = gravity.size > 0, segments.shape[0] > 0
     drives, dseeds = drive.reshape((1, drive.size)), seeds.reshape((1, drive.size, LANES))

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compile_kernel, inline_kernel, wide_vectors
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.simulation.kernels.drive import SampledLoop, Trace
 from jointid.simulation.kernels.drive_sensitivities import (
     LANES,
@@ -281,7 +281,6 @@ def follow(
         columns: of what else depends on the parameters.
         slopes: out.
     """
-    wide_vectors()
     lengths, lags, feedback, post = loop.lengths, loop.lags, loop.feedback, loop.post
     u, excess, tape = trace.u, trace.excess, trace.tape
     explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
