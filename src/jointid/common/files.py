@@ -27,18 +27,6 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Args:
         path: the place. A file that is there is replaced, a folder is not.
-
-    Example:
-        >>> import tempfile
-        >>> from pathlib import Path
-        >>> from jointid.common.files import beside
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     place = Path(folder) / "answer.txt"
-        ...     with beside(place) as fresh:
-        ...         _ = fresh.write_text("42")
-        ...         before = place.exists()
-        ...     before, place.read_text()
-        (False, '42')
     """
     path = Path(path)
     with explain(path):

@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, TypeAlias
 
 from jointid.common.errors import JointidError
 from jointid.common.messages import nearest
@@ -33,13 +33,6 @@ class Unit:
     dimension: str
     factor: float
     si: str
-
-
-class DriveUnits(Protocol):
-    """Converts drive units: encoder counts, shares of rated torque."""
-
-    def resolve_unit(self, unit: Unit, kind: str) -> Unit:
-        """Return a unit with its factor to SI, for a kind of motion."""
 
 
 def _family(dimension: str, si: str, **factors: float) -> dict[str, Unit]:
@@ -161,29 +154,22 @@ class Compound:
         return Compound(self.factor * other.factor**power, {base: p for base, p in powers.items() if p})
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A number with its unit as a file says it."""
+def convert(number: float, unit: str, expected: str) -> float | None:
+    """Convert a number to another unit; None for one of another dimension.
 
-    number: float
-    unit: str
-
-    def matching(self, expected: str) -> float | None:
-        """Return the SI value if the unit has the expected dimension, else None.
-
-        Radians are optional, as in N m s for N m s/rad, except beside minutes, where turns may be meant.
-        """
-        wanted = parse_unit(expected)
-        entry = _UNITS.get(normalise_unit(self.unit))
-        one = None if entry is None else Compound(entry.factor, _BASES[entry.dimension])
-        for read in ([] if one is None else [one]) + [parse_unit(self.unit)]:
-            implied = {base: power for base, power in wanted.powers.items() if base != "rad"}
-            if read.powers == wanted.powers or (read.powers == implied and "min" not in self.unit):
-                return self.number * read.factor / wanted.factor
-        return None
+    Radians are optional, as in N m s for N m s/rad, except beside minutes, where turns may be meant.
+    """
+    wanted = parse_unit(expected)
+    implied = {base: power for base, power in wanted.powers.items() if base != "rad"}
+    entry = _UNITS.get(normalise_unit(unit))
+    one = [] if entry is None else [Compound(entry.factor, _BASES[entry.dimension])]
+    for read in (*one, parse_unit(unit)):
+        if read.powers == wanted.powers or (read.powers == implied and "min" not in unit):
+            return number * read.factor / wanted.factor
+    return None
 
 
-def parse_quantity(text: str) -> Quantity:
+def parse_quantity(text: str) -> tuple[float, str]:
     """Parse a number with a unit, such as ``0.8 A s/rad`` or ``1000/min``."""
     found = QUANTITY.fullmatch(text)
     if found is None or not found["unit"].strip():
@@ -191,7 +177,7 @@ def parse_quantity(text: str) -> Quantity:
     parse_unit(found["unit"])
     if not math.isfinite(value := float(found["number"])):
         raise UnitError("the number is too large")
-    return Quantity(value, found["unit"].strip())
+    return value, found["unit"].strip()
 
 
 def parse_unit(text: str) -> Compound:

@@ -272,7 +272,7 @@ class _Shown:
             return
         of_outputs = dict(zip(OUTPUTS[self.kind], candidates, strict=True)) if speaks else {}
         unit = self._unit(name, of_outputs.get(self.output or "", "") if speaks else candidates[0])
-        one = next((v for c in candidates if unit and (v := units.Quantity(1.0, unit).matching(c)) is not None), None)
+        one = next((v for c in candidates if unit and (v := units.convert(1.0, unit, c)) is not None), None)
         if one is None:
             return
         power = 0 if "rad" not in measured else -1 if speaks else 1  # of a position in the unit
@@ -299,11 +299,11 @@ class _Shown:
     def _unit(self, key: str, plain: str) -> str:
         """Return the unit in which the drive shows a number: the joint file's, the profile's, or a plain one."""
         if key in self.stated:
-            return units.parse_quantity(self.stated[key]).unit
+            return units.parse_quantity(self.stated[key])[1]
         choices = self.profile.get(key, ("", ()))[1]
         if not plain:
             return choices[0] if len(choices) == 1 else ""
-        return next((unit for unit in choices if units.Quantity(1.0, unit).matching(plain) is not None), plain)
+        return next((unit for unit in choices if units.convert(1.0, unit, plain) is not None), plain)
 
 
 # Gains by the names and in the units of a drive's parameters

@@ -53,7 +53,7 @@ def output_of(text: str, declared: str, kind: Kind) -> str | None:
         return None
     said = units.parse_quantity(text)
     known = zip(OUTPUTS[kind], list_units(declared, kind), strict=True)
-    return next((output for output, unit in known if said.matching(unit) is not None), None)
+    return next((output for output, unit in known if units.convert(*said, unit) is not None), None)
 
 
 def in_controller_units(declared: str) -> bool:
@@ -74,7 +74,7 @@ def misfit(text: str, declared: str, kind: Kind | None = None) -> str | None:
         said = units.parse_quantity(text)
     except UnitError as error:
         return f" is {messages.format_value(text)}; {error}."
-    if any(said.matching(unit) is not None for unit in known):
+    if any(units.convert(*said, unit) is not None for unit in known):
         return None
     plain = "the controller's units" if in_controller_units(declared) else "SI units"
     return (
@@ -91,4 +91,4 @@ def _either(known: tuple[str, ...]) -> str:
 def to_si(text: str, declared: str) -> float:
     """Return the SI value of a text that is no `misfit`."""
     said = units.parse_quantity(text)
-    return float(next(v for unit in list_units(declared) if (v := said.matching(unit)) is not None))
+    return float(next(v for unit in list_units(declared) if (v := units.convert(*said, unit)) is not None))
