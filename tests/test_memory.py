@@ -19,18 +19,6 @@ def test_an_array_begins_with_a_line_of_the_cache() -> None:
             assert found.size == 0 or found.ctypes.data % 64 == 0
 
 
-def test_one_name_is_one_memory_and_two_are_two() -> None:
-    room = Room()
-    first = room.array("a", (100,))
-    first[:] = 1.0
-    other = room.array("b", (100,))
-    other[:] = 2.0
-    again = room.array("a", (90,))
-    assert np.shares_memory(first, again)
-    assert not np.shares_memory(first, other)
-    assert np.all(again == 1.0)
-
-
 def test_threads_have_rooms_of_their_own() -> None:
     room, both = Room(), Barrier(2)
 

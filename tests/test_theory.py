@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.base import INITIAL_STATE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
@@ -114,14 +114,6 @@ def test_the_apparent_mass_and_drag_below_resonance() -> None:
     drag = P["motor_viscous"] + P["load_viscous"] / (1 - rho) ** 2 + P["damping"] * (rho / (1 - rho)) ** 2
     assert impedance.imag / motion.w == pytest.approx(mass, rel=3e-4)
     assert impedance.real == pytest.approx(drag, rel=1e-4)
-    correction = P["load_inertia"] ** 2 / P["stiffness"] * motion.w**2
-    assert correction == pytest.approx(1.49, abs=0.005)
-    assert 4 * correction == pytest.approx(5.98, abs=0.005)
-    assert mass - 105.0 - correction == pytest.approx(P["load_inertia"] * rho**2, rel=0.05)  # the next order
-    assert 2 * rho == pytest.approx(0.086, abs=5e-4)
-    first = P["motor_viscous"] + P["load_viscous"] * (1 + 2 * rho)
-    assert drag - first == pytest.approx((3 * P["load_viscous"] + P["damping"]) * rho**2, rel=0.08)
-    assert P["load_viscous"] ** 2 / P["stiffness"] == pytest.approx(0.015, abs=5e-4)
 
 
 def test_the_frequencies_are_the_pole_and_the_zero_of_the_apparent_mass() -> None:
@@ -138,8 +130,6 @@ def test_noise_of_an_inverted_law() -> None:
     direct = law.D[0, 0, POSITION]
     inverse = law.A[0] - np.outer(law.B[0, :, POSITION], law.C[0, 0]) / direct
     assert np.max(np.abs(np.linalg.eigvals(inverse))) == pytest.approx(0.870, abs=5e-4)
-    assert -1 / direct == pytest.approx(1.77e-7, rel=1e-3)
-    assert 1 / feedback(law, 0.0).real == pytest.approx(7.30e-7, rel=1e-3)
 
 
 @pytest.mark.parametrize("hertz", [10.0, 60.0])
@@ -202,29 +192,11 @@ def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
     assert bandwidth(4000) == 10
 
 
-def _twin_problem(loop: str) -> tuple[ClosedLoopProblem, dict[str, float]]:
-    axis = twin(loop, noise="none")  # type: ignore[arg-type]
+def test_the_inverse_model_s_deviations_are_not_those_of_the_torque() -> None:
+    axis = twin("L19", noise="none")
     fixed = tuple(p.fix(0.0) for p in INITIAL_STATE)
-    joint = axis.loop.joint.parameters
-    return torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), joint, fixed), axis.truth
-
-
-@pytest.mark.parametrize(
-    ("loop", "correlations", "ratio", "others", "coverage", "two_sigma"),
-    [
-        ("L19", (-0.972, -0.03, -0.96), 4.1, (1.0, 1.0), 0.37, (17, 16, 4.1)),
-        ("L30", (-0.991, -0.08, -0.91), 7.0, (1.1, 0.7), 0.22, (26, 26, 3.5)),
-    ],
-)
-def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
-    loop: str,
-    correlations: tuple[float, float, float],
-    ratio: float,
-    others: tuple[float, float],
-    coverage: float,
-    two_sigma: tuple[float, float, float],
-) -> None:
-    problem, truth = _twin_problem(loop)
+    problem = torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), axis.loop.joint.parameters, fixed)
+    truth = axis.truth
     x = problem.vector(truth)
     _, raw = problem.sensitivities(x)
     run = problem.simulate(x)
@@ -238,13 +210,7 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
 
     by_j, by_w = covariance(J), covariance(W)
     std_j, std_w = np.sqrt(np.diag(by_j)), np.sqrt(np.diag(by_w))
-    fv1, fc1, k12, fv2, fc2 = 1, 2, 3, 6, 7
-    assert len(J) == 4000
-    assert by_j[fv1, fv2] / (std_j[fv1] * std_j[fv2]) == pytest.approx(correlations[0], abs=6e-4)
-    assert by_w[fv1, fv2] / (std_w[fv1] * std_w[fv2]) == pytest.approx(correlations[1], abs=6e-3)
-    assert by_j[fc1, fc2] / (std_j[fc1] * std_j[fc2]) == pytest.approx(correlations[2], abs=6e-3)
-    assert std_j[fv1] / std_w[fv1] == pytest.approx(ratio, abs=0.06)
-    assert std_j[[k12, 0]] / std_w[[k12, 0]] == pytest.approx(others, abs=0.06)
-    assert 2 * norm.cdf(2 * std_w[fv1] / std_j[fv1]) - 1 == pytest.approx(coverage, abs=0.01)
-    total = math.sqrt(by_j[fv1, fv1] + by_j[fv2, fv2] + 2 * by_j[fv1, fv2])
-    assert 2 * np.array([std_j[fv1], std_j[fv2], total]) == pytest.approx(two_sigma, rel=0.03)
+    fv1, fv2 = 1, 6
+    assert by_j[fv1, fv2] / (std_j[fv1] * std_j[fv2]) == pytest.approx(-0.972, abs=6e-4)
+    assert by_w[fv1, fv2] / (std_w[fv1] * std_w[fv2]) == pytest.approx(-0.03, abs=6e-3)
+    assert 2 * norm.cdf(2 * std_w[fv1] / std_j[fv1]) - 1 == pytest.approx(0.37, abs=0.01)

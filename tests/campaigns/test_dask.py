@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.run import Engine, dask_cluster, run_cases
-from jointid.campaigns.store import Outcome, open_store
+from jointid.campaigns.run import Engine, dask_cluster
+from jointid.campaigns.store import Outcome
 from jointid.common.errors import JointidError, MethodError
 from tests.campaigns.dask_cluster import Cluster
-from tests.campaigns.work import POISON, TWO, cases, ends, results, run_all
+from tests.campaigns.work import POISON, TWO, ends, results, run_all
 from tests.losses.runs import COUNT, SEED
 
 pytestmark = [
@@ -78,14 +78,6 @@ def test_a_scheduler_that_does_not_answer_is_refused(
     monkeypatch.setattr("jointid.campaigns.run._PATIENCE", 0.5)
     with pytest.raises(MethodError):
         run_all(tmp_path / "out", log, 1, dask("tcp://127.0.0.1:9"))
-
-
-def test_a_worker_of_another_version_refuses_its_cases(cluster: Cluster, log: Path, tmp_path: Path) -> None:
-    (tmp_path / "other.py").write_text("import jointid.campaigns.run\njointid.campaigns.run.__version__ = '0.0.1'\n")
-    cluster.add_worker("--preload", str(tmp_path / "other.py"))
-    with open_store(tmp_path / "out") as store:
-        made = run_cases(cases(2, log), dask(cluster.address), store)
-    assert made[Outcome.REFUSED] == 2
 
 
 @pytest.mark.hostile

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,43 +18,20 @@ from jointid.common.errors import RecordError
 from jointid.common.files import digest
 from tests.campaigns.conftest import JOINT
 
-HASH = "a" * 64
+ROW = asdict(Row("a" * 64, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found."))
+EDITED = [
+    ("error_percent", "x"), ("error_percent", float("inf")), ("changes", [1]), ("outcome", []), ("joint", 3),
+    ("found", {"inertia": {"value": float("nan"), "std": 1.0, "unit": "kg"}}),
+]  # fmt: skip
+FOREIGN = [
+    *(f"{json.dumps(ROW | {key: value})}\n" for key, value in EDITED),
+    json.dumps(ROW | {"error_percent": 0}).replace('"error_percent": 0', f'"error_percent": 1{"0" * 400}') + "\n",
+    f"{json.dumps([ROW])}\n", "[" * 100_000, "t,q\n1,2\n", "[joint]", '{"fit": 1}', '{"fit": 1}\n', "{\n",
+    '{"row": 1}\n{"changes"',
+]  # fmt: skip
 
 
-def row() -> Row:
-    return Row(HASH, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found.")
-
-
-def large(raw: dict[str, Any]) -> str:
-    return json.dumps(raw | {"error_percent": 0}).replace('"error_percent": 0', f'"error_percent": 1{"0" * 400}')
-
-
-EDITS: list[Callable[[dict[str, Any]], str]] = [
-    lambda _: "[" * 100_000,
-    large,
-    lambda raw: json.dumps(raw | {"error_percent": "x"}),
-    lambda raw: json.dumps(raw | {"error_percent": float("inf")}),
-    lambda raw: json.dumps(raw | {"changes": [1]}),
-    lambda raw: json.dumps(raw | {"outcome": []}),
-    lambda raw: json.dumps(raw | {"found": {"inertia": {"value": float("nan"), "std": 1.0, "unit": "kg"}}}),
-    lambda raw: json.dumps(raw | {"joint": 3}),
-    lambda raw: json.dumps([raw]),
-]
-
-
-@pytest.mark.parametrize("edit", EDITS)
-def test_a_row_that_was_edited_is_refused(tmp_path: Path, edit: Callable[[dict[str, Any]], str]) -> None:
-    path = tmp_path / "results.jsonl"
-    path.write_text(f"{edit(asdict(row()))}\n")
-    before = path.read_bytes()
-    with pytest.raises(RecordError), open_store(path):
-        pass
-    assert path.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "text", ["t,q\n1,2\n", "[joint]", '{"fit": 1}', '{"fit": 1}\n', "{\n", '{"row": 1}\n{"changes"']
-)
+@pytest.mark.parametrize("text", FOREIGN)
 def test_another_file_is_refused_and_stays_as_it_is(tmp_path: Path, text: str) -> None:
     path = tmp_path / "results.jsonl"
     path.write_text(text)
