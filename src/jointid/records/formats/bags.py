@@ -2,7 +2,7 @@
 
 The library rosbags reads the files and parses the definitions of messages. It would compile these to Python code and
 run it, so messages (CDR version 1 of the Object Management Group) are decoded here, by interpretation. Every length is
-checked against the available bytes and a budget.
+checked against the available bytes, and every message against a budget.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NUMBERS = {
 _TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
 _OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
-_BUDGET, _DEEPEST = 20_000, 16  # values and parts of one message, messages within messages
+_BUDGET, _DEEPEST = 20_000, 16  # fields of one message, messages within messages
 _MOTORS = 64  # messages of an array without names; more are no motors of a robot
 _WIDEST_ARRAY, _WIDEST_TOPIC = 256, 1000  # columns of an array without names (a longer one is a picture), of a topic
 _TOPICS = 2000  # of a file; the library compares each with all
@@ -43,16 +43,7 @@ _COMPUTED = re.compile(r"\bAS\b", re.IGNORECASE)  # of a column that is generate
 _DIGITS = re.compile(r"(\d+)")
 
 Value: TypeAlias = Any
-"""A number, an array, a text, a message (a dictionary) or a list of messages or texts."""
-
-
-class SkippedTopicError(ValueError):
-    """A valid message without columns of numbers; the text says why."""
-
-
-class Instant(int):
-    """A time or a duration in nanoseconds."""
-
+"""A number, an array, an instant (int, in nanoseconds), a text, a message (dict) or a list of messages or texts."""
 
 Types: TypeAlias = Mapping[str, Any]
 """Definitions of messages as rosbags parses them, by the names of their types."""
@@ -66,19 +57,23 @@ def read_bag(path: Path) -> Table:
     seconds; dates count from the first of the bag. Missing numbers are NaN.
     """
     extra("rosbags", "logs", "Reading ROS 2 bags")
+    files = [path]
+    if path.is_dir():
+        files = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+        files.sort(key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
+    if not files:
+        raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; unpack .zstd files, or name a file.")
     found, topics, count = Found(path), dict[str, _Topic](), 0
-    for file in list_files(path):
-        for name, kind, types, logged, data in _read_messages(file):
-            if name in found.passed:
-                continue
+    for name, kind, types, logged, data in (message for file in files for message in _read_messages(file)):
+        if name not in found.passed:
             topic = topics.setdefault(name, _Topic(name, kind))
             try:
                 if topic.kind != kind:
-                    raise SkippedTopicError("its messages are of more than one kind")
+                    raise ValueError("its messages are of more than one kind")
                 count += topic.take(types, logged, data)
             except KeyError:
                 found.passed[name] = f"the bag has no definition of {kind}"
-            except SkippedTopicError as error:
+            except ValueError as error:
                 found.passed[name] = str(error)
             require_room(path.name, count)
     read = {name: topic.columns() for name, topic in topics.items() if name not in found.passed}
@@ -92,16 +87,6 @@ def read_bag(path: Path) -> Table:
     return found.table()
 
 
-def list_files(path: Path) -> list[Path]:
-    """Files of a bag in order."""
-    if not path.is_dir():
-        return [path]
-    found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
-    if not found:
-        raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; unpack .zstd files, or name a file.")
-    return sorted(found, key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
-
-
 @dataclass(slots=True)
 class _Topic:
     """The messages of one topic, as growing columns."""
@@ -113,26 +98,19 @@ class _Topic:
     numbers: dict[str, array[float]] = field(default_factory=dict)
 
     def take(self, types: Types, time: int, data: bytes) -> int:
-        """Add a message, and return how many numbers it may have.
-
-        Raises:
-            KeyError: an unknown type.
-            SkippedTopicError: too many parts, or duplicate names.
-        """
+        """Add a message, and return how many numbers it may have; see `decode_message`."""
         fields, row = decode_message(self.kind, data, types), len(self.logged)
         self.logged.append(time)
         header = fields.get("header")
         stamp = header.get("stamp") if isinstance(header, dict) else None
-        if isinstance(stamp, Instant) and stamp:
+        if isinstance(stamp, int) and stamp:
             self.stamped.append(stamp)
         for path, value in _flatten(fields, self.name):
             column = self.numbers.setdefault(path, array("d"))
             column.extend([np.nan] * (row - len(column)))  # of the messages before, which had no such number
-            if len(column) > row:
-                raise SkippedTopicError(f"a message of it has two numbers called {path!r}")
+            if len(column) > row or len(self.numbers) > _WIDEST_TOPIC:
+                raise ValueError(f"it has more than {_WIDEST_TOPIC} numbers, or two in a message called {path!r}")
             column.append(value)
-        if len(self.numbers) > _WIDEST_TOPIC:
-            raise SkippedTopicError(f"it has more than {_WIDEST_TOPIC} numbers")
         return len(self.numbers) + 1
 
     def columns(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], dict[str, np.ndarray[Any, np.dtype[np.float64]]]]:
@@ -150,12 +128,11 @@ def decode_message(name: str, data: bytes, types: Types) -> dict[str, Value]:
     """Decode a message of type `name`, "package/msg/Type".
 
     Raises:
-        ValueError: invalid bytes.
-        SkippedTopicError: too many parts.
+        ValueError: invalid bytes, or too many parts.
         KeyError: an unknown type.
     """
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError("the message is not plain CDR")
+        raise ValueError("a message of it is not plain CDR")
     return _Decoder(types, data[4:], "<" if data[1] else ">").message(name, 0)
 
 
@@ -168,10 +145,10 @@ class _Decoder:
 
     def message(self, name: str, deep: int) -> dict[str, Value]:
         if deep > _DEEPEST:
-            raise ValueError("messages within messages without end")
+            raise ValueError("a message of it has messages within messages without end")
         _, fields = self.types[name]
         if not fields:
-            self.take("B", 1)  # a message without fields is a byte long
+            self.numbers("B")  # a message without fields is a byte long
         return {key: self.member(shape.name, described, deep) for key, (shape, described) in fields}
 
     def member(self, shape: str, described: Any, deep: int) -> Value:
@@ -180,43 +157,31 @@ class _Decoder:
             return self.value(described[0] if shape == "BASE" else described, deep)
         (_, inner), length = described
         kind = inner if isinstance(inner, str) else inner[0]
-        count = length if shape == "ARRAY" else int(self.number("I"))
+        count = length if shape == "ARRAY" else self.numbers("I").item()
         if kind in _NUMBERS:
-            start = self.take(_NUMBERS[kind], count) if count else self.at
-            return np.frombuffer(self.data, self.order + _NUMBERS[kind], count, start)
+            return self.numbers(_NUMBERS[kind], count)
         if count > len(self.data) - self.at:  # each is a byte long at least
-            raise ValueError("the message is shorter than it says")
-        self.spend(count)
+            raise ValueError("a message of it is shorter than it says")
         return [self.value(kind, deep) for _ in range(count)]
 
     def value(self, kind: str, deep: int) -> Value:
-        self.spend(1)
         if kind in _NUMBERS:
-            return float(self.number(_NUMBERS[kind]))
+            return float(self.numbers(_NUMBERS[kind]).item())
         if kind == "string":
-            count = int(self.number("I"))
-            start = self.take("B", count)
-            return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
+            return self.numbers("B", self.numbers("I").item()).tobytes()[:-1].decode("utf-8", "replace")
         if kind in _TIME:
-            return Instant(int(self.number("i")) * 10**9 + int(self.number("I")))
+            return int(self.numbers("i").item() * 10**9 + self.numbers("I").item())
         return self.message(kind, deep + 1)
 
-    def number(self, code: str) -> Any:
-        return struct.unpack_from(self.order + code, self.data, self.take(code, 1))[0]
-
-    def take(self, code: str, count: int) -> int:
-        """Skip alignment and `count` items; return their offset."""
+    def numbers(self, code: str, count: int = 1) -> np.ndarray[Any, Any]:
+        """Skip the alignment of `count` numbers, and read them."""
+        self.budget -= 1
         size = struct.calcsize("=" + code)
-        start = self.at + -self.at % size
-        if start + count * size > len(self.data):
-            raise ValueError("the message is shorter than it says")
+        start = self.at + (-self.at % size if count else 0)
+        if start + count * size > len(self.data) or self.budget < 0:
+            raise ValueError(f"a message of it is shorter than it says, or has more than {_BUDGET} parts")
         self.at = start + count * size
-        return start
-
-    def spend(self, count: int) -> None:
-        self.budget -= count
-        if self.budget < 0:
-            raise SkippedTopicError(f"a message of it has more than {_BUDGET} parts")
+        return np.frombuffer(self.data, self.order + code, count, start) if count else np.empty(0, self.order + code)
 
 
 def _flatten(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
@@ -226,26 +191,21 @@ def _flatten(message: Mapping[str, Value], path: str, names: list[str] | None = 
     "path/field[0]", as do arrays of messages, "path/field[0]/inner". Bytes, long arrays and text are skipped.
     """
     own = (value for key in _NAMING if isinstance(value := message.get(key), list) and value)
-    names = next((value for value in own if isinstance(value[0], str)), names)
+    names = next((value for value in own if isinstance(value[0], str)), names) or []
     for key, value in message.items():
         inner = "" if key in _OF_ITS_OWN else f"/{key}"
-        if isinstance(value, Instant):
-            yield f"{path}{inner}", value / 1e9
-        elif isinstance(value, float):
-            yield f"{path}{inner}", value
+        if isinstance(value, int | float):
+            yield f"{path}{inner}", value / 1e9 if isinstance(value, int) else value
         elif isinstance(value, dict) and key not in ("header", "layout"):
             yield from _flatten(value, f"{path}{inner}", names)
         elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST_ARRAY:
-            named = names if names is not None and len(names) == value.size else None
-            for index, one in enumerate(value.tolist()):
-                yield f"{path}{inner}[{index}]" if named is None else f"{path}/{named[index]}{inner}", one
+            named = len(names) == value.size
+            for k, one in enumerate(value.tolist()):
+                yield f"{path}/{names[k]}{inner}" if named else f"{path}{inner}[{k}]", one
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            if names and len(value) == len(names):
-                for name, part in zip(names, value, strict=True):
-                    yield from _flatten(part, f"{path}/{name}")
-            elif len(value) <= _MOTORS:
-                for index, part in enumerate(value):
-                    yield from _flatten(part, f"{path}{inner}[{index}]")
+            named = len(names) == len(value)
+            for k, part in enumerate(value if named or len(value) <= _MOTORS else ()):
+                yield from _flatten(part, f"{path}/{names[k]}" if named else f"{path}{inner}[{k}]")
 
 
 def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
@@ -264,9 +224,7 @@ def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
         every: list[Any] = list(storage.connections)
         links = [link for link in every if link.ext.serialization_format == "cdr"]
         if len(links) > _TOPICS:
-            raise RecordError(
-                f"{file.name} has {len(links)} topics; record only those of the joint (at most {_TOPICS})."
-            )
+            raise RecordError(f"{file.name} has more than {_TOPICS} topics; record only those of the joint.")
         asked = {link.id: (link.msgtype, str(link.msgdef.data) * (link.msgdef.format.name == "MSG")) for link in links}
         known = {one: message_types(*one) for one in set(asked.values())}
         for link, time, data in storage.messages(links):
@@ -274,19 +232,13 @@ def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
 
 
 def _require_plain(file: Path) -> None:
-    """Refuse a database with computed tables, which could be of any size, or with too many topics."""
+    """Refuse a database with computed tables, which could be of any size."""
     place = f"file:{quote(str(file.absolute()), safe='/:')}?mode=ro&immutable=1"
     with closing(sqlite3.connect(place, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
         for kind, made in base.execute("SELECT type, sql FROM sqlite_master WHERE sql IS NOT NULL"):
             if kind not in ("table", "index") or _COMPUTED.search(made):
                 raise RecordError(f"{file.name} has a {kind} with computed content, which no bag has; record it again.")
-        _require_few_topics(file, len(base.execute("SELECT 1 FROM topics LIMIT 10000").fetchall()))
-
-
-def _require_few_topics(file: Path, count: int) -> None:
-    if count > _TOPICS:
-        raise RecordError(f"{file.name} has more than {_TOPICS} topics; record only those of the joint.")
 
 
 def message_types(name: str, text: str) -> Types:
