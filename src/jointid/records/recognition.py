@@ -7,7 +7,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from jointid.common.text import join, pluralise
-from jointid.records.drives import DriveGain, Place, Profile, index_columns, load_profile, place_of, profile_names
+from jointid.records.drives import (
+    DriveGain,
+    Place,
+    Profile,
+    Spoken,
+    index_columns,
+    load_profile,
+    place_of,
+    profile_names,
+)
 from jointid.records.record import CHANNELS
 
 _LAST = "generic"  # whose names others have too
@@ -50,6 +59,11 @@ class Recognised:
     axes: tuple[LoggedAxis, ...]
 
     @property
+    def names(self) -> list[str]:
+        """Columns that the profile knows."""
+        return [name for axis in self.axes for name in (*axis.channels.values(), *axis.gains)]
+
+    @property
     def sentence(self) -> str:
         """The recognised log in a sentence."""
         gains = sorted({gain.name for axis in self.axes for gain in axis.gains.values()})
@@ -68,39 +82,33 @@ def recognise(columns: tuple[str, ...]) -> Recognised | None:
 
     Of several profiles the one counts that knows most columns; the plain names come last.
     """
-    best: Recognised | None = None
-    known = 0
+    spoken, best = index_columns(columns), list[Recognised]()
     for name in sorted(profile_names(), key=lambda one: (one == _LAST, one)):
-        if best is not None and name == _LAST:
+        if name == _LAST and best:
             break
-        profile = load_profile(name)
-        axes = tuple(_find_axes(profile, columns))
-        names = [name for axis in axes for name in (*axis.channels.values(), *axis.gains)]
-        count = len(names)
-        if count > max(known, 1) and not all(map(_PLAIN.fullmatch, names)):
-            best, known = Recognised(profile, axes), count
-    return best
+        found = Recognised(load_profile(name), tuple(_find_axes(load_profile(name), columns, spoken)))
+        if len(found.names) > 1 and not all(map(_PLAIN.fullmatch, found.names)):
+            best.append(found)
+    return max(best, key=lambda one: len(one.names), default=None)
 
 
-def _find_axes(profile: Profile, columns: tuple[str, ...]) -> Iterator[LoggedAxis]:
+def _find_axes(profile: Profile, columns: tuple[str, ...], spoken: Spoken) -> Iterator[LoggedAxis]:
     """Yield axes with a position of their own, each column at its first place."""
-    spoken, taken = index_columns(columns), set[str]()
+    taken = set[str]()
     for place in (place_of(), *map(place_of, range(1, _MOST + 1)), *_joints(profile, columns)):
-        found = {channel: set(profile.candidates(channel, spoken, place)) - taken for channel in profile.channels}
+        found = {channel: set(profile.find(channel, spoken, place)) - taken for channel in profile.channels}
         channels = {channel: names.pop() for channel, names in found.items() if len(names) == 1}
         if "motor_position" in channels or "reference" in channels:
-            gains = profile.gain_columns(spoken, place)
             taken.update(channels.values())
-            yield LoggedAxis(place, channels, gains)
+            yield LoggedAxis(place, channels, profile.gain_columns(spoken, place))
 
 
 def _joints(profile: Profile, columns: tuple[str, ...]) -> Iterator[Place]:
     """Yield the joints whose names stand in columns, in their order."""
-    templates = [name for signals in profile.channels.values() for one in signals for name in one.names]
-    patterns = [
-        re.compile("(?:.*[./])?" + re.escape(name).replace(r"\{joint\}", r"([^/]+)"), re.IGNORECASE)
-        for name in templates
-        if "{joint}" in name
+    names = [
+        name for signals in profile.channels.values() for one in signals for name in one.names if "{joint}" in name
     ]
+    every = (re.escape(name).replace(r"\{joint\}", r"([^/]+)") for name in names)
+    patterns = [re.compile(f"(?:.*[./])?{one}", re.IGNORECASE) for one in every]
     found = (next(filter(None, (one.fullmatch(name) for one in patterns)), None) for name in columns)
     yield from (place_of(joint=name) for name in dict.fromkeys(match[1] for match in found if match))

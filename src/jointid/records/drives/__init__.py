@@ -14,7 +14,7 @@ import contextlib
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -68,18 +68,15 @@ class TraceSignal:
 
     def names_on(self, place: Place) -> Iterator[str]:
         """Yield possible names at a place."""
-        if self.axes is not None and place.get("axis") not in self.axes:
-            return
-        yield from _fill_names(self.names, place)
+        if self.axes is None or place.get("axis") in self.axes:
+            yield from _fill_names(self.names, place)
 
     def fill(self, column: Column, known: tuple[str, ...]) -> Column:
         """Complete a column's missing settings."""
-        unit = column.unit
-        if unit is None and column.gain == 1.0 and column.stated_unit(known) is None:  # a gain leads to another unit
-            unit = self.unit
+        stated = column.unit is not None or column.gain != 1.0 or column.stated_unit(known) is not None
         return replace(
             column,
-            unit=unit,
+            unit=column.unit if stated else self.unit,  # a gain leads to another unit
             timing=column.timing or self.timing,
             tap=column.tap or self.tap,
             at=self.at if self.at is not None and column.at is InjectionPoint.AFTER_LIMIT else column.at,
@@ -129,16 +126,13 @@ class Profile:
     gains: tuple[DriveGain, ...] = ()
     law: str = ""
 
-    def signals(self, channel: str, column: str, place: Place) -> list[TraceSignal]:
-        """Signals of a channel that a column name matches."""
-        spoken = index_columns([column])
-        return [one for one in self.channels.get(channel, ()) if _find_named(one.names_on(place), spoken)]
-
-    def candidates(self, channel: str, columns: Spoken, place: Place) -> list[str]:
-        """Columns that can be a channel; fallbacks only where nothing else is."""
-        found = {s: _find_named(s.names_on(place), columns) for s in self.channels.get(channel, ())}
-        first = [name for signal, names in found.items() for name in names if not signal.fallback]
-        return list(dict.fromkeys(first or (name for names in found.values() for name in names)))
+    def find(self, channel: str, columns: Spoken, place: Place) -> dict[str, TraceSignal]:
+        """Columns that can be a channel, with their signals; fallbacks only where nothing else is."""
+        for fallback in (False, True):
+            signals = [one for one in self.channels.get(channel, ()) if one.fallback is fallback]
+            if found := {name: one for one in signals for name in _find_named(one.names_on(place), columns)}:
+                return found
+        return {}
 
     def gain_columns(self, columns: Spoken, place: Place) -> dict[str, DriveGain]:
         """Columns of the controller's gains, where exactly one fits."""
@@ -147,26 +141,19 @@ class Profile:
 
     def side(self, channel: str, column: str, place: Place) -> Side | None:
         """Transmission side of a channel, by column or by default."""
-        signals = self.signals(channel, column, place) if column else list(self.channels.get(channel, ()))
-        return signals[0].side if signals else None
+        signals = (
+            self.find(channel, index_columns([column]), place).values() if column else self.channels.get(channel, ())
+        )
+        return next((signal.side for signal in signals), None)
 
     def column(
         self, channel: str, declared: Column | None, place: Place, kind: str, tap: Tap | None = None
     ) -> Column | None:
-        """Find a channel's column: the declared one, or the first known name.
-
-        Args:
-            channel: of the record.
-            declared: settings, possibly without a name.
-            place: in the trace.
-            kind: of motion on the measured side.
-            tap: of a torque, if it distinguishes signals.
-        """
-        signals, column = self.channels.get(channel, ()), declared or Column(optional=True)
+        """Find the column to write a channel to: the declared one, or the first known name, of a signal of this tap."""
+        column, signals = declared or Column(optional=True), list(self.channels.get(channel, ()))
         if column.column:
-            signals = tuple(self.signals(channel, column.column, place))
-        elif tap is not None:
-            signals = tuple(s for s in signals if (s.tap or Tap.COMMAND) is tap) or signals
+            signals = list(self.find(channel, index_columns([column.column]), place).values())
+        signals.sort(key=lambda one: tap not in (None, one.tap or Tap.COMMAND))
         for signal in signals:
             for name in signal.names_on(place):
                 return signal.fill(replace(column, column=column.column or name), known_units(channel, kind))
@@ -186,39 +173,28 @@ class Profile:
         source: str,
     ) -> tuple[dict[str, Column], list[str]]:
         """Assign columns to channels, with a fault for each missing or ambiguous one."""
-        columns, made, faults = tuple(columns), {}, list[str]()
-        spoken = index_columns(columns)
+        made, faults, spoken = dict[str, Column](), list[str](), index_columns(columns)
         for channel in CHANNELS:
-            column, known = declared.get(channel), known_units(channel, kinds[channel])
-            if column is None or not column.column:
-                names = sorted(self.candidates(channel, spoken, place), key=columns.index)
-                if len(names) > 1:
-                    quoted = " and ".join(f'"{name}"' for name in names)
-                    faults.append(
-                        f'{source} has {quoted}, and profile "{self.name}" knows each as {channel}; name the one that '
-                        f"is meant as the {channel}'s column."
-                    )
-                elif column is not None and not column.optional and not names:
-                    faults.append(self._missing_fault(source, columns, place, channel))
-                if len(names) != 1:
-                    continue
-                column = replace(column or Column(optional=True), column=names[0])
-            signals = self.signals(channel, column.column, place)
-            made[channel] = signals[0].fill(column, known) if signals else column
-        return made, faults if made or faults else [self._missing_fault(source, columns, place)]
+            column = declared.get(channel) or Column(optional=True)
+            found = self.find(channel, index_columns([column.column]) if column.column else spoken, place)
+            if column.column or len(found) == 1:
+                column = column if column.column else replace(column, column=next(iter(found)))
+                signal = found.get(column.column)
+                made[channel] = column if signal is None else signal.fill(column, known_units(channel, kinds[channel]))
+            elif found or not column.optional:
+                faults.append(self._missing(source, spoken, place, channel, sorted(found)))
+        return made, faults if made or faults else [self._missing(source, spoken, place, "any channel", [])]
 
-    def _missing_fault(self, source: str, columns: tuple[str, ...], place: Place, channel: str = "") -> str:
-        """Say that no column is known as a channel, or at all."""
-        signals = [s for one, several in self.channels.items() if channel in ("", one) for s in several]
-        known = ", ".join(f'"{next(signal.names_on(place), signal.names[0])}"' for signal in signals) or "none"
-        listed = ", ".join(f'"{name}"' for name in columns[:_LISTED]) + (", ..." if len(columns) > _LISTED else "")
-        names = " ".join(name for signal in signals for name in signal.names)
-        is_number = "axis" not in place and ("{axis}" in names or "{index}" in names)
-        lacking = "axis" if is_number else "joint" if "joint" not in place and "{joint}" in names else ""
-        what = f" as {channel} ({known})" if channel else ""
+    def _missing(self, source: str, columns: Spoken, place: Place, channel: str, found: list[str]) -> str:
+        """Say that no column is known as a channel, or more than one."""
+        names = " ".join(name for signals in self.channels.values() for one in signals for name in one.names)
+        asked = names.replace("{index}", "{axis}")
+        lacking = [one for one in ("axis", "joint") if f"{{{one}}}" in asked and one not in place]
+        remedy = f"give the {lacking[0]} of the drive, or name the column" if lacking else "name the column"
+        listed = found or list(dict.fromkeys(name for names in columns.values() for name in names))[:_LISTED]
         return (
-            f'{source} has no column that profile "{self.name}" knows{what} (it has {listed}); '
-            f"{f'give the {lacking} of the drive, or ' if lacking else ''}name the column."
+            f'{source} has {"several columns" if found else "no column"} that profile "{self.name}" knows as '
+            f"{channel}; it has {', '.join(map(repr, listed))}: {remedy}."
         )
 
 
@@ -256,19 +232,17 @@ def load_profile(name: str) -> Profile:
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
     raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-    types: dict[str, Callable[[Any], Any]] = {
-        "names": tuple, "timing": Timing, "tap": Tap, "at": InjectionPoint, "axes": tuple, "fallback": bool
-    }  # fmt: skip
     channels = {
-        channel: tuple(TraceSignal(**{key: types.get(key, str)(one[key]) for key in one}) for one in signals)
+        channel: tuple(TraceSignal(**{key: _freeze(key, one[key]) for key in one}) for one in signals)
         for channel, signals in raw.pop("channels").items()
     }
-    lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
-    gains = tuple(
-        DriveGain(one["name"], one["key"], tuple(one["units"]), tuple(one.get("columns", ())))
-        for one in raw.pop("gains", ())
-    )
-    return Profile(name=name, channels=channels, gains=gains, **lists, **raw)
+    gains = tuple(DriveGain(**{key: _freeze(key, one[key]) for key in one}) for one in raw.pop("gains", ()))
+    return Profile(name, channels=channels, gains=gains, **{key: _freeze(key, raw[key]) for key in raw})
+
+
+def _freeze(key: str, value: Any) -> Any:
+    kind = {"timing": Timing, "tap": Tap, "at": InjectionPoint}.get(key)
+    return kind(value) if kind else tuple(value) if isinstance(value, list) else value
 
 
 def index_columns(columns: Iterable[str]) -> Spoken:
@@ -382,32 +356,28 @@ class Drive:
         Raises:
             UnitError: a number is missing; the message is the end of a sentence.
         """
-        traces = self.traces
-        position, torque = (units.unit(name[kind]) for name in (POSITION_UNIT, TORQUE_UNIT))
+        si, said, number = TORQUE_UNIT[kind], "", None
         if unit.dimension == units.COUNTS:
-            name, own = _COUNTS[kind], f"load_{_COUNTS[kind]}"
-            counts = getattr(self, own if of_load else name) or (None if of_load and geared else getattr(self, name))
-            if counts is None:
-                said = "" if traces is None or kind == "prismatic" else f" ({traces.counts})"
-                needed = f"{own}, of the load's own encoder behind the transmission," if of_load and geared else name
-                raise units.UnitError(
-                    f"which needs the drive's {needed}{said}: give it below [drive], or gain and another unit"
-                )
-            return replace(position, name=unit.name, factor=(2 * math.pi if kind == "revolute" else 1.0) / counts)
-        if unit.dimension == units.SHARE:
-            rated = self.rated_torque or self._from_current
-            if rated is None:
-                said = "" if traces is None else f" ({traces.rated_torque})"
-                raise units.UnitError(
-                    f"a share of the rated torque, which needs the drive's rated_torque{said}: give it below "
-                    "[drive], or rated_current there and torque_constant below [joint]"
-                )
-            return replace(torque, name=unit.name, factor=unit.factor * rated)
-        if unit.dimension == "current" and self.torque_constant is not None:
-            return replace(torque, name=unit.name, factor=unit.factor * self.torque_constant)
-        if unit.dimension == "voltage" and self.torque_per_volt is not None:
-            return replace(torque, name=unit.name, factor=unit.factor * self.torque_per_volt)
-        return unit
+            si, name = POSITION_UNIT[kind], _COUNTS[kind]
+            own, motor = getattr(self, f"load_{name}"), None if of_load and geared else getattr(self, name)
+            counts = (own if of_load else None) or motor
+            number = None if counts is None else (2 * math.pi if kind == "revolute" else 1.0) / counts
+            needed = f"load_{name}, of the load's own encoder behind the transmission," if of_load and geared else name
+            said = "" if self.traces is None or kind == "prismatic" else f" ({self.traces.counts})"
+        elif unit.dimension == units.SHARE:
+            number, needed = (
+                self.rated_torque or self._from_current,
+                "rated_torque, or rated_current and torque_constant",
+            )
+            said = "" if self.traces is None else f" ({self.traces.rated_torque})"
+        elif unit.dimension in ("current", "voltage"):
+            number = self.torque_constant if unit.dimension == "current" else self.torque_per_volt
+            needed = ""
+        else:
+            return unit
+        if number is None and needed:
+            raise units.UnitError(f"which needs the drive's {needed}{said}: give it below [drive], or another unit")
+        return unit if number is None else replace(units.unit(si), name=unit.name, factor=unit.factor * number)
 
 
 @dataclass(frozen=True, slots=True)
