@@ -92,7 +92,7 @@ def test_a_bad_row_ends_it_with_its_line(joint: Path, tmp_path: Path, capsys: py
     bad = tmp_path / "bad.csv"
     bad.write_text("\n".join(lines), encoding="utf-8")
     assert run("identify", joint, "--record", bad, "--window", 4, "-q") == 2
-    assert 'bad.csv: line 54322, column "reference" holds "#"' in capsys.readouterr().err
+    assert "bad.csv: line 54322 has" in capsys.readouterr().err
 
 
 def test_a_window_of_0_is_refused(joint: Path, capsys: pytest.CaptureFixture[str]) -> None:

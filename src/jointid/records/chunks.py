@@ -18,6 +18,7 @@ from jointid.records.reading import RecordReader
 from jointid.records.record import Channel, Record
 
 _LOOK = 1000  # rows that tell the sample time
+_ONE_CLOCK = "has one uniform clock; log all channels at one rate, and leave resample, start, stop and part out"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,10 +86,7 @@ class Log:
     def __post_init__(self) -> None:
         own = any(isinstance(c, Column) and (c.sample_time or c.time) for c in self.columns.values())
         if own or self.settings.get("resample") is not None or self.settings.get("cut", Cut()) != Cut():
-            raise RecordError(
-                "A record that is read in chunks has one clock and is read whole; leave resample, start, stop and part "
-                "out, and log all channels at one rate."
-            )
+            raise RecordError(f"A record that is read in chunks {_ONE_CLOCK}.")
 
     @property
     def name(self) -> str:
@@ -98,10 +96,9 @@ class Log:
     @property
     def sample_time(self) -> float:
         """As the first rows have it."""
-        first = next(self._tables(_LOOK, 0, 1), None)
-        if first is None:
-            raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
-        return _require_one_rate(self._reader.build_record(first[1], self.name))
+        for _, table, _ in self._tables(_LOOK, 0, 1):
+            return _require_one_rate(self._reader.build_record(table, self.name))
+        raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
         """See `LongRecord.chunks`."""
@@ -109,12 +106,8 @@ class Log:
         for number, table, last in self._tables(length, overlap, every):
             try:
                 record = reader.build_record(table, self.name)
-                own = _require_one_rate(record)
-                if record.resampled is not None or not is_same_rate(own, sample_time):
-                    raise RecordError(
-                        f"its clock jitters, or has steps of {own:g} s and of {sample_time:g} s before: chunks do not "
-                        "fit together; log at uniform instants, or cut it there."
-                    )
+                if record.resampled is not None or not is_same_rate(_require_one_rate(record), sample_time):
+                    raise RecordError(f"its clock jitters, or has other steps than {sample_time:g} s; it {_ONE_CLOCK}.")
             except RecordError as error:
                 raise RecordError(
                     [f"{Path(self.path).name}, rows from {number * length + 1} on: {fault}" for fault in error.faults]
@@ -176,11 +169,10 @@ def begin_together(records: Sequence[Record]) -> tuple[Record, ...]:
 
 def _begin_at(record: Record, begin: float) -> Record:
     late, periods = begin - record.begin, [channel.sample_time for _, channel in record.items()]
+    off = max(abs(late - round(late / period) * period) for period in periods)
     if late <= 0.5 * min(periods):
         return record
-    if late > record.duration - 2 * max(periods) or any(
-        abs(late - round(late / period) * period) > 0.5 * min(periods) for period in periods
-    ):
+    if late > record.duration - 2 * max(periods) or off > 0.5 * min(periods):
         raise RecordError(
             f"The channels of another joint begin {late:g} s later, by their own clocks, where these are not cut; "
             "give resample, or log all joints by one clock."
@@ -189,13 +181,9 @@ def _begin_at(record: Record, begin: float) -> Record:
 
 
 def _require_one_rate(record: Record) -> float:
-    times = {name: channel.sample_time for name, channel in record.items()}
-    first = next(iter(times.values()))
-    if not all(is_same_rate(time, first) for time in times.values()):
-        listed = ", ".join(f"{name} {time:g} s" for name, time in times.items())
-        raise RecordError(
-            f"A record that is read in chunks has one sample time ({listed}); log all channels at one rate."
-        )
+    first, *others = [channel.sample_time for _, channel in record.items()]
+    if not all(is_same_rate(time, first) for time in others):
+        raise RecordError(f"A record that is read in chunks {_ONE_CLOCK}; got {[first, *others]} s.")
     return first
 
 

@@ -45,22 +45,17 @@ def join_files(
     Raises:
         RecordError: a file cannot be read or has no clock, or the files have no clock in common.
     """
-    names = [Path(path).stem for path in paths]
-    if len(set(names)) < len(names):
-        raise RecordError("The files of a record have one name each; two are called alike: rename one of them.")
-    if offsets and len(offsets) != len(paths):
-        raise RecordError(f"There are {len(offsets)} offsets for {len(paths)} files; give one for each file, or none.")
     tables = [read_table(path, **options) for path in paths]
     clocks = [_find_clock(table, time, time_unit, sample_time) for table in tables]
-    for table, clock in () if offsets else zip(tables[1:], clocks[1:], strict=True):
-        if not _share_clock(tables[0], clocks[0], table, clock):
-            raise RecordError(
-                f"{tables[0].source} and {table.source} have no clock in common; give record.offsets: the seconds to "
-                "add to the clock of each file."
-            )
+    apart = [k for k in range(1, len(tables)) if not _share_clock(tables[0], clocks[0], tables[k], clocks[k])]
+    if apart and not offsets:
+        raise RecordError(
+            f"{tables[0].source} and {tables[apart[0]].source} have no clock in common; give record.offsets: the "
+            "seconds to add to the clock of each file."
+        )
     found, kept = Found(Path()), dict[str, FloatArray]()
-    for name, table, own, offset in zip(names, tables, clocks, offsets or [0.0] * len(tables), strict=True):
-        stamps = own.stamps + offset
+    for path, table, own, offset in zip(paths, tables, clocks, offsets or [0.0] * len(tables), strict=True):
+        name, stamps = Path(path).stem, own.stamps + offset
         time = next((n for n, one in kept.items() if _is_same(one, stamps, own.sample_time)), f"time of {name}")
         if time not in kept:
             kept[time] = stamps
