@@ -8,7 +8,6 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,10 +29,7 @@ if TYPE_CHECKING:
 _TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
-_ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
 _MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
-_STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
-_CLOCKS = 100  # of a file, among which those of other columns are sought
 _LISTED = 1000  # channels; who has more of them reads them by a program
 _DRAWN, _ACROSS = 90, 3  # channels, since more would be illegible; panels in a row
 _LONGEST, _TITLE = 60, 40  # characters of a name in the table, and over a panel
@@ -50,7 +46,6 @@ class InspectedChannel:
         values: (samples,), NaN where a row has no number.
         time: the column that is taken for its clock, None where none is recognised; of a clock its own name.
         sample_time: mean time between its samples in seconds, None without a clock.
-        jitter: largest deviation of a step of the clock from that, as a share of it; None without a clock.
     """
 
     in_json = "rows minimum maximum missing"
@@ -59,7 +54,6 @@ class InspectedChannel:
     values: FloatArray
     time: str | None = None
     sample_time: float | None = None
-    jitter: float | None = None
 
     @property
     def is_time(self) -> bool:
@@ -167,24 +161,20 @@ class Inspection(Charted, Documented):
 
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""
-        said, timed = list[str](), Counter(channel.time for channel in self.channels)
-        for clock in self.channels:
-            if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
-                stalls = clock.stalls
-                back = f"; {pluralise(stalls, 'stamp')} repeated or earlier" if stalls else ""
-                said.append(
-                    f"{show(clock.name)} is the time of {pluralise(timed[clock.name] - 1, 'channel')}: a sample every "
-                    f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that"
-                    f"{back}."
-                )
-        return said or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
+        timed = Counter(channel.time for channel in self.channels)
+        return [
+            f"{show(one.name)} is the time of {pluralise(timed[one.name] - 1, 'channel')}: a sample every "
+            f"{one.sample_time:.6g} s{f'; {one.stalls} stamps repeated or earlier' if one.stalls else ''}."
+            for one in self.channels
+            if one.is_time
+        ] or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
 
 
 def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """Inspect a file of any format.
 
     A clock is a rising column in a unit of time whose name ends in t, time, timestamp or stamp. Other columns take the
-    clock of their format, or the clock of their length that shares the longest path prefix.
+    clock of their format, or the only one of their length.
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
@@ -204,35 +194,20 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     for name, channel in found.items():
         is_named = _TIME.fullmatch(name) or name in declared.values()
         unit = units.normalise_unit(channel.unit or "s")
-        if not is_named or unit not in of_time or channel.stalls > _MOSTLY * (channel.rows - 1):
-            continue
         step = float(channel.values[-1] - channel.values[0]) / max(channel.rows - 1, 1)
-        if step > 0:
-            jitter = float(np.max(np.abs(np.diff(channel.values) - step))) / step
-            clocks[name] = replace(channel, time=name, sample_time=step * units.unit(unit).factor, jitter=jitter)
+        if is_named and unit in of_time and channel.stalls <= _MOSTLY * (channel.rows - 1) and step > 0:
+            clocks[name] = replace(channel, time=name, sample_time=step * units.unit(unit).factor)
     for name, channel in found.items():
-        clock = clocks.get(name if name in clocks else declared.get(name) or _find_clock(channel, clocks) or "")
-        if clock is not None:
-            found[name] = replace(channel, time=clock.name, sample_time=clock.sample_time, jitter=clock.jitter)
+        alike = [one for one, clock in clocks.items() if clock.rows == channel.rows]
+        time = name if name in clocks else declared.get(name) or (alike[0] if len(alike) == 1 else "")
+        if time in clocks:
+            found[name] = replace(channel, time=time, sample_time=clocks[time].sample_time)
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files)
     recognised = recognise(tuple(found))
     return Inspection(
         path.name, format_of(path).name, size, tuple(found.values()), table.scalars, table.passed, recognised
     )
-
-
-def _find_clock(channel: InspectedChannel, clocks: Mapping[str, InspectedChannel]) -> str | None:
-    """Find the clock of so many rows whose path begins most like a column's; None if missing or ambiguous."""
-    if len(clocks) > _CLOCKS:
-        return None
-    parts, shared = _STEPS.split(channel.name, _PARTS), dict[str, int]()
-    for name, clock in clocks.items():
-        if clock.rows == channel.rows:
-            pairs = zip(parts, _STEPS.split(name, _PARTS), strict=False)
-            shared[name] = len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
-    nearest = [name for name, count in shared.items() if count == max(shared.values())]
-    return nearest[0] if len(nearest) == 1 else None
 
 
 def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
