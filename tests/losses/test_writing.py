@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", r
 
 OLD = b"what was there"
 WRITERS = {
-    "inspect": "inspect record.csv --figure o.png",
+    "inspect": "inspect record.csv --json o.json",
     "identify": "identify joint.toml -q --json o.json",
     "simulate .csv": "simulate joint.toml --estimate estimate.json -q --out o.csv",
     "simulate .mat": "simulate joint.toml --estimate estimate.json -q --out o.mat",

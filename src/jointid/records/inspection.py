@@ -9,13 +9,11 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import BAND, MEASURED, Charted, panels
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
 from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
@@ -23,17 +21,12 @@ from jointid.records.formats import format_of, read_table
 from jointid.records.formats.table import STAMP_NAME
 from jointid.records.recognition import Recognised, recognise
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
 _LISTED = 1000  # channels; who has more of them reads them by a program
-_DRAWN, _ACROSS = 90, 3  # channels, since more would be illegible; panels in a row
-_LONGEST, _TITLE = 60, 40  # characters of a name in the table, and over a panel
-_STRETCHES = 1000  # of a signal that is drawn
+_LONGEST = 60  # characters of a name in the table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +87,7 @@ def find_band(values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True, slots=True)
-class Inspection(Charted, Documented):
+class Inspection(Documented):
     """Contents of a file.
 
     Attributes:
@@ -135,29 +128,6 @@ class Inspection(Charted, Documented):
             blocks.append(Paragraph(show(self.recognised.sentence)))
         title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
-
-    def draw(self) -> Figure:
-        """Draw the range of each channel over time.
-
-        Only the first 90 channels are drawn, as the title says.
-        """
-        every = [channel for channel in self.channels if not channel.is_time] or list(self.channels)
-        drawn = every[:_DRAWN]
-        count = f"{len(drawn)} of {len(every)} channels" if len(drawn) < len(every) else f"{len(drawn)} channels"
-        across = min(_ACROSS, max(len(drawn), 1))
-        figure, places = panels([170] * len(drawn), across, title=f"{show(self.file)}: {count}")
-        for axes, channel in zip(places, drawn, strict=True):
-            seconds = channel.sample_time if np.isfinite(channel.sample_time or np.nan) else None
-            low, high = find_band(channel.values, _STRETCHES)
-            width = channel.rows / low.size * (seconds or 1.0)
-            place = np.asarray((np.arange(low.size) + 0.5) * width, dtype=np.float64)
-            axes.fill_between(place, low, high, color=MEASURED, **BAND)
-            axes.plot(place, (low + high) / 2, color=MEASURED, linewidth=0.75)
-            name = show(channel.name)
-            short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
-            title = f"{short} [{show(channel.unit)}]" if channel.unit else short
-            axes.set(xlabel="time [s]" if seconds else "row", title=title)
-        return figure
 
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""

@@ -21,7 +21,6 @@ from tests.losses.runs import contents
 
 COMMANDS = (
     "inspect record.csv --json record.csv",
-    "inspect record.csv --figure link.png",
     "identify joint.toml --json record.csv",
     "identify joint.toml --record record.csv --json record.csv",
     "identify joint.toml --json joint.toml",
@@ -131,7 +130,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "campaign": ("campaign.toml", {"--out": "x", "--html": "x.html"}),
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
-    "inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png", "--write": "x.toml"}),
+    "inspect": ("record.csv", {"--json": "x.json", "--write": "x.toml"}),
     "demo": ("", {"FOLDER": "x"}),
     "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
     "diagnose": ("joint.toml", {"--json": "x.json"}),

@@ -24,7 +24,6 @@ def inspect(
     decimal: Decimal | None = None,
     header: Header = None,
     json: Path | None = None,
-    figure: Path | None = None,
     write: Path | None = None,
     axis: str | None = None,
 ) -> None:
@@ -40,16 +39,13 @@ def inspect(
         decimal: mark of a text file, likewise.
         header: whether a text file names its columns, likewise.
         json: also write the answer as JSON to this file.
-        figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
         write: also write a joint file that reads the log, or a robot file where it has several axes; never over a file.
         axis: number or name of the axis, for the joint file of one of several.
     """
-    from jointid import figures
     from jointid import inspect as look
     from jointid.config.logged import describe_log
 
-    figures.require_format(figure)
-    spare((json, figure, write), file)
+    spare((json, write), file)
     if write is not None and write.exists():
         raise RecordError(f"{write} exists, and may hold what only you know; name another file, or remove it first.")
     options = {"delimiter": delimiter, "decimal": decimal, "header": header}
@@ -57,7 +53,7 @@ def inspect(
     text = ""
     if write is not None:  # what it refuses comes before any file
         text = describe_log(found, Path(os.path.relpath(file.absolute(), write.absolute().parent)).as_posix(), axis)
-    deliver(found, json, (figure, lambda one: one.plot()))
+    deliver(found, json)
     if write is not None:
         write_whole(write, text)
         show(f"Written: {write}")

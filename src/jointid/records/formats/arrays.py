@@ -30,7 +30,6 @@ _VARIABLE = re.compile(
 )
 _OF_SCIPY = ("__header__", "__version__", "__globals__", "__function_workspace__")
 _HDF5, _HEADER_73 = b"\x89HDF\r\n\x1a\n", 512  # the signature, and the bytes of MATLAB's own header before it
-_CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
 _PACKED_MOST, _ANY_FILE = 10_000, 2**27  # bytes of numbers that a byte of a file, and any file, may declare
@@ -193,8 +192,7 @@ def _refuse(h5py: Any, dataset: Member) -> str:
         return "a sparse matrix"
     if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
         return "its numbers are in another file"
-    packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
-    return f"its chunks are declared as {packed / 2**30:.3g} GiB each" if packed > _CHUNK else ""
+    return ""
 
 
 def _text_of(member: Member, key: str) -> str:

@@ -36,7 +36,7 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
     Instants count from the first one of the file's first column of them.
     """
     parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
-    begins: dict[str, np.datetime64] = {}
+    begin = list[np.datetime64]()
     # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
     with (
         path.open("rb") as raw,
@@ -57,7 +57,7 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
         for batch in file.iter_batches(rows or _GROUP, columns=[field.name for field in wanted], use_threads=False):
             found = Found(path, passed=passed)
             for field, array in zip(wanted, batch.columns, strict=True):
-                _take_array(found, field.name, array, begins)
+                _take_array(found, field.name, array, begin)
                 unit = next((field.metadata[key] for key in _UNITS if key in (field.metadata or {})), b"").decode()
                 found.units |= {field.name: unit.strip()} if unit.strip() and field.name in found.columns else {}
             yield found.table()
@@ -72,14 +72,14 @@ def _may_be_numbers(kind: Arrow) -> bool:
     return bool(types.is_primitive(kind) or types.is_decimal(kind))
 
 
-def _take_array(found: Found, name: str, array: Arrow, begins: dict[str, np.datetime64]) -> None:
-    """Add the columns of an array; `begins` is the first instant of each column of them, and of all."""
+def _take_array(found: Found, name: str, array: Arrow, begin: list[np.datetime64]) -> None:
+    """Add the columns of an array; `begin` is the first instant of the file, once there is one."""
     types, kind = extra("pyarrow.types", "logs", "Reading Parquet"), array.type
     if types.is_dictionary(kind):
-        _take_array(found, name, array.dictionary_decode(), begins)
+        _take_array(found, name, array.dictionary_decode(), begin)
     elif types.is_struct(kind):
         for index, member in enumerate(array.flatten()):
-            _take_array(found, f"{name}.{kind.field(index).name}", member, begins)
+            _take_array(found, f"{name}.{kind.field(index).name}", member, begin)
     elif hasattr(kind, "value_type"):
         flat, size = _to_floats(array.flatten()), len(array.flatten()) // len(array)
         sizes = [size] if types.is_fixed_size_list(kind) else array.value_lengths().unique().to_pylist()
@@ -92,10 +92,9 @@ def _take_array(found: Found, name: str, array: Arrow, begins: dict[str, np.date
         values = array.cast("int32" if types.is_time32(kind) else "int64").fill_null(0).to_numpy(zero_copy_only=False)
         instants = values.astype(f"M8[{kind.unit}]" if types.is_timestamp(kind) else f"m8[{kind.unit}]")
         instants[array.is_null().to_numpy(zero_copy_only=False)] = "NaT"
-        known = instants[~np.isnat(instants)]
-        own = begins.setdefault(name, known[0]) if types.is_timestamp(kind) and known.size else None
-        late = 0.0 if own is None else float((own - begins.setdefault("", own)) / np.timedelta64(1, "s"))
-        found.add(name, to_numbers(instants, None if own is None else np.array([own])) + late, "s")
+        if types.is_timestamp(kind) and not begin:
+            begin.extend(instants[~np.isnat(instants)][:1])
+        found.add(name, to_numbers(instants, np.array(begin) if begin else None), "s")
     elif _may_be_numbers(kind):
         found.add(name, _to_floats(array))
     else:
