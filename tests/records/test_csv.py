@@ -227,6 +227,7 @@ REFUSED: dict[str, str | bytes] = {
     "a whole thousands separator": "a;b\n1,5;2\n1,6;2\n1.000;2\n",
     "cut off": "t,q,x\n0,1,2\n1,2,3\n2,3\n",
     "a short row": "t,q\n0,1\n1\n2,3\n",
+    "a second short row": "t,q,x\n0,1,2\n1,2,3\n1\n2,3,4\n3,4,5\n",
     "a long row": "t,q\n0,1\n1,2,3\n2,3\n",
     "a closing remark": "t,q\n0,1\n1,2\nend of file\n",
     "decimal and delimiting comma": "t,q\n0,1,5,2\n1,1,5,3\n",
@@ -253,7 +254,13 @@ def test_a_file_that_cannot_be_read_is_one_sentence(name: str, read: Read) -> No
 
 
 def test_the_line_at_fault_is_named(read: Read) -> None:
-    for name, line in (("text in a cell", 3), ("cut off", 4), ("a short row", 3), ("one thousands separator", 3)):
+    for name, line in (
+        ("text in a cell", 3),
+        ("cut off", 4),
+        ("a short row", 3),
+        ("one thousands separator", 3),
+        ("a second short row", 4),
+    ):
         with pytest.raises(RecordError, match=f"line {line}"):
             read(REFUSED[name])
 

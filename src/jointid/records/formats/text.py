@@ -156,14 +156,14 @@ class Layout:
     def read(self, lines: Sequence[str]) -> Table:
         """Parse rows."""
         mark = self.dialect.delimiter
-        lines = [line.rstrip(_BLANKS).removesuffix(mark) for line in lines] if self.closed else lines
+        texts = [line.rstrip(_BLANKS).removesuffix(mark) for line in lines] if self.closed else lines
         try:
-            plain = list(map(self.dialect.with_points, lines))
+            plain = list(map(self.dialect.with_points, texts))
             values = np.loadtxt(plain, delimiter=None if mark == _BLANKS else mark, comments=None, ndmin=2)
             columns = dict(zip(self.names, values.T, strict=True))
             return Table(columns, source=self.path.name, passed=self.passed)
         except (ValueError, TypeError):  # words, quotes, an empty cell or a fault: only the slow way can tell
-            rows = list(map(self.dialect.split, lines))
+            rows = list(map(self.dialect.split, texts))
         width = len(self.names)
         for line, row in zip(lines, rows, strict=True):
             if len(row) != width:
@@ -203,7 +203,7 @@ class Layout:
         return {}
 
     def _fault(self, line: str, what: str) -> RecordError:
-        number = next(number for number, one in _number_lines(self.path) if one.startswith(line))
+        number = next(number for number, one in _number_lines(self.path) if one == line)
         return RecordError(f"{self.path.name}: line {number} {what}; mend or delete that line.")
 
 
