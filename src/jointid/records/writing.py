@@ -87,7 +87,16 @@ def columns_to_write(
         sides = {name: frame.drive.side(name, named.get(name)) for name in record.channels}
         record = refer_to_drive(transmission, record, sides)
     channels = dict(record.items())
-    table = _time_column(channels, time, time_unit, sample_time)
+    first, periods = next(iter(channels.values())), {channel.sample_time for channel in channels.values()}
+    if len(first) < 2 or not all(is_same_rate(period, sample_time or first.sample_time) for period in periods):
+        rates = ", ".join(f"{name} {channel.sample_time:g} s" for name, channel in channels.items())
+        raise RecordError(
+            f"A file holds two samples or more of one rate; got {rates}, {len(first)} samples, and a sample_time of "
+            f"{sample_time} s: write each rate to a file of its own, or name a time column."
+        )
+    clocks = [time or "t"] if sample_time is None or time is not None else []
+    clocks += [column.time for column in named.values() if column.time is not None]
+    table = {name: _stamps(first, name, time_unit) for name in clocks}
     for name, channel in channels.items():
         column = named[name].column if name in named else name
         values = _column_values(name, channel, named, frame) if name in named else channel.values
@@ -97,31 +106,7 @@ def columns_to_write(
                 f'{" and ".join(both) if len(both) > 1 else name} would share the column "{column}" with something '
                 "else; give each channel, and the time, a column of its own."
             )
-    for named_column in named.values():
-        if named_column.time is not None:
-            table.setdefault(named_column.time, _stamps(next(iter(channels.values())), named_column.time, time_unit))
     return table
-
-
-def _time_column(
-    channels: Mapping[str, Channel], time: str | None, time_unit: str | None, sample_time: float | None
-) -> dict[str, FloatArray]:
-    """Time column by name; empty if reading needs the sample time only."""
-    if len({channel.sample_time for channel in channels.values()}) > 1:
-        rates = ", ".join(f"{name} {channel.sample_time:g} s" for name, channel in channels.items())
-        raise RecordError(f"A file holds channels of one rate; got {rates}: write each rate to a file of its own.")
-    first = next(iter(channels.values()))
-    if len(first) < 2:
-        raise RecordError("A record of one sample has no time between samples; write two samples or more.")
-    if sample_time is not None and not is_same_rate(first.sample_time, sample_time):
-        raise RecordError(
-            f"The record has a sample every {first.sample_time:g} s, and would be read at the sample_time of "
-            f"{sample_time:g} s that is given; name a time column instead, or correct it."
-        )
-    if sample_time is not None and time is None:
-        return {}
-    name = time or "t"
-    return {name: _stamps(first, name, time_unit)}
 
 
 def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
