@@ -356,28 +356,30 @@ class Drive:
         Raises:
             UnitError: a number is missing; the message is the end of a sentence.
         """
-        si, said, number = TORQUE_UNIT[kind], "", None
+        number = {"current": self.torque_constant, "voltage": self.torque_per_volt}.get(unit.dimension)
         if unit.dimension == units.COUNTS:
-            si, name = POSITION_UNIT[kind], _COUNTS[kind]
-            own, motor = getattr(self, f"load_{name}"), None if of_load and geared else getattr(self, name)
-            counts = (own if of_load else None) or motor
-            number = None if counts is None else (2 * math.pi if kind == "revolute" else 1.0) / counts
-            needed = f"load_{name}, of the load's own encoder behind the transmission," if of_load and geared else name
-            said = "" if self.traces is None or kind == "prismatic" else f" ({self.traces.counts})"
-        elif unit.dimension == units.SHARE:
-            number, needed = (
-                self.rated_torque or self._from_current,
-                "rated_torque, or rated_current and torque_constant",
-            )
-            said = "" if self.traces is None else f" ({self.traces.rated_torque})"
-        elif unit.dimension in ("current", "voltage"):
-            number = self.torque_constant if unit.dimension == "current" else self.torque_per_volt
-            needed = ""
-        else:
+            name, own = _COUNTS[kind], f"load_{_COUNTS[kind]}"
+            motor = None if of_load and geared else getattr(self, name)
+            known = "" if self.traces is None or kind == "prismatic" else self.traces.counts
+            needed = f"{own}, of the load's own encoder behind the transmission," if of_load and geared else name
+            counts = _require((getattr(self, own) if of_load else None) or motor, needed, known)
+            turn = 2 * math.pi if kind == "revolute" else 1.0
+            return replace(units.unit(POSITION_UNIT[kind]), name=unit.name, factor=turn / counts)
+        if unit.dimension == units.SHARE:
+            known = "" if self.traces is None else self.traces.rated_torque
+            needed = "rated_torque, or rated_current and torque_constant"
+            number = _require(self.rated_torque or self._from_current, needed, known)
+        if number is None:
             return unit
-        if number is None and needed:
-            raise units.UnitError(f"which needs the drive's {needed}{said}: give it below [drive], or another unit")
-        return unit if number is None else replace(units.unit(si), name=unit.name, factor=unit.factor * number)
+        return replace(units.unit(TORQUE_UNIT[kind]), name=unit.name, factor=unit.factor * number)
+
+
+def _require(number: float | None, needed: str, known: str) -> float:
+    """Return a number of a drive, or refuse its unit; `known` is what its profile says of the number."""
+    if number is None:
+        said = f" ({known})" if known else ""
+        raise units.UnitError(f"which needs the drive's {needed}{said}: give it below [drive], or another unit")
+    return number
 
 
 @dataclass(frozen=True, slots=True)
