@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from sphinx.util import logging
 
 from jointid.apps.cli.app import app
+from jointid.paper.reproduce import ERRATA
 from jointid.records.drives import load_profile, profile_names
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # of the studies
@@ -112,7 +113,16 @@ def profiles() -> str:
     return "\n".join(parts)
 
 
-TABLES = {"profiles": profiles, "studies": lambda: make_table(STUDIES, read_entries())}
+def errata() -> str:
+    """Return a section for each finding in the paper."""
+    return "\n".join(
+        f"## {i}. {one.item}\n\n*{one.where}*\n\n- **printed:** {one.printed}\n- **recomputed:** {one.recomputed}\n"
+        f"- **jointid:** {one.what_we_do}\n"
+        for i, one in enumerate(ERRATA, 1)
+    )
+
+
+TABLES = {"errata": errata, "profiles": profiles, "studies": lambda: make_table(STUDIES, read_entries())}
 
 
 def _fill(_: Sphinx, docname: str, source: list[str]) -> None:
