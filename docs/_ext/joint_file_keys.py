@@ -10,8 +10,9 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, get_args, get_origin
 
 from jointid.common.settings import Declared
-from jointid.config.declaration import JOINT_FILE, ROBOT_FILE, FileKey, list_keys, table_of, table_of_items
+from jointid.config.declaration import FileKey, list_keys, table_of, table_of_items
 from jointid.config.quantities import list_units
+from jointid.config.tables import JOINT_FILE, ROBOT_FILE
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
 _CHANNELS_KEY = re.compile(r"record\.channels\.\w+\.\w+$")
@@ -50,7 +51,7 @@ class Key:
 
 def page() -> str:
     """Return the page."""
-    parts, each = [HEAD], list(_convert(list_keys()))
+    parts, each = [HEAD], list(_convert(list_keys(JOINT_FILE)))
     for name, table in JOINT_FILE.keys.items():
         keys = _merged([key for key in each if key.place.startswith(f"{name}.")])
         if name == "record":
@@ -69,7 +70,7 @@ def _section(title: str, said: str, keys: list[Key]) -> str:
 
 def _of_robots() -> Iterator[FileKey]:
     """Yield the keys that a robot file has and a joint file has not."""
-    joint = {key.place for key in list_keys()}
+    joint = {key.place for key in list_keys(JOINT_FILE)}
     for key in list_keys(ROBOT_FILE):
         table, _, name = key.place.partition(".")
         alike = key.place in joint or (table == "joints" and {name, f"joint.{name}"} & joint)

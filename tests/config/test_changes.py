@@ -52,7 +52,7 @@ offset = 0.0
 )
 def test_a_change_is_a_key_and_a_value_in_toml(change: str, expected: dict[str, Any] | None) -> None:
     if expected is None:
-        with pytest.raises(JointFileError, match="no value that TOML knows"):
+        with pytest.raises(JointFileError):
             apply_changes({}, [change])
     else:
         assert apply_changes({}, [change]) == expected
@@ -116,7 +116,7 @@ def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
 @pytest.mark.parametrize(
     "choices",
     [
-        {"method": "didm"}, {"filtering": "x"}, {"friction": "dahl"}, {"method": "idim", "friction": "asymmetric"},
+        {"method": "didm"}, {"filtering": "x"}, {"friction": "dahl"}, {"method": "didim", "friction": "asymmetric"},
         {"changes": ["method.estimator=ols"]}, {"changes": ["method.frequency=0.0"]},
     ],
 )  # fmt: skip

@@ -95,7 +95,7 @@ def test_all_of_a_file() -> None:
         stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
         damping = 126
         motor_inertia = { value = 0.1, upper = 1.0 }
-        load_inertia = { free = true }
+        load_inertia = { lower = 0.01 }
         """,
         folder="here",
     )
@@ -125,7 +125,7 @@ def test_all_of_a_file() -> None:
             "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
             "damping": known["damping"].fix(126.0),
             "motor_inertia": dataclasses.replace(known["motor_inertia"].fix(0.1), upper=1.0),
-            "load_inertia": known["load_inertia"],
+            "load_inertia": dataclasses.replace(known["load_inertia"], lower=0.01),
         },
         source=Source(
             "runs/run1.csv",

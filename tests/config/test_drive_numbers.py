@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.config import learned_text, load_to_learn, loads
+from jointid.config import learned_text, load, loads
 from jointid.controller_id.learned_controller import LearnedController, LearnedNumber, numbers_in_drive
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import PID, Cascade, Controller
@@ -38,7 +38,7 @@ def shown(text: str, made: Controller, folder: Path, **values: float) -> Learned
     """What was learned of a joint file's drive: that law, with those of its numbers known to 1 %."""
     path = folder / "joint.toml"
     path.write_text(text, encoding="utf-8")
-    file = load_to_learn(path)
+    file = load(path, learn=True)
     numbers = tuple(LearnedNumber(n, v, 0.005 * v, "", 0.99 * v, 1.01 * v) for n, v in values.items())
     learned = LearnedController(
         made, Structure(), numbers, np.eye(len(numbers)), (), (), (), 1.0, 0.01, 1.0, 1.0, 100.0, np.zeros(1), "N m",
@@ -50,7 +50,7 @@ def shown(text: str, made: Controller, folder: Path, **values: float) -> Learned
 def test_a_signal_like_the_torque_has_the_unit_in_its_name(tmp_path: Path) -> None:
     path = tmp_path / "joint.toml"
     path.write_text(GEARED.replace('"i", unit = "A"', '"i [A]"'), encoding="utf-8")
-    assert load_to_learn(path).axis.column_like("torque", "injected").unit == "A"
+    assert load(path, learn=True).axis.column_like("torque", "injected").unit == "A"
 
 
 def test_a_gain_that_may_be_below_0_has_a_time_from_its_upper_end() -> None:
@@ -137,7 +137,7 @@ def test_a_filter_that_is_declared_by_its_cutoff_is_told_by_it() -> None:
 
 def test_a_law_that_is_written_has_the_drive_s_own_numbers_beside_it(tmp_path: Path) -> None:
     (tmp_path / "joint.toml").write_text(GEARED + PID_BY_TIMES, encoding="utf-8")
-    file = load_to_learn(tmp_path / "joint.toml")
+    file = load(tmp_path / "joint.toml", learn=True)
     made = PID(position_gain=400.0, derivative_gain=26.0, integral_gain=1300.0, gain=72.0)
     text = learned_text(file, made)
     assert "position_gain = 400.0  # 4.000 A/rad in the drive\n" in text

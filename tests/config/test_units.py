@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.config import controller_text, dumps, load, load_to_learn, loads, with_table
+from jointid.config import controller_text, dumps, edit, load, loads, replace_table
 from jointid.config.quantities import list_units
 from jointid.models.controllers import Cascade, FirstOrder, SecondOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -107,7 +107,6 @@ UNFIT = [
     ),
     ([("[controller]", '[limits]\nstroke = "20 mm"\n[controller]')], "limits.stroke unit"),
     ([("[controller]", "[limits]\nhighest = 0.05\n[controller]")], "limits contradiction"),
-    ([("[controller]", "[limits]\nwindup = 0.01\n[controller]")], "limits.windup contradiction"),
     ([("[controller]", '[limits]\nrms_torque = "5 A"\n[controller]')], "limits.rms_torque unit"),
     ([("[controller]", '[drive]\ntorque_constant = 3.0\n[controller]')], "drive.torque_constant unknown"),
 ]  # fmt: skip
@@ -159,7 +158,6 @@ def test_a_torque_in_volts_takes_the_constant_of_the_amplifier() -> None:
     assert file.drive.torque_per_volt == 35.0
     assert file.controller.gain == 35.0  # type: ignore[union-attr]
     assert loads(dumps(file)) == file
-    assert told(text.replace('unit = "V"', 'unit = "N", gain = 3.5')) == ["record.channels.torque.gain contradiction"]
 
 
 @pytest.mark.parametrize("key", ["kp", "Kp", "kv", "Kv", "ki", "kd", "Tn", "Ti", "Td"])
@@ -178,9 +176,9 @@ def test_times_of_a_pid_are_those_of_its_proportional_gain() -> None:
     ("said", "made"),
     [
         ('{ kind = "first_order", cutoff = "100 Hz" }', FirstOrder(1 / (200 * math.pi))),
-        ('{ time_constant = "1 ms" }', FirstOrder(0.001)),
+        ('{ kind = "first_order", time_constant = "1 ms" }', FirstOrder(0.001)),
         ('{ kind = "second_order", cutoff = "0.1 kHz" }', SecondOrder(100.0)),
-        ("{ cutoff = 100.0, damping = 0.6 }", SecondOrder(100.0, 0.6)),
+        ('{ kind = "second_order", cutoff = 100.0, damping = 0.6 }', SecondOrder(100.0, 0.6)),
         ("[0.5, 0.5]", (0.5, 0.5)),
     ],
 )
@@ -192,26 +190,6 @@ def test_units_are_those_of_the_declaration() -> None:
     assert list_units("controller units per m s or rad s", "revolute")[:2] == ("N m/(rad s)", "A/(rad s)")
     assert list_units("m/s or rad/s", "prismatic") == ("m/s",)
     assert list_units("some share of it") == ()
-
-
-AX5000 = changed(("[controller]", '[drive]\nprofile = "twincat"\n[controller]')).partition("position_gain")[0]
-
-
-def test_a_drives_parameters_are_gains_in_its_own_units() -> None:
-    file = loads(AX5000 + 'S-0-0104 = 1.5\nS-0-0100 = "0.8 A s/rad"\nS-0-0101 = 5.0\n')
-    spelt = AX5000 + 'position_gain = "1.5 1000/min"\nvelocity_gain = "0.8 A s/rad"\nintegral_time = "5.0 ms"\n'
-    assert file == loads(spelt)
-    assert file.controller.position_gain == pytest.approx(25.0)  # type: ignore[union-attr]
-    assert file.controller.integral_gain == pytest.approx(200.0)  # type: ignore[union-attr]
-    off = loads(AX5000 + "S-0-0104 = 1\nvelocity_gain = 0.8\nS-0-0101 = 0.0\n")
-    assert off.controller.integral_gain == 0.0  # type: ignore[union-attr]
-
-
-def test_a_drives_parameter_is_said_once_and_with_a_unit_that_is_not_open() -> None:
-    assert told(AX5000 + "S-0-0104 = 1.5\nposition_gain = 3.0\nS-0-0100 = 0.8\n") == [
-        "controller.S-0-0104",
-        "controller.S-0-0100 unit",
-    ]
 
 
 def test_a_share_of_a_rated_torque_needs_the_torque_constant_where_the_torque_is_in_ampere() -> None:
@@ -238,7 +216,7 @@ def test_a_learned_law_behind_a_gear_is_read_back_with_its_gain(constant: str, g
     file = loads(text)
     learned = Cascade(position_gain=3.0, velocity_gain=4.0, gain=gain)  # on the side of its record: the load's
     written = controller_text(learned, file.joint.transmission, file.axis.torque_per_unit)
-    assert loads(with_table(text, written)).controller == learned
+    assert loads(edit(text, replace_table(written))).controller == learned
 
 
 @pytest.mark.parametrize(
@@ -246,13 +224,13 @@ def test_a_learned_law_behind_a_gear_is_read_back_with_its_gain(constant: str, g
     [
         'law = "pid"\nposition_gain = 2.0\nintegral_time = "10 ms"\nderivative_time = 0.001',
         'law = "pd"\nderivative_time = 0.001',
-        'S-0-0104 = 1.5\nS-0-0100 = "0.8 A s/rad"\nS-0-0101 = 5',
+        'position_gain = 1.5\nintegral_time = "5 ms"',
     ],
 )
 def test_what_is_to_be_learned_may_say_some_of_its_gains_in_any_words(said: str, tmp_path: Path) -> None:
     path = tmp_path / "joint.toml"
-    path.write_text(AX5000.partition("[controller]")[0] + f"[controller]\n{said}\n")
-    assert load_to_learn(path).controller is not None
+    path.write_text(TURNING.partition("[controller]")[0] + f"[controller]\n{said}\n")
+    assert load(path, learn=True).controller is not None
 
 
 @pytest.mark.parametrize(

@@ -282,11 +282,6 @@ def test_gains_of_the_log_are_held_against_the_declared_ones(tmp_path: Path) -> 
     assert record.injected is not None
     assert (record.injected.at, record.tap) == ("before_limit", "measured")
     assert "controller.position_gain is 60" in refusal(tmp_path, text.replace("40 N m", "60 N m"))
-    # A bare key of the drive is the law's, too.
-    named = text.replace('position_gain = "40 N m/rad"', "kp = 40").replace(
-        'derivative_gain = "1.5 N m s/rad"', "kd = 1.5"
-    )
-    assert loads(named, tmp_path).controller == loads(text, tmp_path).controller
 
 
 def test_gains_that_vary_are_refused_in_a_sentence_and_a_part_is_read(tmp_path: Path) -> None:

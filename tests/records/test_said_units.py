@@ -23,7 +23,8 @@ def test_an_ordinary_unit_is_known(said: str, unit: str) -> None:
 
 def test_a_declared_unit_and_that_of_the_name_are_said_with_both() -> None:
     turning = SMALLEST.replace('"prismatic"', '"revolute"')
-    assert len(faults(turning.replace('"r"', '"pos [deg]", unit = "rad"'))) == 1
+    (fault,) = faults(turning.replace('"r"', '"pos [deg]", unit = "rad"'))
+    assert fault.place == ("record", "channels", "reference", "unit")
     assert loads(turning.replace('"r"', '"pos [deg]", unit = "°"'))
 
 

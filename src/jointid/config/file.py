@@ -6,20 +6,19 @@ A joint file has one axis and no robot, a robot file an axis for each joint.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import TORQUE_UNIT, Parameter
-from jointid.common.units import Kind
-from jointid.config.axis_units import drive_numbers
-from jointid.config.declaration import FeedForward
+from jointid.common.parameters import Parameter
+from jointid.config.axis import Axis, build_axis
 from jointid.config.source import Run, Source, Together
+from jointid.config.tables import FeedForward, FileTable
+from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -27,227 +26,20 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import PD, Controller, with_numbers
+from jointid.models.controllers import Controller, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
-from jointid.records.checks import check_record
 from jointid.records.chunks import Log, begin_together
-from jointid.records.clock import Cut
-from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
 from jointid.records.formats import Table as RecordedTable
-from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.records.writing import columns_to_write, write_columns
+from jointid.records.writing import write_columns
 
 if TYPE_CHECKING:
     from jointid.controller_id.learned_controller import LearnedController
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
-    """One axis of a file: its joint, columns, drive and controller.
-
-    Attributes:
-        name: of the joint.
-        joint: the model; its torque is in A or V where the torque's channel is.
-        columns: the channels, and where they are found; with a profile of the drive it finds the others.
-        controller: the controller's law as the joint sees it through its transmission, None while it is not known.
-        drive: whose traces the record is made of, and the numbers behind its units.
-        source: the file of the record.
-        parameters: changes to the parameters by name, as `identify` takes them.
-        limits: of the axis in a test that is planned; see `jointid.design`.
-        needed: channels that the method reads.
-        said: keys of [controller] that the file gives, and the gains that they say in other words.
-        quantities: texts of the controller's numbers that are given with a unit, by the path of their key.
-    """
-
-    name: str | None
-    joint: Joint
-    columns: Mapping[str, Column]
-    controller: Controller | None = None
-    drive: Drive = field(default_factory=Drive)
-    source: Source = field(default_factory=Source)
-    parameters: Mapping[str, Parameter] = field(default_factory=dict, compare=False)
-    limits: AxisLimits = field(default_factory=AxisLimits)
-    needed: Collection[str] = field(default=(), compare=False, repr=False)
-    said: Collection[str] = field(default=(), compare=False, repr=False)
-    quantities: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
-
-    @property
-    def loop(self) -> ClosedLoop | None:
-        """The joint under its controller, None while the controller is not known."""
-        return None if self.controller is None else ClosedLoop(self.joint, self.controller)
-
-    @property
-    def computes_torque(self) -> bool:
-        """Whether the torque is computed from the controller and the motor position."""
-        logged = "torque" in self.columns or self.drive.traces is not None
-        return self.source.torque == "from_controller" or (not logged and self.controller is not None)
-
-    def with_torque(self, record: Record) -> Record:
-        """Return a record of this axis with the computed torque, if it is not a logged one.
-
-        Raises:
-            RecordError: see `jointid.compute_controller_torque`.
-        """
-        if not self.computes_torque or self.loop is None:
-            return record
-        from jointid.simulation.controller_torque import compute_controller_torque
-
-        return compute_controller_torque(record, self.loop)
-
-    @property
-    def torque_per_unit(self) -> float | None:
-        """The torque constant: torque per plain number of a controller on the motor's side."""
-        return self.drive.torque_constant or self.drive.torque_per_volt
-
-    def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
-        """Return how the drive shows the numbers of a learned law, beside those that the file declares."""
-        return drive_numbers(learned, self.controller, self.said, self.quantities, self.joint, self.drive)
-
-    @property
-    def declared_numbers(self) -> tuple[DriveNumber, ...]:
-        """How the drive shows the numbers of the declared controller.
-
-        The torque constant is one of them where it takes the logged torque, and no gain, to its unit.
-        """
-        if self.controller is None:
-            return ()
-        constant = self.torque_per_unit
-        if constant is None or self.scale or not self._is_logged_by_unit("torque"):
-            return self.drive_numbers(self.controller)
-        there = DriveNumber("torque_constant", "torque_constant", self._constant_unit, 1.0, declared=constant)
-        return (*self.drive_numbers(self.controller), there)
-
-    @property
-    def scale(self) -> str:
-        """The torque constant where all values scale with it, as log and controller are in A or V.
-
-        No record then shows an error of the constant. An injected torque, or a gain, would; the text is then empty.
-        """
-        constant, gear = self.torque_per_unit, self.joint.transmission
-        if constant is None or "torque" not in self.columns:
-            return ""
-        if any(name in self.columns and not self._is_logged_by_unit(name) for name in ("torque", "injected")):
-            return ""
-        through = 1.0 if gear is None else abs(gear.motor_per_load)
-        if getattr(self.controller, "gain", constant) not in (constant, constant * through):
-            return ""
-        return f"{constant:g} {self._constant_unit}"
-
-    @property
-    def _motor(self) -> Kind:
-        gear = self.joint.transmission
-        return self.joint.kind if gear is None else gear.motor
-
-    @property
-    def _constant_unit(self) -> str:
-        return f"{TORQUE_UNIT[self._motor]}/{'V' if self.drive.torque_constant is None else 'A'}"
-
-    def _is_logged_by_unit(self, name: str) -> bool:
-        """Whether a column is stated in A or V."""
-        column = self.columns.get(name)
-        unit = None if column is None else column.stated_unit(known_units(name, self._motor))
-        return unit is not None and units.unit(unit).dimension in ("current", "voltage")
-
-    def read_record(self, table: RecordedTable, name: str) -> Record:
-        """Return the record of this axis from a table of columns; see `File.record`.
-
-        Args:
-            table: as the file of the record has it.
-            name: of the record.
-        """
-        record = self._reader(self.channels, table).build_record(table, name)
-        controller, torque = self.controller, record.torque
-        limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
-        gear = self.joint.transmission
-        check_record(record, limit=limit, side=None if gear is None else gear.side)
-        return record
-
-    def read_driving(self, table: RecordedTable, name: str) -> Record:
-        """Return the signals that drive a simulation from a table; see `File.driving`."""
-        seen = ("torque", "motor_position", "load_position")
-        columns = {name: replace(c, optional=True) if name in seen else c for name, c in self.channels.items()}
-        added = [one for one in (f"{self.name}.injected", "injected") if one in table.columns]
-        if added and "injected" not in columns and self.drive.traces is None:  # a designed test has it
-            columns["injected"] = self.column_like("torque", added[0])
-        record = self._reader(columns, table).build_record(table, name)
-        record.require(("reference",), "a simulation")
-        return record
-
-    def column_like(self, channel: str, name: str) -> Column:
-        """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
-        like = self.columns.get(channel, Column())
-        like = replace(like, column=name, unit=like.stated_unit(known_units(channel, self._motor)), optional=False)
-        return replace(like, timing=None, tap=None, sample_time=None)
-
-    def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
-        law = self.controller if isinstance(self.controller, PD) else None
-        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
-        return RecordReader(columns, **{**self.reading, **self.source.reading(table)}, gains=gains)
-
-    def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
-        """Return the columns of the file that `File.write` makes, by their names.
-
-        Raises:
-            RecordError: see `jointid.records.writing.columns_to_write`.
-        """
-        return columns_to_write(record, self.columns, **self._written)
-
-    @property
-    def column_names(self) -> frozenset[str]:
-        """Names of the columns that channels are declared by, as the file of the record has them."""
-        return frozenset(column.column for column in self.columns.values() if column.column)
-
-    @property
-    def channels(self) -> dict[str, Column]:
-        """The channels to read: those that the method needs, and others if they are there."""
-        needed = {*self.needed, "injected"}
-        if self.computes_torque and self.controller is not None:
-            needed |= {"motor_position", *self.controller.channels}
-        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
-        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
-            unsought = {"injected", "torque"} if self.computes_torque else {"injected"}
-            columns |= {n: Column() for n in needed - unsought if n not in columns}
-        return columns
-
-    @property
-    def _written(self) -> dict[str, Any]:
-        """Arguments of reading and writing a record, beside its columns."""
-        return {
-            "drive": self.drive,
-            "time": self.source.time,
-            "time_unit": self.source.time_unit,
-            "sample_time": self.source.sample_time,
-            "kind": self.joint.kind,
-            "transmission": self.joint.transmission,
-        }
-
-    @property
-    def reading(self) -> dict[str, Any]:
-        """Arguments of reading a record, beside its columns."""
-        source = self.source
-        cut = Cut(source.start, source.stop, source.part)
-        return self._written | {"clock_tolerance": source.clock_tolerance, "resample": source.resample, "cut": cut}
-
-    def values(self) -> dict[str, float]:
-        """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
-
-        Raises:
-            MethodError: a parameter has neither.
-        """
-        parameters = [self.parameters.get(p.name, p) for p in self.joint.parameters]
-        missing = [p.name for p in parameters if p.start is None]
-        if missing:
-            raise MethodError(
-                f"A simulation needs a value for every parameter; without one: {', '.join(missing)}. Give each a value "
-                "or a start in the table parameters, or identify the joint first."
-            )
-        return {p.name: float(p.start) for p in parameters if p.start is not None}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,7 +60,7 @@ class File:
         name: what reports call the joint or the robot.
         runs: records that the file lists, to be identified together.
         together: how they are; see `jointid.SeveralRecords`.
-        tables: of the file, as they were read, with the changes of `load`.
+        text: of the file. changes: of `load`, which it does not have.
 
     Example:
         >>> from jointid.config import loads
@@ -296,7 +88,8 @@ class File:
     name: str | None = None
     runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
-    tables: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    text: str = field(default="", compare=False, repr=False)
+    changes: tuple[Change, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def axis(self) -> Axis:
@@ -415,11 +208,6 @@ class File:
         computed = any(axis.computes_torque for axis in self.axes)
         found = self._fed_forward(found) if self.simulates or (judged and whole) or computed else found
         found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
-        run = self._listed_as(path)
-        if run is not None and run.added_inertia:
-            said = f"{run.added_inertia:g} {self._added_unit} were added to the load (records.added_inertia)"
-            remark = f"{said}: the inertia that this record alone determines includes them"
-            found = tuple(replace(one, remarks=(*one.remarks, remark)) for one in found)
         return self._of_axes(found)
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> Any:
@@ -451,7 +239,8 @@ class File:
                 for fault in error.faults:
                     faults.setdefault(fault, []).append(str(axis.name))
         if faults:
-            raise RecordError(name_axes(faults, len(self.axes)))
+            every = len(self.axes)
+            raise RecordError(f if len(names) == every else f"{', '.join(names)}: {f}" for f, names in faults.items())
         run = self._listed_as(path)
         if run is not None and run.payload:  # which the last link carries
             found[-1] = replace(found[-1], payload=run.payload)
@@ -635,7 +424,7 @@ class File:
         each: Sequence[Record] = (record,) if self.robot is None else record
         for axis, one in zip(self.axes, each, strict=True):
             for name, values in axis.columns_to_write(one).items():
-                undeclared = name in one.channels and name not in axis.column_names
+                undeclared = name in one.channels and all(name != column.column for column in axis.columns.values())
                 table[f"{axis.name}.{name}" if undeclared and len(self.axes) > 1 else name] = values
         untimed = self.source.time is None and self.source.sample_time is not None
         if untimed and not any(name == "t" or name.isdecimal() for name in table):
@@ -649,11 +438,6 @@ class File:
         gear = self.joint.transmission
         factor = 1.0 if gear is None else gear.torque("load") ** 2
         return tuple(factor * run.added_inertia for run in self.runs)
-
-    @property
-    def _added_unit(self) -> str:
-        gear = self.joint.transmission
-        return "kg" if (self.joint.kind if gear is None else gear.load) == "prismatic" else "kg m2"
 
     def _listed_as(self, path: str | os.PathLike[str] | None) -> Run | None:
         """Return the listed record of a path."""
@@ -698,13 +482,27 @@ class File:
         return replace(under, axes=(replace(under.axis, source=source),), runs=(run,))
 
 
-def name_axes(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
-    """Return sentences, each after the names of its axes where it is not of all `count` of them."""
-    return [
-        f if len(names) == count else Fault(f"{', '.join(names)}: {f}", f.place, f.code) for f, names in faults.items()
-    ]
-
-
 def resolve_place(path: Path) -> Path:
     """Return the one path of a file by which it is known, whatever folders lead to it."""
     return path.parent.resolve() / path.name
+
+
+def joint_file(tables: FileTable, path: Path) -> File:
+    """Return a joint file from what its tables say.
+
+    Raises:
+        JointFileError: with a sentence for each contradiction between the tables.
+    """
+    own = tables.axes[0]
+    assert own.kind is not None
+    axis, method = build_axis(tables, 0, own.kind, tables.method, tables.columns, tables.drive)
+    return File(
+        axes=(axis,),
+        method=method,
+        filtering=tables.filtering,
+        parameters=axis.parameters,
+        name=axis.name,
+        runs=tables.records,
+        together=tables.together,
+        path=path,
+    )

@@ -51,9 +51,9 @@ def output_of(text: str, declared: str, kind: Kind) -> str | None:
     """Return the controller's output unit (N, N m, A, V or %) in a text; None without one."""
     if not in_controller_units(declared):
         return None
-    said = units.parse_quantity(text)
+    stated = units.parse_quantity(text)
     known = zip(OUTPUTS[kind], list_units(declared, kind), strict=True)
-    return next((output for output, unit in known if units.convert(*said, unit) is not None), None)
+    return next((output for output, unit in known if units.convert(*stated, unit) is not None), None)
 
 
 def in_controller_units(declared: str) -> bool:
@@ -63,32 +63,26 @@ def in_controller_units(declared: str) -> bool:
 
 def is_quantity(text: str) -> bool:
     """Return True for a number followed by a unit, known or not."""
-    said = units.QUANTITY.fullmatch(text)
-    return said is not None and said["unit"].strip() != ""
+    stated = units.QUANTITY.fullmatch(text)
+    return stated is not None and stated["unit"].strip() != ""
 
 
-def misfit(text: str, declared: str, kind: Kind | None = None) -> str | None:
-    """Return the rest of the sentence on a text with a wrong unit, else None."""
+def to_si(text: str, declared: str, kind: Kind | None = None) -> float:
+    """Return the SI value of a number with a unit of its declaration; arguments as of `list_units`.
+
+    Raises:
+        UnitError: it has another unit; the message is the rest of a sentence.
+    """
     known = list_units(declared, kind)
     try:
-        said = units.parse_quantity(text)
+        stated = units.parse_quantity(text)
     except UnitError as error:
-        return f" is {messages.format_value(text)}; {error}."
-    if any(units.convert(*said, unit) is not None for unit in known):
-        return None
-    plain = "the controller's units" if in_controller_units(declared) else "SI units"
-    return (
-        f" is {messages.format_value(text)}; expected a number in {_either(known)}, or a plain one in {plain}: correct "
-        "the unit."
-    )
-
-
-def _either(known: tuple[str, ...]) -> str:
-    *most, last = known
-    return f"{', '.join(most)} or {last}" if most else last
-
-
-def to_si(text: str, declared: str) -> float:
-    """Return the SI value of a text that is no `misfit`."""
-    said = units.parse_quantity(text)
-    return float(next(v for unit in list_units(declared) if (v := units.convert(*said, unit)) is not None))
+        raise UnitError(f" is {messages.format_value(text)}; {error}.") from None
+    values = [value for unit in known if (value := units.convert(*stated, unit)) is not None]
+    if not values:
+        plain = "the controller's units" if in_controller_units(declared) else "SI units"
+        raise UnitError(
+            f" is {messages.format_value(text)}; expected a number in {' or '.join(known)}, or a plain one in {plain}: "
+            "correct the unit."
+        )
+    return float(values[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,55 +17,13 @@ from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.common.text import number
 from jointid.common.transmission import SIDES, Transmission
 from jointid.config.file import File
-from jointid.config.toml import relocate_path, with_paths, with_record, with_table
-from jointid.models.controllers import (
-    CONTROLLER_UNITS,
-    FILTERS,
-    LAWS,
-    Controller,
-    DigitalFilter,
-    numbers_of,
-    unit_of_number,
-)
+from jointid.config.toml import edit, move_paths, name_record, relocate_path, replace_table
+from jointid.models.controllers import CONTROLLER_UNITS, FILTERS, LAWS, Controller, numbers_of, unit_of_number
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
 
 _KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}
 _LAWS: Mapping[type, str] = {made: law for law, made in LAWS.items()}
-
-
-def settings(made: Any, *without: str) -> dict[str, Any]:
-    """Return the non-default fields of a dataclass as TOML, without those named."""
-    found = {}
-    for field in fields(made):
-        value = _plain(getattr(made, field.name))
-        if field.name not in without and value is not None and value != _plain(_default(field)):
-            found[field.name] = value
-    return found
-
-
-def controller_table(
-    controller: Controller, transmission: Transmission | None = None, torque_per_unit: float | None = None
-) -> dict[str, Any]:
-    """Return [controller]; its gain only where it is not the torque constant of the file it goes to."""
-    law = _LAWS.get(type(controller))
-    if law is None:
-        raise JointFileError(
-            f"A joint file has no word for the controller {type(controller).__name__}; give a StateSpaceController."
-        )
-    ratio: float = getattr(controller, "ratio", 1.0)
-    seen = {"motor": 1.0} if transmission is None else {side: transmission.torque(side) for side in SIDES}
-    sides = [side for side, through in seen.items() if through == ratio]
-    if not sides:
-        raise JointFileError(
-            f"The controller's ratio is {ratio:g}; expected one of {', '.join(f'{r:g}' for r in seen.values())}, as "
-            "its joint's transmission has it."
-        )
-    side = {} if sides[0] == "motor" else {"side": sides[0]}
-    gain: float = getattr(controller, "gain", 1.0)
-    through = 1.0 if transmission is None or sides[0] == "motor" else abs(transmission.motor_per_load)
-    said = {} if gain == (1.0 if torque_per_unit is None else torque_per_unit * through) else {"gain": gain}
-    return {"law": law, **settings(controller, "ratio", "gain"), **said, **side}
 
 
 def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:
@@ -86,24 +44,19 @@ def save_with_controller(
     But for the paths of records: in another folder they lead to the same files from there.
 
     Args:
-        file: the joint file, loaded from a path: its text is taken from there.
+        file: the joint file.
         controller: what takes the place of the one there.
         path: to write to; a file that is there is replaced.
         record: the record that the file is to name, instead of the one it names.
 
     Raises:
-        JointFileError: a file cannot be read or written.
+        JointFileError: the file cannot be written.
     """
+    changes = [replace_table(learned_text(file, controller)), move_paths(file.path.parent, path.parent)]
+    if record is not None and not file.runs:
+        changes.append(name_record(relocate_path(os.fspath(record), Path.cwd(), path.parent)))
     try:
-        written = learned_text(file, controller)
-        text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
-        text = with_paths(text, file.path.parent, path.parent)
-        if record is not None and not file.runs:
-            text = with_record(text, relocate_path(os.fspath(record), Path.cwd(), path.parent))
-    except OSError as error:
-        raise JointFileError(f"{error.filename} cannot be used ({error.strerror}); check the folder.") from error
-    try:
-        write_whole(path, text)
+        write_whole(path, edit(file.text, *changes))
     except RecordError as error:
         raise JointFileError(error.faults) from error
 
@@ -125,9 +78,25 @@ def controller_text(
         shown: how the drive shows the numbers, which stands there, too.
 
     Raises:
-        JointFileError: a joint file has no word for the controller.
+        JointFileError: a joint file has no word for the controller, or for its side of the transmission.
     """
-    text = tomlkit.dumps({"controller": controller_table(controller, transmission, torque_per_unit)})
+    seen = {"motor": 1.0} if transmission is None else {side: transmission.torque(side) for side in SIDES}
+    law, ratio = _LAWS.get(type(controller)), getattr(controller, "ratio", 1.0)
+    side = next((side for side, through in seen.items() if through == ratio), None)
+    if law is None or side is None:
+        raise JointFileError(
+            f"A joint file has no word for the controller {type(controller).__name__} behind a ratio of {ratio:g}; "
+            f"give a StateSpaceController, and one of the ratios {', '.join(f'{one:g}' for one in seen.values())}."
+        )
+    gain = getattr(controller, "gain", 1.0)
+    through = 1.0 if transmission is None or side == "motor" else abs(transmission.motor_per_load)
+    table = {"law": law, **_settings(controller)}
+    table = {key: value for key, value in table.items() if key not in ("ratio", "gain")}
+    if gain != (1.0 if torque_per_unit is None else torque_per_unit * through):
+        table["gain"] = gain
+    if side != "motor":
+        table["side"] = side
+    text = tomlkit.dumps({"controller": table})
     return text if joint is None else _with_units(text, controller, joint, {one.number: one for one in shown})
 
 
@@ -159,18 +128,21 @@ def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[
     )
 
 
-def _default(field: Field[Any]) -> Any:
-    if field.default_factory is not MISSING:
-        return field.default_factory()
-    return None if field.default is MISSING else field.default
+def _settings(made: Any) -> dict[str, Any]:
+    """Return the non-default fields of a dataclass as TOML."""
+    found = {}
+    for field in fields(made):
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        value = _plain(getattr(made, field.name))
+        if value is not None and (default is MISSING or value != _plain(default)):
+            found[field.name] = value
+    return found
 
 
 def _plain(value: Any) -> Any:
     """Return a value as TOML has it."""
-    if isinstance(value, DigitalFilter):  # without its denominator it would be read as a mere numerator
-        return {"numerator": list(value.numerator), "denominator": list(value.denominator)}
     if type(value) in _KINDS:
-        return {"kind": _KINDS[type(value)], **settings(value)}
+        return {"kind": _KINDS[type(value)], **_settings(value)}
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

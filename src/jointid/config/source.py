@@ -8,8 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
+from jointid.common.errors import JointFileError
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.units import units_of
+from jointid.estimation.methods.registry import MODELS, ROBOT
+from jointid.models.robots.inertial import MassProperties, is_physical
 from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import format_of, read_table
@@ -63,6 +68,15 @@ class Source:
         unit="s",
     )
 
+    def __post_init__(self) -> None:
+        if (self.file is not None and self.files) or len(self.offsets) not in (0, len(self.files)):
+            raise JointFileError(
+                f"record has {len(self.files)} files, {len(self.offsets)} offsets{' and a file' if self.file else ''}; "
+                "expected a file, or files with an offset for each or none: leave the others out."
+            )
+        for file in filter(None, (self.file, *self.files)):
+            format_of(file, **self.options)
+
     @property
     def first(self) -> str | None:
         """Path of the record, or of its first file."""
@@ -106,17 +120,53 @@ class Run:
         "what is known to have been added to the load, as it is there, beyond what is shared",
         unit="kg or kg m2",
         at_least=0,
+        systems=MODELS,
     )
     own: tuple[str, ...] = setting(
         (),
         "names of parameters of this record's own, which the others do not share; the motor's state at the first "
         "sample always is",
+        systems=MODELS,
     )
     controller: Mapping[str, float] = field(
         default_factory=dict,
-        metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
+        metadata=declare(
+            "numbers of the controller that were others in this record, by the keys of [controller]", systems=MODELS
+        ),
     )
-    payload: tuple[float, ...] = ()  # `Record.payload` of what the last link of a robot carries
+    payload_mass: float | None = setting(
+        None, "of what the last link carries in this record beside the robot's model [kg]", above=0, systems=ROBOT
+    )
+    payload_center: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "its centre of mass in the frame of the last link [m]",
+        expected="a list of three numbers",
+        systems=ROBOT,
+    )
+    payload_inertia: tuple[float, float, float, float, float, float] = setting(
+        6 * (0.0,),
+        "its inertia xx, xy, xz, yy, yz, zz about that centre, along the axes of the last link [kg m2]",
+        expected="a list of six numbers",
+        systems=ROBOT,
+    )
+
+    def __post_init__(self) -> None:
+        stated = any((*self.payload_center, *self.payload_inertia))
+        if (stated and self.payload_mass is None) or (self.payload and not is_physical(np.array(self.payload))):
+            raise JointFileError(
+                f"payload_inertia {list(self.payload_inertia)} with payload_mass = {self.payload_mass} is of no body; "
+                "expected a mass, and principal moments not below 0, none above the sum of the others: correct them."
+            )
+
+    @property
+    def payload(self) -> tuple[float, ...]:
+        """`Record.payload` of what the last link of a robot carries; empty without a mass."""
+        if self.payload_mass is None:
+            return ()
+        inertia = np.zeros((3, 3))
+        inertia[np.triu_indices(3)] = self.payload_inertia
+        body = MassProperties(self.payload_mass, np.array(self.payload_center), inertia + np.triu(inertia, 1).T)
+        return tuple(map(float, body.inertial))
 
 
 @add_settings_to_docstring

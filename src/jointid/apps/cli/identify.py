@@ -77,7 +77,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             else, comments too, stays as it is, but for the paths of records, which from another folder lead to the same
             files.
     """
-    from jointid.config import learned_text, load_to_learn, save_with_controller
+    from jointid.config import learned_text, load_joint, save_with_controller
 
     if write is not None and options.axis is not None:
         raise MethodError(
@@ -85,7 +85,8 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             "leave --write out."
         )
     spare((options.json, write), joint, options.record)
-    file = load_to_learn(joint, options.changes, options.axis)
+    what = "Learning a controller"
+    file = load_joint(joint, options.changes, what=what, axis=options.axis, learn=True)
     spare((options.json, write), *file.inputs(options.record))
     learned = file.learn_controller(file.record(options.record), options.progress)
     learned = learned.beside(file.axis.drive_numbers(learned.controller))

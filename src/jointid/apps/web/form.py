@@ -19,6 +19,7 @@ from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.common.settings import Declared, Setting
 from jointid.config.declaration import FileKey, list_keys
+from jointid.config.tables import JOINT_FILE
 from jointid.config.toml import parse_toml
 from jointid.records.columns import known_units, unit_in_name
 from jointid.records.record import CHANNELS
@@ -129,7 +130,7 @@ def _find(*places: str, law: str = "cascade") -> tuple[Field, ...]:
     return tuple(filter(None, map(_make_field, named)))
 
 
-_KEYS = tuple(list_keys())
+_KEYS = tuple(list_keys(JOINT_FILE))
 TEXT = _find("record.delimiter", "record.decimal", "record.header")
 _CHANNELS = {
     name: tuple(one for one in _find(f"record.channels.{name}") if one.key.split(".")[3] not in _OF_READING)

@@ -30,7 +30,7 @@ from jointid.apps.web.jobs import Jobs
 from jointid.common.document import templates, typeset
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import beside
-from jointid.config import load, load_to_learn
+from jointid.config import load
 from jointid.config.toml import parse_toml, read_text
 from jointid.records.formats import FORMATS
 from jointid.records.record import CHANNELS
@@ -219,7 +219,7 @@ async def identify(request: Request) -> Response:
         text = form.write(form.confine(tables, [] if now.robot else now.records))
         now.write(text, "_order.toml")
         if not now.robot:  # whose model is read in a process of its own
-            await run_in_threadpool(load_to_learn if learn else load, now.path / "_order.toml")
+            await run_in_threadpool(load, now.path / "_order.toml", learn=learn)
         page.jobs.require_idle()
         run = page.folder.new_run(text)
         page.jobs.start(run, learn=learn)

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from jointid.common.errors import JointFileError, MethodError
-from jointid.config import File, dumps, loads, with_paths, with_table
+from jointid.common.errors import MethodError
+from jointid.config import File, dumps, edit, loads, move_paths, replace_table
 from jointid.config.serialise import parameter_table
 from jointid.estimation.result.parts import show_value
 from jointid.output.export.bodies import Model
@@ -60,20 +60,9 @@ def joint_file(
     lost += [*outside, *alone.effects_lost]
     written = "\n".join(["[parameters]", *(f"# {line}" for line in alone.remarks(lost)), *lines, ""])
     before = file.path.parent
-    made = with_paths(_fill_in(file, written), before, before if folder is None else folder)
+    made = edit(dumps(file), replace_table(written), move_paths(before, before if folder is None else folder))
     loads(made)  # which refuses what could not be read again
     return made, lost
-
-
-def _fill_in(file: File, written: str) -> str:
-    """Return the file's text with new parameters; written anew if it was loaded with changes, or changed since."""
-    try:
-        text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
-        if replace(loads(text), parameters=file.parameters) == file:
-            return text
-    except (OSError, JointFileError):  # it is a joint of a robot file, or changed since
-        pass
-    return with_table(dumps(file), written)
 
 
 def _toml(table: dict[str, float] | float) -> str:

@@ -1,0 +1,367 @@
+"""One axis of a file: its joint, columns, drive and controller, and its records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from jointid.common import messages
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
+from jointid.common.parameters import TORQUE_UNIT, Parameter
+from jointid.common.transmission import Transmission
+from jointid.common.units import Kind
+from jointid.common.units import unit as find_unit
+from jointid.config.axis_units import AxisUnits
+from jointid.config.declaration import Place, fault_at, locate
+from jointid.config.rules import RULES
+from jointid.config.source import Source
+from jointid.config.tables import AxisTable, FileTable, ParameterTable, make_method
+from jointid.estimation.methods.registry import Method, methods
+from jointid.models.controllers import PD, Controller
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.friction import find_friction
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.limits import AxisLimits
+from jointid.models.springs import find_spring
+from jointid.records.checks import check_record
+from jointid.records.clock import Cut
+from jointid.records.columns import Column, known_units
+from jointid.records.drives import Drive
+from jointid.records.formats import Table as RecordedTable
+from jointid.records.reading import RecordReader
+from jointid.records.record import Record
+from jointid.records.writing import columns_to_write
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """One axis of a file: its joint, columns, drive and controller.
+
+    Attributes:
+        name: of the joint.
+        joint: the model; its torque is in A or V where the torque's channel is.
+        columns: the channels, and where they are found; with a profile of the drive it finds the others.
+        controller: the controller's law as the joint sees it through its transmission, None while it is not known.
+        drive: whose traces the record is made of, and the numbers behind its units.
+        source: the file of the record.
+        parameters: changes to the parameters by name, as `identify` takes them.
+        limits: of the axis in a test that is planned; see `jointid.design`.
+        needed: channels that the method reads.
+        units: of the controller's numbers, as the file gives them.
+    """
+
+    name: str | None
+    joint: Joint
+    columns: Mapping[str, Column]
+    controller: Controller | None = None
+    drive: Drive = field(default_factory=Drive)
+    source: Source = field(default_factory=Source)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict, compare=False)
+    limits: AxisLimits = field(default_factory=AxisLimits)
+    needed: Collection[str] = field(default=(), compare=False, repr=False)
+    units: AxisUnits = field(default_factory=AxisUnits, compare=False, repr=False)
+
+    @property
+    def loop(self) -> ClosedLoop | None:
+        """The joint under its controller, None while the controller is not known."""
+        return None if self.controller is None else ClosedLoop(self.joint, self.controller)
+
+    @property
+    def computes_torque(self) -> bool:
+        """Whether the torque is computed from the controller and the motor position."""
+        return _computes_torque(self.source, self.columns, self.drive, self.controller)
+
+    def with_torque(self, record: Record) -> Record:
+        """Return a record of this axis with the computed torque, if it is not a logged one.
+
+        Raises:
+            RecordError: see `jointid.compute_controller_torque`.
+        """
+        if not self.computes_torque or self.loop is None:
+            return record
+        from jointid.simulation.controller_torque import compute_controller_torque
+
+        return compute_controller_torque(record, self.loop)
+
+    @property
+    def torque_per_unit(self) -> float | None:
+        """The torque constant: torque per plain number of a controller on the motor's side."""
+        return self.units.constant
+
+    def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
+        """Return how the drive shows the numbers of a learned law, beside those that the file declares."""
+        return self.units.numbers(learned, self.controller)
+
+    @property
+    def declared_numbers(self) -> tuple[DriveNumber, ...]:
+        """How the drive shows the numbers of the declared controller.
+
+        The torque constant is one of them where it takes the logged torque, and no gain, to its unit.
+        """
+        if self.controller is None:
+            return ()
+        constant = self.torque_per_unit
+        if constant is None or self.scale or not self._is_logged_by_unit("torque"):
+            return self.drive_numbers(self.controller)
+        there = DriveNumber("torque_constant", "torque_constant", self._constant_unit, 1.0, declared=constant)
+        return (*self.drive_numbers(self.controller), there)
+
+    @property
+    def scale(self) -> str:
+        """The torque constant where all values scale with it, as log and controller are in A or V.
+
+        No record then shows an error of the constant. An injected torque, or a gain, would; the text is then empty.
+        """
+        constant, gear = self.torque_per_unit, self.joint.transmission
+        if constant is None or "torque" not in self.columns:
+            return ""
+        if any(name in self.columns and not self._is_logged_by_unit(name) for name in ("torque", "injected")):
+            return ""
+        through = 1.0 if gear is None else abs(gear.motor_per_load)
+        if getattr(self.controller, "gain", constant) not in (constant, constant * through):
+            return ""
+        return f"{constant:g} {self._constant_unit}"
+
+    @property
+    def _constant_unit(self) -> str:
+        return f"{TORQUE_UNIT[self.units.kind_of('motor')]}/{'V' if self.drive.torque_constant is None else 'A'}"
+
+    def _is_logged_by_unit(self, name: str) -> bool:
+        """Whether a column is stated in A or V."""
+        column = self.columns.get(name)
+        unit = None if column is None else column.stated_unit(known_units(name, self.units.kind_of("motor")))
+        return unit is not None and find_unit(unit).dimension in ("current", "voltage")
+
+    def read_record(self, table: RecordedTable, name: str) -> Record:
+        """Return the record of this axis from a table of columns; see `File.record`.
+
+        Args:
+            table: as the file of the record has it.
+            name: of the record.
+        """
+        record = self._reader(self.channels, table).build_record(table, name)
+        controller, torque = self.controller, record.torque
+        limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
+        gear = self.joint.transmission
+        check_record(record, limit=limit, side=None if gear is None else gear.side)
+        return record
+
+    def read_driving(self, table: RecordedTable, name: str) -> Record:
+        """Return the signals that drive a simulation from a table; see `File.driving`."""
+        seen = ("torque", "motor_position", "load_position")
+        columns = {name: replace(c, optional=True) if name in seen else c for name, c in self.channels.items()}
+        added = [one for one in (f"{self.name}.injected", "injected") if one in table.columns]
+        if added and "injected" not in columns and self.drive.traces is None:  # a designed test has it
+            columns["injected"] = self.column_like("torque", added[0])
+        record = self._reader(columns, table).build_record(table, name)
+        record.require(("reference",), "a simulation")
+        return record
+
+    def column_like(self, channel: str, name: str) -> Column:
+        """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
+        like = self.columns.get(channel, Column())
+        unit = like.stated_unit(known_units(channel, self.units.kind_of("motor")))
+        like = replace(like, column=name, unit=unit, optional=False)
+        return replace(like, timing=None, tap=None, sample_time=None)
+
+    def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
+        law = self.controller if isinstance(self.controller, PD) else None
+        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
+        return RecordReader(columns, **{**self.reading, **self.source.reading(table)}, gains=gains)
+
+    def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
+        """Return the columns of the file that `File.write` makes, by their names.
+
+        Raises:
+            RecordError: see `jointid.records.writing.columns_to_write`.
+        """
+        return columns_to_write(record, self.columns, **self._written)
+
+    @property
+    def channels(self) -> dict[str, Column]:
+        """The channels to read: those that the method needs, and others if they are there."""
+        needed = {*self.needed, "injected"}
+        if self.computes_torque and self.controller is not None:
+            needed |= {"motor_position", *self.controller.channels}
+        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
+        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
+            unsought = {"injected", "torque"} if self.computes_torque else {"injected"}
+            columns |= {n: Column() for n in needed - unsought if n not in columns}
+        return columns
+
+    @property
+    def _written(self) -> dict[str, Any]:
+        """Arguments of reading and writing a record, beside its columns."""
+        return {
+            "drive": self.drive,
+            "time": self.source.time,
+            "time_unit": self.source.time_unit,
+            "sample_time": self.source.sample_time,
+            "kind": self.joint.kind,
+            "transmission": self.joint.transmission,
+        }
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Arguments of reading a record, beside its columns."""
+        source = self.source
+        cut = Cut(source.start, source.stop, source.part)
+        return self._written | {"clock_tolerance": source.clock_tolerance, "resample": source.resample, "cut": cut}
+
+    def values(self) -> dict[str, float]:
+        """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
+
+        Raises:
+            MethodError: a parameter has neither.
+        """
+        parameters = [self.parameters.get(p.name, p) for p in self.joint.parameters]
+        missing = [p.name for p in parameters if p.start is None]
+        if missing:
+            raise MethodError(
+                f"A simulation needs a value for every parameter; without one: {', '.join(missing)}. Give each a value "
+                "or a start in the table parameters, or identify the joint first."
+            )
+        return {p.name: float(p.start) for p in parameters if p.start is not None}
+
+
+def _computes_torque(
+    source: Source, columns: Mapping[str, Column], drive: Drive, controller: Controller | None
+) -> bool:
+    logged = "torque" in columns or drive.traces is not None or source.torque == "logged"
+    return source.torque == "from_controller" or (not logged and controller is not None)
+
+
+def build_axis(
+    file: FileTable, number: int, kind: Kind, given: Mapping[str, Any], columns: Mapping[str, Column], drive: Drive
+) -> tuple[Axis, Method]:
+    """Build an axis of a file, and its method.
+
+    Args:
+        file: what its tables say.
+        number: of the axis, from 0.
+        kind: of its load's motion.
+        given: keys of [method]; without a name it is the first method whose needs are met.
+        columns: its channels.
+        drive: without its torque constant.
+
+    Raises:
+        JointFileError: with a sentence for each contradiction between the tables.
+    """
+    try:
+        return _build(file, number, kind, given, columns, drive)
+    except JointFileError as error:
+        raise JointFileError(
+            fault_at(file.place(number, *one.place), one.removeprefix(messages.dot_path(one.place)), one.code)
+            for one in error.faults
+        ) from error
+
+
+def _build(
+    file: FileTable, number: int, kind: Kind, given: Mapping[str, Any], columns: Mapping[str, Column], drive: Drive
+) -> tuple[Axis, Method]:
+    """Build an axis; places of faults are those of a joint file."""
+    own, below = file.axes[number], file.place(number, "controller")
+    gear = None if own.transmission is None else _make(("transmission",), Transmission, load=kind, **own.transmission)
+    if own.torque_constant is not None:
+        per_volt = "V" in file.texts.get(file.place(number, "joint", "torque_constant"), "A")[0]
+        name = "torque_per_volt" if per_volt else "torque_constant"
+        drive = _make(("drive",), replace, drive, **{name: own.torque_constant})
+    stated = own.controller
+    texts = {place[len(below) :]: text for place, (text, _) in file.texts.items() if place[: len(below)] == below}
+    units = AxisUnits(kind=kind, gear=gear, drive=drive, texts={".".join(map(str, k)): t for k, t in texts.items()})
+    units = replace(units, torque=units.find_torque_unit(columns.get("torque")))
+    joint = _build_joint(own, kind, gear, units.torque)
+    controller: Any = None
+    if stated is not None:
+        units = replace(units, side=stated.side, keys=stated.keys)
+        controller = stated.law
+        ratio = {} if gear is None else {"ratio": gear.torque(stated.side)}
+        controller = replace(controller, gain=units.gain(controller), **ratio)
+    name = given.get("name") or _choose_method(own, file.source, columns, drive)
+    method = make_method(name, given, str(own.model))
+    axis = Axis(
+        name=own.name,
+        joint=joint,
+        columns=columns,
+        controller=controller,
+        drive=drive,
+        source=file.source,
+        parameters=_change_parameters(joint, own.parameters),
+        limits=own.limits,
+        needed=method.channels(str(own.model), controller),
+        units=units,
+    )
+    if faults := [fault for rule in RULES for fault in rule(file, number, axis)]:
+        raise JointFileError(faults)
+    return axis, method
+
+
+def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any) -> Any:
+    """Return what is made, its faults at a place."""
+    try:
+        return make(*arguments, **given)
+    except JointidError as error:
+        raise locate(error, place) from error
+
+
+def _build_joint(own: AxisTable, kind: Kind, gear: Transmission | None, torque_unit: str | None) -> Joint:
+    """Build the joint, its torque in A or V where the torque's channel is."""
+    if own.model == "rigid" and own.spring not in (None, "linear"):
+        rest = f' is "{own.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
+        raise JointFileError(fault_at(("joint", "spring"), rest))
+    weight = own.gravity
+    if weight is not None and gear is not None:
+        weight = replace(weight, angle=weight.angle * gear.torque("load"))
+    moving, friction = kind if gear is None else gear.kind, find_friction(own.friction)
+    forces = (moving, friction, torque_unit, gear, weight, own.ripple)
+    if own.model == "flexible":
+        made: Joint = _make(("joint",), FlexibleJoint, *forces, find_spring(own.spring or "linear"))
+        return made
+    rigid: Joint = _make(("joint",), RigidJoint, *forces)
+    return rigid
+
+
+def _choose_method(own: AxisTable, source: Source, columns: Mapping[str, Column], drive: Drive) -> str:
+    """Return the first default method whose needs are met; DIDIM if none's are, which then says what it needs.
+
+    DIDIM comes first, even where there is a motor position, which it does not read.
+    """
+    law, found = None if own.controller is None else own.controller.law, {*columns}
+    found |= {*(() if drive.traces is None else drive.traces.channels)}
+    if "motor_position" in columns and _computes_torque(source, columns, drive, law):
+        found.add("torque")
+    for method in methods():
+        ready = {*method.channels(str(own.model), law)} <= found and (law is not None or not method.needs_controller)
+        if method.default_for in (ClosedLoop, Joint) and ready:
+            return method.name
+    return "didim"
+
+
+def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable]) -> dict[str, Parameter]:
+    """Return parameters of the model with the file's values and the tighter bounds."""
+    known, changed, faults = {one.name: one for one in joint.parameters}, dict[str, Parameter](), list[Fault]()
+    for name, one in stated.items():
+        place, own = ("parameters", name), known.get(name)
+        if own is None:
+            remedy = messages.suggest(name, known, "leave it out, or declare the law that has it")
+            rest = f" is no parameter of this joint; expected one of {', '.join(known)}: {remedy}"
+            faults.append(fault_at(place, rest, "unknown"))
+            continue
+        lower = own.lower if one.lower is None else max(one.lower, own.lower)
+        upper = own.upper if one.upper is None else min(one.upper, own.upper)
+        numbers = [number for number in (one.value, one.start) if number is not None]
+        if not own.free and one.value is None:
+            rest = " is not identified in this joint, beside friction and load as declared; give it a value."
+            faults.append(fault_at(place, rest))
+        elif not lower < upper or len(numbers) > 1 or not all(lower <= number <= upper for number in numbers):
+            rest = (
+                f" has {', '.join(f'{number:g}' for number in numbers) or 'bounds only'}; expected either a value or a "
+            )
+            faults.append(fault_at(place, f"{rest}start, within {lower:g} to {upper:g}: correct it, or its bounds."))
+        start = numbers[0] if numbers else own.start
+        changed[name] = replace(own, free=own.free and one.value is None, start=start, lower=lower, upper=upper)
+    if faults:
+        raise JointFileError(faults)
+    return changed
