@@ -23,7 +23,7 @@ from jointid.models.limits import AxisLimits, describe_excess, find_excess, unit
 from jointid.planning.designed import DesignedAxis
 from jointid.planning.encoders import choose_encoder_steps
 from jointid.planning.goals import Goal, parse_goal
-from jointid.planning.plans import Family, Plan, Room, Table, TorqueTable, families_in, room_of
+from jointid.planning.plans import Family, Plan, Room, families_in, positions, torques
 from jointid.planning.predict import (
     Noise,
     PredictedTest,
@@ -43,42 +43,7 @@ _LEAST = 0.2  # of an inertia or a stiffness that is drawn: less is no joint tha
 _TELLS_MORE = 0.95  # of a deviation
 _CLEARLY = 0.02  # of a score: other joints change it by as much
 _NEEDED = ("stroke", "speed", "acceleration", "torque")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Purpose:
-    """Purpose of a test.
-
-    Attributes:
-        joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
-        goal: what the test is to tell.
-        tap: where its torque will be logged.
-    """
-
-    loop: ClosedLoop
-    joints: tuple[Mapping[str, float], ...]
-    noise: Noise
-    goal: Goal
-    samples: int
-    sample_time: float
-    tap: Tap
-    filtering: Filtering
-    parameters: Mapping[str, Parameter]
-
-    def predict(
-        self, test: Record, *, motor_encoder: float | None = None, load_encoder: float | None = None
-    ) -> PredictedTest:
-        """Predict a test at the rough joint; see `predict_test`."""
-        return predict_test(
-            self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
-            motor_encoder=motor_encoder, load_encoder=load_encoder,
-        )  # fmt: skip
-
-    def predict_roughly(self, test: Record) -> Iterator[RoughPrediction]:
-        """Predict a test at each joint; see `predict_roughly`."""
-        return predict_roughly(
-            self.loop, self.joints, test, self.noise, filtering=self.filtering, parameters=self.parameters
-        )
+_MORE = {"speed": 2.0, "acceleration": 2.0}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,18 +51,28 @@ class JointTests:
     """The search problem of a joint.
 
     Attributes:
-        purpose: what the test is planned for.
+        joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
+        goal: what the test is to tell.
+        tap: where its torque will be logged.
         limits: that it keeps.
-        room: ranges of the families.
+        room: ranges of the families; None where nothing is searched.
         at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
         injection: whether the drive can add a signal.
-        given: names of the limits that were stated; the others are those of the present test.
+        given: the limits that were stated; the others are those of the present test.
         before: what the present test reaches; None without one.
         floor: of the goal; None where it is not known.
         encoder: steps of the encoders that are predicted beside the test, m or rad.
     """
 
-    purpose: Purpose
+    loop: ClosedLoop
+    joints: tuple[Mapping[str, float], ...]
+    disturbance: Noise
+    goal: Goal
+    samples: int
+    sample_time: float
+    tap: Tap
+    filtering: Filtering
+    parameters: Mapping[str, Parameter]
     limits: AxisLimits
     room: Room | None
     at: InjectionPoint = InjectionPoint.AFTER_LIMIT
@@ -121,14 +96,9 @@ class JointTests:
         return family.plan(u, self.room)
 
     @property
-    def goal(self) -> Goal:
-        """Purpose of the test."""
-        return self.purpose.goal
-
-    @property
     def rough(self) -> JointTests:
         """The same at few joints, for the search."""
-        return replace(self, purpose=replace(self.purpose, joints=self.purpose.joints[: 1 + _JOINTS]))
+        return replace(self, joints=self.joints[: 1 + _JOINTS])
 
     @property
     def begin(self) -> tuple[Plan, ...]:
@@ -138,28 +108,26 @@ class JointTests:
         reference, injected = self.present.reference, self.present.injected
         assert reference is not None
         rates = {reference.sample_time, *([] if injected is None else [injected.channel.sample_time])}
-        if rates != {self.purpose.sample_time} or (injected is not None and not self.injection):
+        if rates != {self.sample_time} or (injected is not None and not self.injection):
             return ()
-        added = None if injected is None else TorqueTable(injected.channel.values)
-        return (Plan(Table(reference.values), added),)
+        return (_plan_of(self.present),)
 
     def record(self, plan: Plan, samples: int | None = None) -> tuple[Record, ...]:
         """Return a test as a record for the drive."""
-        reference, injected = plan.play(samples or self.purpose.samples, self.purpose.sample_time)
+        reference, injected = plan.play(samples or self.samples, self.sample_time)
         return (
             planned_record(
-                self.purpose.loop, reference, self.purpose.sample_time, injected, at=self.at, in_torque=self.in_torque,
-                tap=self.purpose.tap,
+                self.loop, reference, self.sample_time, injected, at=self.at, in_torque=self.in_torque, tap=self.tap
             ),
-        )  # fmt: skip
+        )
 
     def longer(self, plan: Plan) -> tuple[Record, ...] | None:
         """Return the test for twice the time."""
-        return self.record(plan, 2 * self.purpose.samples)
+        return self.record(plan, 2 * self.samples)
 
     def describe(self, plan: Plan) -> str:
         """Return a test in words."""
-        joint = self.purpose.loop.joint
+        joint = self.loop.joint
         return plan.describe(POSITION_UNIT[joint.kind], joint.force_unit)
 
     def try_plan(self, plan: Plan, *, margin: float = MARGIN, than: Tried | None = None) -> Tried:
@@ -167,14 +135,14 @@ class JointTests:
         (test,) = self.record(plan)
         scores, most = [], tuple[Mapping[str, float], ...]()
         tried = Tried(plan, ASTRAY, ({},), math.inf)
-        predictions = self.purpose.predict_roughly(test)
-        for values in self.purpose.joints:
+        predictions = self._predict_roughly(test)
+        for values in self.joints:
             try:
                 with np.errstate(all="ignore"):
                     one = next(predictions)
             except (JointidError, np.linalg.LinAlgError):
                 return replace(tried, score=ASTRAY, over=math.inf)
-            scores.append(self.purpose.goal.score(one.covariance, one.names, values))
+            scores.append(self.goal.score(one.covariance, one.names, values))
             most = largest([most or ({},), (one.reached,)])
             tried = Tried(plan, float(np.mean(scores)), most, worst_excess((self.limits,), most, margin))
             if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
@@ -186,16 +154,14 @@ class JointTests:
         (test,) = motion
         if test.reference is None:
             raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
-        injected = test.injected
-        plan = Plan(Table(test.reference.values), None if injected is None else TorqueTable(injected.channel.values))
-        each = self.purpose.predict_roughly(self._with_torque(test))
-        return Tried(plan, 0.0, largest((one.reached,) for one in each), 0.0)
+        each = self._predict_roughly(self._with_torque(test))
+        return Tried(_plan_of(test), 0.0, largest((one.reached,) for one in each), 0.0)
 
     def find_deviations(self, test: Sequence[Record]) -> list[FloatArray]:
         """Return the deviations of the parameters in a test at each joint of the interval, the known one first."""
-        if len(self.purpose.joints) == 1:
+        if len(self.joints) == 1:
             return []
-        each = self.purpose.predict_roughly(self._with_torque(*test))
+        each = self._predict_roughly(self._with_torque(*test))
         found = [np.sqrt(np.diag(next(each).covariance))]
         try:
             found.extend(np.sqrt(np.diag(one.covariance)) for one in each)
@@ -217,31 +183,42 @@ class JointTests:
         """Return a test as one whose log has the torque's rate."""
         if test.torque is not None:
             return test
-        zeros = np.zeros(math.floor(test.duration / self.purpose.sample_time + 1e-9))
-        unit = self.purpose.loop.joint.force_unit
-        return replace(test, torque=Channel(zeros, unit, self.purpose.sample_time, Timing.HELD))
+        zeros = np.zeros(math.floor(test.duration / self.sample_time + 1e-9))
+        return replace(test, torque=Channel(zeros, self.loop.joint.force_unit, self.sample_time, Timing.HELD))
+
+    def _predict_roughly(self, test: Record) -> Iterator[RoughPrediction]:
+        return predict_roughly(
+            self.loop, self.joints, test, self.disturbance, filtering=self.filtering, parameters=self.parameters
+        )
+
+    def _predict(
+        self, test: Record, motor_encoder: float | None = None, load_encoder: float | None = None
+    ) -> PredictedTest:
+        return predict_test(
+            self.loop, self.joints[0], test, self.disturbance, filtering=self.filtering, parameters=self.parameters,
+            motor_encoder=motor_encoder, load_encoder=load_encoder,
+        )  # fmt: skip
 
     def predict(self, test: Sequence[Record], longer: Sequence[Record] | None) -> dict[str, PredictedTest]:
         """Predict the present test, a new one, and the new one with encoders and for twice the time."""
-        purpose, (record,) = self.purpose, map(self._with_torque, test)
-        found: dict[str, PredictedTest] = {}
+        (record,), found = map(self._with_torque, test), dict[str, PredictedTest]()
         if self.present is not None:
             with contextlib.suppress(JointidError):  # one that does not tell every parameter
-                found["present"] = purpose.predict(self.present)
-        found["proposed"] = proposed = purpose.predict(record)
-        steps = choose_encoder_steps(record if self.present is None else self.present, self.encoder)
-        on_motor = purpose.predict(record, motor_encoder=steps[0])
+                found["present"] = self._predict(self.present)
+        found["proposed"] = proposed = self._predict(record)
+        motor, load = choose_encoder_steps(record if self.present is None else self.present, self.encoder)
+        on_motor = self._predict(record, motor_encoder=motor)
         if any(on_motor.std[name] < _TELLS_MORE * std for name, std in proposed.std.items()):
             found["with motor encoder"] = on_motor
-        if isinstance(purpose.loop.joint, FlexibleJoint):
-            found["with load encoder"] = purpose.predict(record, load_encoder=steps[1])
+        if isinstance(self.loop.joint, FlexibleJoint):
+            found["with load encoder"] = self._predict(record, load_encoder=load)
         if longer is not None:
-            found["twice the time"] = purpose.predict(*longer)
+            found["twice the time"] = self._predict(longer[0])
         return found
 
     def axes(self, test: Sequence[Record], tried: Tried, proposed: PredictedTest) -> tuple[DesignedAxis, ...]:
         """Return the loads of the axis in the test."""
-        (record,), joint = test, self.purpose.loop.joint
+        (record,), joint = test, self.loop.joint
         units = units_of_limits(q := POSITION_UNIT[joint.kind], joint.force_unit)
         return (
             DesignedAxis(
@@ -250,14 +227,14 @@ class JointTests:
                 tuple(name for name in self.limits.given if name not in self.given.given),
                 {**_positions(record), **tried.reached[0]},
                 tuple(describe_excess(self.given, self.before or {}, units)),
-                FlexibleJoint.frequencies(self.purpose.joints[0]) if isinstance(joint, FlexibleJoint) else {},
+                FlexibleJoint.frequencies(self.joints[0]) if isinstance(joint, FlexibleJoint) else {},
             ),
         )  # fmt: skip
 
     @property
     def noise(self) -> str:
         """The noise in words."""
-        noise, unit = self.purpose.noise, self.purpose.loop.joint.force_unit
+        noise, unit = self.disturbance, self.loop.joint.force_unit
         parts = [] if noise.left is None else ["the residual of the present test"]
         parts += [f"white, {noise.log:.3g} {unit} on the log"] if noise.log else []
         return " and ".join([*parts, *([f"a white force of {noise.force:.3g} {unit}"] if noise.force else [])])
@@ -298,9 +275,9 @@ def joint_tests(
     if within is not None:
         covariance = np.diag([(0.005 * within * values[p.name]) ** 2 for p in free])
     draws = _draw(values, free, covariance, _MORE_JOINTS, seed)
-    purpose = Purpose(loop, (dict(values), *draws), noise, wanted, samples, sample_time, tap, filtering, parameters)
+    common = loop, (dict(values), *draws), noise, wanted, samples, sample_time, tap, filtering, parameters
     if not searched:
-        return JointTests(purpose, limits, None, present=present, given=limits, encoder=encoder)
+        return JointTests(*common, limits, None, present=present, given=limits, encoder=encoder)
     before = None if present is None else reach(loop, values, present, noise, filtering, parameters)
     whole, found = _complete(limits, before)
     resolved = filtering.resolve(sample_time, loop.joint.model)
@@ -309,16 +286,25 @@ def joint_tests(
     floor = _floor(loop, values, noise, wanted, whole, samples, sample_time, highest)
     flexible = isinstance(loop.joint, FlexibleJoint)
     mode = FlexibleJoint.frequencies(values)["free_free"] if flexible else 0.5 * highest
-    positions = np.zeros(1) if present is None or present.reference is None else present.reference.values
-    stroke = whole.given["stroke"]
-    low = 0.5 * float(positions.min() + positions.max() - stroke)
+    # Twice the speed and acceleration of the present test take the place of limits that are not given.
+    sizes = {name: whole.given.get(name, _MORE.get(name, 1.0) * found[name]) for name in _NEEDED}
+    seen = np.zeros(1) if present is None or present.reference is None else present.reference.values
+    low = 0.5 * float(seen.min() + seen.max() - sizes["stroke"])
     if whole.lower is not None or whole.upper is not None:
-        low = whole.lower if whole.lower is not None else whole.stated["upper"] - stroke
+        low = whole.lower if whole.lower is not None else whole.stated["upper"] - sizes["stroke"]
     lines = () if floor is None else floor.lines
-    room = room_of(whole.given, found, min(whole.lowest, highest), highest, mode, lines, low)
+    lowest, mode = min(whole.lowest, highest), min(mode, 0.9 * highest)
+    room = Room(**sizes, jerk=whole.jerk, low=low, lowest=lowest, highest=highest, mode=mode, lines=lines)
     added = None if present is None else present.injected
     how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
-    return JointTests(purpose, whole, room, *how, injection, present, limits, before, floor, encoder)
+    return JointTests(*common, whole, room, *how, injection, present, limits, before, floor, encoder)
+
+
+def _plan_of(test: Record) -> Plan:
+    """Return a record as a plan: its tables of positions and of what is added."""
+    assert test.reference is not None
+    added = None if test.injected is None else torques(test.injected.channel.values)
+    return Plan(positions(test.reference.values), added)
 
 
 def _positions(test: Record) -> dict[str, float]:

@@ -23,150 +23,140 @@ _INSIDE = 0.985  # of the stroke, that a reference takes at most: the motor pass
 _LINES = 24  # of a sum of sines
 
 
-@dataclass(frozen=True, slots=True)
-class Trapezoids:
-    """Back and forth from `start` at each speed; `smoothing` is the jerk time, s."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """A signal of a test, which can be made smaller.
 
-    speeds: tuple[float, ...]
-    acceleration: float
-    travel: float
-    rest: float = 0.0
-    smoothing: float = 0.0
-    start: float = 0.0
+    Attributes:
+        make: returns its values from a count of samples and their time.
+        words: describe it in a unit, and by the factor that its sizes are smaller.
+        center: value about which it is made smaller.
+        factor: by which it is smaller than made.
+        fixed: whether it keeps its size.
+    """
+
+    make: Callable[[int, float], FloatArray]
+    words: Callable[[str, float], str]
+    center: float = 0.0
+    factor: float = 1.0
+    fixed: bool = False
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the positions, (samples,)."""
-        played = excitation.trapezoids(
-            self.speeds, self.acceleration, self.travel, sample_time, rest=self.rest, duration=samples * sample_time
-        )[:samples]
-        # A way that would exceed the time is left out: the axis rests at the last reversal.
-        ends = np.flatnonzero(np.minimum(played, self.travel - played) <= self.acceleration * sample_time**2)
-        ends = ends[ends < samples - round(self.smoothing / sample_time)]
-        last = int(ends[-1]) if ends.size else 0
-        return self.start + excitation.smooth(
-            np.append(played[: last + 1], np.full(samples - 1 - last, played[last])), sample_time, self.smoothing
-        )
+        """Return its values, (samples,)."""
+        return np.asarray(self.center + self.factor * (self.make(samples, sample_time) - self.center))
 
     def describe(self, unit: str) -> str:
-        """Describe it, with positions in that unit."""
-        speeds = ", ".join(number(one, 3) for one in self.speeds)
-        ramps = f", the acceleration rising in {number(1e3 * self.smoothing, 3)} ms" if self.smoothing else ""
+        """Return it in words."""
+        return self.words(unit, self.factor)
+
+    def scale(self, factor: float) -> Signal:
+        """Return the signal, smaller by a factor."""
+        return self if self.fixed else replace(self, factor=factor * self.factor)
+
+
+def trapezoids(
+    speeds: Sequence[float], acceleration: float, travel: float, rest: float = 0.0, smoothing: float = 0.0,
+    start: float = 0.0,
+) -> Signal:  # fmt: skip
+    """Move back and forth from `start` at each speed; `smoothing` is the jerk time, s."""
+
+    def make(samples: int, sample_time: float) -> FloatArray:
+        lasts = samples * sample_time
+        played = excitation.trapezoids(speeds, acceleration, travel, sample_time, rest=rest, duration=lasts)[:samples]
+        # A way that would exceed the time is left out: the axis rests at the last reversal.
+        ends = np.flatnonzero(np.minimum(played, travel - played) <= acceleration * sample_time**2)
+        ends = ends[ends < samples - round(smoothing / sample_time)]
+        last = int(ends[-1]) if ends.size else 0
+        kept = np.append(played[: last + 1], np.full(samples - 1 - last, played[last]))
+        return start + excitation.smooth(kept, sample_time, smoothing)
+
+    def words(unit: str, factor: float) -> str:
+        each = ", ".join(number(factor * one, 3) for one in speeds)
+        ramps = f", the acceleration rising in {number(1e3 * smoothing, 3)} ms" if smoothing else ""
         return (
-            f"trapezoids from {number(self.start, 3)} {unit} over {number(self.travel, 3)} {unit} and back, at "
-            f"{speeds} {unit}/s, {number(self.acceleration, 3)} {unit}/s2{ramps}, {number(self.rest, 2)} s of rest "
+            f"trapezoids from {number(start, 3)} {unit} over {number(factor * travel, 3)} {unit} and back, at "
+            f"{each} {unit}/s, {number(factor * acceleration, 3)} {unit}/s2{ramps}, {number(rest, 2)} s of rest "
             "before each way"
         )
 
+    return Signal(make, words, start)
 
-@dataclass(frozen=True, slots=True)
-class Sines:
-    """A sum of position sines with equal accelerations, between two frequencies, Hz."""
 
-    amplitude: float
-    lowest: float
-    highest: float
-    start: float = 0.0
+def sines(amplitude: float, lowest: float, highest: float, start: float = 0.0) -> Signal:
+    """Sum position sines with equal accelerations, between two frequencies, Hz."""
 
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the positions, (samples,)."""
-        return self.start + excitation.multisine(
-            samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES, tilt=2.0
-        )
+    def make(samples: int, sample_time: float) -> FloatArray:
+        wave = excitation.multisine(samples, sample_time, amplitude, lowest, highest, lines=_LINES, tilt=2.0)
+        return start + wave
 
-    def describe(self, unit: str) -> str:
-        """Describe it, with positions in that unit."""
+    def words(unit: str, factor: float) -> str:
         return (
-            f"a sum of {_LINES} sines of the position, {number(self.lowest, 2)} to {number(self.highest, 2)} Hz, "
-            f"within {number(self.amplitude, 3)} {unit} of {number(self.start, 3)} {unit}"
+            f"a sum of {_LINES} sines of the position, {number(lowest, 2)} to {number(highest, 2)} Hz, "
+            f"within {number(factor * amplitude, 3)} {unit} of {number(start, 3)} {unit}"
         )
 
+    return Signal(make, words, start)
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Positions as they stand in a table, one each sample."""
 
-    values: FloatArray
+def positions(values: FloatArray) -> Signal:
+    """Return positions of a table; a short one is repeated, reversed in time, and none is made smaller."""
 
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Positions, (samples,); a short table is repeated, reversed in time."""
+    def make(samples: int, sample_time: float) -> FloatArray:
         del sample_time
-        whole = self.values
+        whole = values
         while whole.size < samples:
             whole = np.concatenate([whole, whole[::-1]])
         return np.asarray(whole[:samples])
 
-    def describe(self, unit: str) -> str:
-        """Describe it, with positions in that unit."""
-        return f"the reference as given, {number(float(np.ptp(self.values)), 3)} {unit} of travel"
+    def words(unit: str, factor: float) -> str:
+        del factor
+        return f"the reference as given, {number(float(np.ptp(values)), 3)} {unit} of travel"
+
+    return Signal(make, words, fixed=True)
 
 
-@dataclass(frozen=True, slots=True)
-class TorqueSines:
-    """A sum of equal torque sines between two frequencies, Hz, with peak `amplitude`."""
+def torque_sines(amplitude: float, lowest: float, highest: float) -> Signal:
+    """Sum equal torque sines between two frequencies, Hz, with a peak of `amplitude`."""
 
-    amplitude: float
-    lowest: float
-    highest: float
-
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Added torque, (samples,)."""
-        return excitation.multisine(samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES)
-
-    def describe(self, unit: str) -> str:
-        """Describe it, with torques in that unit."""
+    def words(unit: str, factor: float) -> str:
         return (
-            f"a sum of {_LINES} sines of up to {number(self.amplitude, 3)} {unit} on the torque, "
-            f"{number(self.lowest, 2)} to {number(self.highest, 2)} Hz"
+            f"a sum of {_LINES} sines of up to {number(factor * amplitude, 3)} {unit} on the torque, "
+            f"{number(lowest, 2)} to {number(highest, 2)} Hz"
         )
 
+    return Signal(lambda n, T: excitation.multisine(n, T, amplitude, lowest, highest, lines=_LINES), words)
 
-@dataclass(frozen=True, slots=True)
-class TorqueLines:
-    """Torque sines of given frequencies, Hz, and amplitudes, with low peaks."""
 
-    frequencies: tuple[float, ...]
-    amplitudes: tuple[float, ...]
+def torque_lines(frequencies: Sequence[float], amplitudes: Sequence[float]) -> Signal:
+    """Sum torque sines of given frequencies, Hz, and amplitudes, with low peaks."""
 
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Added torque, (samples,)."""
-        return excitation.sines(samples, sample_time, self.frequencies, self.amplitudes)
-
-    def describe(self, unit: str) -> str:
-        """Describe it, with torques in that unit."""
-        pairs = zip(self.frequencies, self.amplitudes, strict=True)
-        each = ", ".join(f"{number(size, 2)} {unit} at {number(f, 3)} Hz" for f, size in pairs)
+    def words(unit: str, factor: float) -> str:
+        pairs = zip(frequencies, amplitudes, strict=True)
+        each = ", ".join(f"{number(factor * size, 2)} {unit} at {number(f, 3)} Hz" for f, size in pairs)
         return f"sines on the torque: {each}"
 
-
-@dataclass(frozen=True, slots=True)
-class TorqueTable:
-    """A tabulated torque signal, one value per sample."""
-
-    values: FloatArray
-
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Added torque, (samples,); a short table is repeated."""
-        del sample_time
-        return np.asarray(np.resize(self.values, samples))
-
-    def describe(self, unit: str) -> str:
-        """Describe it, with torques in that unit."""
-        return f"the signal as given on the torque, of up to {number(float(np.max(np.abs(self.values))), 3)} {unit}"
+    return Signal(lambda n, T: excitation.sines(n, T, frequencies, amplitudes), words)
 
 
-Motion: TypeAlias = Trapezoids | Sines | Table
-Added: TypeAlias = TorqueSines | TorqueLines | TorqueTable
+def torques(values: FloatArray) -> Signal:
+    """Return an added signal of a table, one value each sample; a short one is repeated."""
+
+    def words(unit: str, factor: float) -> str:
+        size = number(factor * float(np.max(np.abs(values))), 3)
+        return f"the signal as given on the torque, of up to {size} {unit}"
+
+    return Signal(lambda n, _: np.asarray(np.resize(values, n)), words)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """A test: a motion, and optionally a signal added to the torque."""
 
-    motion: Motion
-    added: Added | None = None
+    motion: Signal
+    added: Signal | None = None
 
     def play(self, samples: int, sample_time: float) -> tuple[FloatArray, FloatArray | None]:
-        """Reference and injected signal, (samples,) each."""
+        """Return reference and injected signal, (samples,) each."""
         injected = None if self.added is None else self.added.play(samples, sample_time)
         return self.motion.play(samples, sample_time), injected
 
@@ -177,22 +167,9 @@ class Plan:
 
     def scale(self, factor: float) -> Plan:
         """Scale the added signal and the motion; a table of positions stays."""
-        added, motion = self.added, self.motion
-        if isinstance(added, TorqueTable):
-            added = replace(added, values=factor * added.values)
-        elif isinstance(added, TorqueLines):
-            added = replace(added, amplitudes=tuple(factor * one for one in added.amplitudes))
-        elif added is not None:
-            added = replace(added, amplitude=factor * added.amplitude)
-        if isinstance(motion, Trapezoids):
-            speeds = tuple(factor * one for one in motion.speeds)
-            motion = replace(
-                motion, speeds=speeds, acceleration=factor * motion.acceleration, travel=factor * motion.travel
-            )
-        elif isinstance(motion, Sines):
-            motion = replace(motion, amplitude=factor * motion.amplitude)
-        same = motion is self.motion and added is self.added
-        return self if same else Plan(motion, added)
+        if self.motion.fixed and self.added is None:
+            return self
+        return Plan(self.motion.scale(factor), None if self.added is None else self.added.scale(factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,57 +202,48 @@ def _log(low: float, high: float, share: float) -> float:
     return low * math.pow(high / low, share)
 
 
-def _trapezoids(u: Sequence[float], room: Room) -> Trapezoids:
+_Numbers: TypeAlias = Sequence[float]
+
+
+def _trapezoids(u: _Numbers, room: Room) -> Signal:
     speeds = tuple(_log(0.05, 1.0, one) * room.speed for one in u[:_SPEEDS])
     acceleration = _log(0.05, 1.0, u[_SPEEDS]) * room.acceleration
     smoothing = 0.0 if room.jerk is None else 2 * acceleration / room.jerk  # from full ahead to full back
     travel = _log(0.05, _INSIDE, u[_SPEEDS + 1]) * room.stroke
     start = room.low + 0.5 * (room.stroke - travel)
-    return Trapezoids(speeds, acceleration, travel, _REST * u[_SPEEDS + 2], smoothing, start)
+    return trapezoids(speeds, acceleration, travel, _REST * u[_SPEEDS + 2], smoothing, start)
 
 
-def _sines(u: Sequence[float], room: Room) -> Sines:
+def _sines(u: _Numbers, room: Room) -> Signal:
     lowest = _log(room.lowest, max(0.3 * room.highest, room.lowest), u[1])
     highest = min(max(_log(room.lowest, room.highest, u[2]), 1.05 * lowest), room.highest)
-    return Sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest, room.low + 0.5 * room.stroke)
+    return sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest, room.low + 0.5 * room.stroke)
 
 
-def _band(u: Sequence[float], room: Room) -> tuple[float, float]:
+def _torque_sines(u: _Numbers, room: Room) -> Signal:
     least = max(room.lowest, 0.05 * room.mode)
-    lowest = _log(least, max(0.9 * room.highest, least), u[0])
-    return lowest, min(lowest * _log(1.02, 10.0, u[1]), room.highest)
+    lowest = _log(least, max(0.9 * room.highest, least), u[1])
+    return torque_sines(_log(0.02, 1.0, u[0]) * room.torque, lowest, min(lowest * _log(1.02, 10.0, u[2]), room.highest))
 
 
-def _torque_sines(u: Sequence[float], room: Room) -> TorqueSines:
-    return TorqueSines(_log(0.02, 1.0, u[0]) * room.torque, *_band(u[1:], room))
-
-
-def _torque_lines(u: Sequence[float], room: Room) -> TorqueLines:
+def _torque_lines(u: _Numbers, room: Room) -> Signal:
     size, tilt = _log(0.02, 0.7, u[0]) * room.torque, 2.0 * u[1]
     frequencies, shares = zip(*room.lines, strict=True)
     # Friction wants more at low frequencies than a joint without it, or less: the shares may be levelled.
-    return TorqueLines(frequencies, tuple(size * share**tilt for share in shares))
+    return torque_lines(frequencies, [size * share**tilt for share in shares])
 
 
-_Numbers: TypeAlias = Sequence[float]
-_MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Motion]]] = {
+_MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Signal]]] = {
     "trapezoids": (_SPEEDS + 3, _trapezoids), "sines": (3, _sines),
 }  # fmt: skip
-_ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Added] | None]] = {
-    "nothing": (0, None),
-    "sines": (3, _torque_sines),
-    "lines": (2, _torque_lines),
-}
+_ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Signal] | None]] = {
+    "nothing": (0, None), "sines": (3, _torque_sines), "lines": (2, _torque_lines),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """One kind of motion with one kind of added signal.
-
-    Attributes:
-        motion: "trapezoids" or "sines".
-        added: "nothing", "sines" or "lines".
-    """
+    """One kind of motion, "trapezoids" or "sines", with one added signal, "nothing", "sines" or "lines"."""
 
     motion: str
     added: str
@@ -293,43 +261,6 @@ class Family:
 
 
 def families_in(room: Room, *, injection: bool = True) -> tuple[Family, ...]:
-    """Families that a search tries; without `injection` those that add nothing to the torque."""
+    """Return the families that a search tries; without `injection` those that add nothing to the torque."""
     possible = [one for one in _ADDED if injection or one == "nothing"]
     return tuple(Family(motion, one) for motion in _MOTIONS for one in possible if one != "lines" or room.lines)
-
-
-def room_of(
-    given: Mapping[str, float],
-    found: Mapping[str, float],
-    lowest: float,
-    highest: float,
-    mode: float,
-    lines: tuple[tuple[float, float], ...] = (),
-    low: float = 0.0,
-) -> Room:
-    """Ranges of a search, from limits and the present test.
-
-    Args:
-        given: the axis limits by name.
-        found: maxima of the present test; twice its speed and acceleration, and its stroke and torque, replace missing
-            limits.
-        lowest: frequency, Hz.
-        highest: frequency, Hz.
-        mode: of the joint, Hz.
-        lines: see `Room`.
-        low: end of the stroke.
-    """
-    more = {"speed": 2.0, "acceleration": 2.0}
-    size = {
-        name: given.get(name, more.get(name, 1.0) * found[name])
-        for name in ("stroke", "speed", "acceleration", "torque")
-    }
-    return Room(
-        **size,
-        jerk=given.get("jerk"),
-        low=low,
-        lowest=lowest,
-        highest=highest,
-        mode=min(mode, 0.9 * highest),
-        lines=lines,
-    )
