@@ -5,10 +5,11 @@ Every document has `schema`, the class of its result with the number of this for
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -73,13 +74,7 @@ def to_dict(result: object) -> Json:
 
 
 def simulation_answer(simulation: Simulation | RobotSimulation, record: str, values: Mapping[str, object]) -> Json:
-    """Return the document of a simulation, without its signals.
-
-    Args:
-        simulation: of a joint or a robot.
-        record: its name.
-        values: what else is stated.
-    """
+    """Return the document of a simulation of a record, without its signals, and with other values."""
     return {
         "schema": "jointid.Simulation/2",
         "version": __version__,
@@ -92,6 +87,17 @@ def simulation_answer(simulation: Simulation | RobotSimulation, record: str, val
         "peak_torque": plain(abs(simulation.torque).max(axis=0)),
         **plain(values),
     }
+
+
+@contextlib.contextmanager
+def _undamaged(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Say of a document in which something is missing or of another type that it is damaged."""
+    try:
+        yield
+    except RecordError:
+        raise
+    except _DAMAGE:
+        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
 
 
 def load_estimate(path: str | Path, system: File | System) -> Estimate:
@@ -126,20 +132,19 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
 
     model, answer = system.setup if isinstance(system, File) else system, _read_estimate(path)
     try:
-        if isinstance(model, RobotSystem):
-            return build_estimate(answer, model)
-        joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
-        if not _fits(answer["settings"]["system"], plain(joint)):
-            raise RecordError("it is of another joint, or of the other side of its transmission")
-        if own := [p.name for p in joint.parameters if p.name not in answer["parameters"]]:
-            raise RecordError(
-                f"it has no {', '.join(own)}, or one for each of its records, so it predicts no torque of another"
-            )
-        return build_estimate(answer, joint, loop if isinstance(loop, ClosedLoop) else None)
+        with _undamaged(path):
+            if isinstance(model, RobotSystem):
+                return build_estimate(answer, model)
+            joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
+            if not _fits(answer["settings"]["system"], plain(joint)):
+                raise RecordError("it is of another joint, or of the other side of its transmission")
+            if own := [p.name for p in joint.parameters if p.name not in answer["parameters"]]:
+                raise RecordError(
+                    f"it has no {', '.join(own)}, or one for each of its records, so it predicts no torque of another"
+                )
+            return build_estimate(answer, joint, loop if isinstance(loop, ClosedLoop) else None)
     except RecordError as error:
         raise RecordError(f"{path} does not fit this model: {error}; identify with this file first.") from None
-    except _DAMAGE:
-        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
 
 
 def _fits(stated: Any, own: Any) -> bool:
@@ -155,13 +160,11 @@ def read_choices(path: str | Path) -> dict[str, str]:
     Raises:
         RecordError: the file is no estimate.
     """
-    try:
-        settings = _read_estimate(path)["settings"]
+    settings = _read_estimate(path).get("settings")
+    with _undamaged(path):
         if "joints" in settings["system"]:
             return {"method": {name: name for name in METHODS}[settings["method"]]}
         return {"friction": FRICTIONS[settings["system"]["friction"]["name"]].name}
-    except _DAMAGE:
-        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
 
 
 def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
@@ -177,18 +180,16 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
         with open_file(path) as file:
             raw = file.read(_LARGEST + 1)
         if len(raw) > _LARGEST:
-            size = max(path.stat().st_size, len(raw))
-            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+            raise RecordError(f"{path} has more than {_LARGEST} bytes, which no answer has; {remedy}.")
         text = raw.decode("utf-8-sig")
         if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
             text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
         answer = json.loads(text, parse_constant=finite)  # NaN and Infinity are words here, and so refused
+        answer = answer.get("estimate", answer)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
-    except (ValueError, RecursionError):
-        raise RecordError(f"{path} is no JSON file; {remedy}.") from None
-    if isinstance(answer, dict) and "estimate" in answer:
-        answer = answer["estimate"]
+    except (AttributeError, ValueError, RecursionError):
+        raise RecordError(f"{path} is no estimate; {remedy}.") from None
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate; {remedy}.")
     return answer
@@ -201,11 +202,9 @@ def _read_estimate(path: str | Path) -> Json:
         RecordError: the file cannot be read, or holds no estimate.
     """
     answer = read_answer(path)
-    try:
-        if answer.get("schema") == "jointid.estimate/1":
+    if answer.get("schema") == "jointid.estimate/1":
+        with _undamaged(path):
             return _of_first_form(answer)
-    except _DAMAGE:
-        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
     if answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
     return answer
@@ -218,10 +217,8 @@ def read_report(path: str | Path) -> ReportedEstimate:
         RecordError: the file cannot be read, or holds no estimate.
     """
     answer = _read_estimate(path)
-    try:
+    with _undamaged(path):
         return _build_report(answer, Path(path).name)
-    except _DAMAGE:
-        raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
 
 
 def _build_report(answer: Json, label: str) -> ReportedEstimate:
@@ -242,7 +239,12 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
         kind = f"{system['name']} of {', '.join(str(one['name']) for one in system['joints'])}"
         formulas = dict(zip(robot["names"], robot["formulas"], strict=True))
     quantities = tuple(
-        _quantity(_name_of_sum(name, p["symbol"], str(formulas.get(name, ""))), _symbol(name, p), p, free=p["free"])
+        _quantity(
+            _name_of_sum(name, p["symbol"], str(formulas.get(name, ""))),
+            "@".join((str(p["symbol"]), *name.split("@")[1:])),  # of a record's own parameter with its number
+            p,
+            free=p["free"],
+        )
         for name, p in answer["parameters"].items()
         if (robot is None or p["axis"]) and not name.rpartition(".")[2].startswith("initial_")
     )
@@ -250,7 +252,6 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
     sums = tuple(
         _quantity(str(one["combination"]["name"]), str(one["combination"]["formula"]), one | one["combination"])
         for one in known["physical"]
-        if _of_both_sides(one["combination"]["weights"])
     )
     prints = data["logs"] or [one["fingerprint"] for one in data["records"] or (data,)]
     error = answer["fit"]["relative_error"]
@@ -260,22 +261,10 @@ def _build_report(answer: Json, label: str) -> ReportedEstimate:
     )  # fmt: skip
 
 
-def _symbol(name: str, p: Json) -> str:
-    """Return a symbol, that of a record's own parameter with the number of the record."""
-    return "@".join((str(p["symbol"]), *name.split("@")[1:]))
-
-
 def _name_of_sum(name: str, symbol: str, formula: str) -> str:
     """Return a name with what else is in its sum, of a robot: by two methods the same name may have other sums."""
     others = [one for one in re.findall(r"(?<!\w)[A-Za-z][\w+-]*", formula) if one != symbol]
     return f"{name} with {', '.join(sorted(others))}" if others else name
-
-
-def _of_both_sides(weights: Mapping[str, float]) -> bool:
-    """Return whether weights are the sum or difference of one quantity on both sides."""
-    (first, one), *rest = weights.items()
-    side, _, quantity = first.partition("_")
-    return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
 
 
 def _quantity(name: str, symbol: str, p: Mapping[str, Any], *, free: bool = True) -> ReportedQuantity:
@@ -308,7 +297,8 @@ def _of_first_form(old: Json) -> Json:
     else:
         system = {"name": robot["name"], "joints": [{"name": name} for name in robot["joints"]]}
     sums = old["parameters"].values()
-    physical = [{**one, "combination": one} for one in old.get("combinations") or ()]
+    sums_of_both = [one for one in old.get("combinations") or () if one["kind"] in ("sum", "difference")]
+    physical = [{**one, "combination": one} for one in sums_of_both]
     positions = {"": old.get("position_rms")} if robot is None else robot.get("position_rms", {})
     return {
         "parameters": parameters,

@@ -80,12 +80,12 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     joint.write_text("", encoding="utf-8")
     record.write_text("t", encoding="utf-8")
     os.utime(record, (86400.0 * 366, 86400.0 * 366))
-    assert repetition(joint, [record], {}).date == "1971-01-02"
-    assert repetition(joint, [emps_path], {}).date == "2018-11-06"  # of its header, however it was copied
-    assert repetition(joint, [tmp_path], {}).date  # of a folder
+    assert repetition(joint, [record], {}).record_date == "1971-01-02"
+    assert repetition(joint, [emps_path], {}).record_date == "2018-11-06"  # of its header, however it was copied
+    assert repetition(joint, [tmp_path], {}).record_date  # of a folder
     one, both = repetition(joint, [record], {}), repetition(joint, [record, emps_path], {})
     record.write_text("t2", encoding="utf-8")
-    hashes = {each.record_sha256 for each in (one, both, repetition(joint, [record, emps_path], {}))}
+    hashes = {each.record_file_sha256 for each in (one, both, repetition(joint, [record, emps_path], {}))}
     assert len(hashes) == 3 and "--record run.csv" in one.command and "--record" not in both.command
 
 

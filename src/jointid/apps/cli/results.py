@@ -54,9 +54,8 @@ def report(
     asked = {"axis": options.axis, "held_out": held_out and held_out.name}
     asked |= {} if estimate is None else {"estimate": estimate.name}
     unseen = None if held_out is None else file.record(held_out)
-    system: Literal["joint", "robot"] = "joint" if file.robot is None else "robot"
     records = file.source.files_of(file.record_path(options.record), joint.parent)
-    again = repetition(joint, records, asked, options.changes, html.name, system)
+    again = repetition(joint, records, asked, options.changes, html.name)
     if estimate is None:
         record, found = options.identify(file, judged=True, whole=True)
     else:

@@ -120,7 +120,7 @@ class Report:
         """The axis, the date of its record if it is known, and the version of this program."""
         robot, again = self.estimate.robot, self.repetition
         own = self.estimate.data.record if robot is None else robot.model.name
-        return ", ".join(filter(None, (self.name or own, again.date, f"jointid {again.version}")))
+        return ", ".join(filter(None, (self.name or own, again.record_date, f"jointid {again.version}")))
 
     def _repr_html_(self) -> str:
         """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""
@@ -139,7 +139,7 @@ class Report:
             "frequencies": {} if given.response is None else given.response.modes,
             "tuning": self.tuned,
         }
-        return dumps(plain(contents | self.repetition.document))
+        return dumps(plain(contents) | plain(self.repetition))
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""

@@ -13,10 +13,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from jointid import __version__
-from jointid.common.document import Block, Code, Document, Heading, templates
+from jointid.common.document import Document, Heading, templates
 from jointid.common.errors import RecordError
 from jointid.common.files import digest, write_folder
 from jointid.output.json import REPORT_ELEMENT
@@ -27,13 +26,16 @@ _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  
 
 def page(document: Document) -> str:
     """Return a document as one HTML page; the same document gives the same bytes."""
-    headings = [block for block in document.blocks if isinstance(block, Heading) and block.level == 2]
-    anchors = _anchors(block.text for block in headings)
-    links = dict(zip(map(id, headings), anchors, strict=True))
+    anchors: dict[int, str] = {}  # of the headings, each name once
+    for place, block in enumerate(document.blocks):
+        if isinstance(block, Heading) and block.level == 2:
+            name = re.sub(r"[^a-z0-9]+", "-", block.text.lower()).strip("-") or "part"
+            anchors[place] = name if name not in anchors.values() else f"{name}-{place}"
+    contents = [(getattr(document.blocks[place], "text", ""), name) for place, name in anchors.items()]
     return templates(Path(__file__).parent).get_template("page.html").render(
         title=document.title,
-        blocks=[(block, links.get(id(block), "")) for block in document.blocks],
-        contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
+        blocks=[(block, anchors.get(place, "")) for place, block in enumerate(document.blocks)],
+        contents=contents if len(contents) >= _FEW else [],
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
         answer=document.answer,
         element=REPORT_ELEMENT,
@@ -49,69 +51,26 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
     return write_folder(folder, {f"{name}.html": page(document).encode()} | document.pictures)
 
 
-def _anchors(texts: Iterable[str]) -> list[str]:
-    """Return names for headings to be linked by, each once."""
-    found: list[str] = []
-    for text in texts:
-        name = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
-        while name in found:
-            name += "-"
-        found.append(name)
-    return found
-
-
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """Version, files and command that reproduce a report.
+    """Version, files and command that reproduce a report; empty where they are unknown.
 
     Attributes:
         version: of this program.
-        record_name: file, or files, of the record; empty for one that came from no file, as the next ones.
-        record_sha256: of that file, or of these one after the other.
-        date: of the record, as year-month-day: that in a .mat file's header, else when the file was last written (UTC).
-        joint_name: file of the joint or of the robot.
-        joint_file: its text.
+        record_file: name of the record's file, or files.
+        record_date: year-month-day: that in a .mat file's header, else when the file was last written (UTC).
+        record_file_sha256: of that file, or of these one after the other.
+        joint_file_name, joint_file: name and text of the file of the joint or of the robot.
         command: that writes the report again.
-        system: "joint" or "robot".
     """
 
     version: str = __version__
-    record_name: str = ""
-    record_sha256: str = ""
-    date: str = ""
-    joint_name: str = ""
+    record_file: str = ""
+    record_date: str = ""
+    record_file_sha256: str = ""
+    joint_file_name: str = ""
     joint_file: str = ""
     command: str = ""
-    system: Literal["joint", "robot"] = "joint"
-
-    @property
-    def facts(self) -> tuple[tuple[str, str], ...]:
-        """The names and hashes that are known."""
-        names = ("jointid", "Record", "Its date", "Its SHA-256")
-        found = zip(names, (self.version, self.record_name, self.date, self.record_sha256), strict=True)
-        return tuple((name, value) for name, value in found if value)
-
-    @property
-    def blocks(self) -> list[Block]:
-        """The command and the file of the joint or of the robot."""
-        found = [
-            (self.command, f"The command, with {self.system} file and record beside each other:"),
-            (self.joint_file, f"The {self.system} file, {self.joint_name}:"),
-        ]
-        return [Code(text, caption) for text, caption in found if text]
-
-    @property
-    def document(self) -> dict[str, str | None]:
-        """Its part of the report's JSON; null where it is unknown."""
-        found = {
-            "record_file": self.record_name,
-            "record_date": self.date,
-            "record_file_sha256": self.record_sha256,
-            f"{self.system}_file_name": self.joint_name,
-            f"{self.system}_file": self.joint_file,
-            "command": self.command,
-        }
-        return {"version": self.version} | {key: text or None for key, text in found.items()}
 
 
 def repetition(
@@ -120,7 +79,6 @@ def repetition(
     options: Mapping[str, object],
     changes: Iterable[str] = (),
     html: str = "report.html",
-    system: Literal["joint", "robot"] = "joint",
 ) -> Repetition:
     """Return the data to repeat a report; files by their names, without their folders.
 
@@ -131,25 +89,16 @@ def repetition(
         RecordError: a file cannot be read.
     """
     words = ["jointid", "report", joint.name, *(["--record", records[0].name] if len(records) == 1 else [])]
-    for name, value in options.items():
-        if value is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
-    for change in changes:
-        words += ["--set", change]
+    given = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
+    pairs = [*given.items(), *(("set", change) for change in changes), ("html", html)]
+    command = shlex.join([*words, *(word for name, value in pairs for word in (f"--{name}", value))])
     try:
         text, date = joint.read_text(encoding="utf-8"), _find_date(records[0])
     except OSError as error:
         why = (error.strerror or type(error).__name__).lower()
         raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
-    return Repetition(
-        record_name=", ".join(record.name for record in records),
-        record_sha256=digest(*records),
-        date=date,
-        joint_name=joint.name,
-        joint_file=text,
-        command=shlex.join([*words, "--html", html]),
-        system=system,
-    )
+    names = ", ".join(record.name for record in records)
+    return Repetition(__version__, names, date, digest(*records), joint.name, text, command)
 
 
 def _find_date(record: Path) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from jointid.common.charts import svg
 from jointid.common.document import (
     Block,
+    Code,
     Documented,
     Facts,
     Heading,
@@ -28,7 +29,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import bands_table
 from jointid.models.controllers import Controller
 from jointid.output.figures import charts
-from jointid.output.figures.axis_drawing import draw_axis, resonance_sentence
+from jointid.output.figures.axis_drawing import axis_figure, resonance_sentence
 from jointid.output.report.data_sheet import data_sheets
 from jointid.output.report.page import Repetition
 from jointid.tuning.tuned import Tuned
@@ -205,7 +206,7 @@ def _result(given: ReportData) -> Iterator[Block]:
     if estimate.robot is None:
         if resonances := resonance_sentence(estimate):
             yield Paragraph(resonances)
-        yield Picture("axis.svg", lambda: draw_axis(estimate).encode(), "The axis, with 2 sigma", wide=False)
+        yield Picture("axis.svg", lambda: svg(axis_figure(estimate), "axis"), "The axis, with 2 sigma", wide=False)
     else:
         yield Paragraph("All numbers are behind the gears.")
 
@@ -249,10 +250,14 @@ def _settings(given: ReportData, repetition: Repetition) -> Iterator[Block]:
         ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
         *(("Torque, SHA-256 of its samples", one) for one in estimate.data.fingerprints if one),
     )
-    yield Facts((*facts, *repetition.facts))
+    names = ("jointid", "Record", "Its date", "Its SHA-256")
+    again = (repetition.version, repetition.record_file, repetition.record_date, repetition.record_file_sha256)
+    yield Facts((*facts, *((name, value) for name, value in zip(names, again, strict=True) if value)))
     if given.channels:
         yield _channels_table(estimate, given)
-    yield from repetition.blocks
+    if repetition.command:
+        yield Code(repetition.command, "The command, with its files beside each other:")
+        yield Code(repetition.joint_file, f"The file {repetition.joint_file_name}:")
 
 
 def _channels_table(estimate: Estimate, given: ReportData) -> Table:
