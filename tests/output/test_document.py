@@ -82,9 +82,3 @@ def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
     assert "94.9" in said
     assert "\x1b[31m[red]" not in printed(HOSTILE)
     assert "\\x1b[31m" in printed(HOSTILE)
-
-
-def test_facts_and_listings_that_hold_nothing_are_left_out() -> None:
-    document = Document("Title", (Facts(()), Paragraph("Text."), Listing(())))
-    assert document.blocks == (Paragraph("Text."),)
-    assert document.text() == "Title\n\nText."

@@ -99,30 +99,6 @@ def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:
         load_estimate(found("didim").save(tmp_path / "loop.json"), loop.robot)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda a: a["settings"].pop("filtering"),
-        lambda a: a["params"]["correlation"].pop(),
-        lambda a: a["parameters"]["joint1.viscous"].update(value="1.0"),
-        lambda a: a["fit"].pop("axis_errors"),
-        lambda a: a["checks"]["verdicts"][0].update(status="perfect"),
-        lambda a: a["params"]["names"].pop(),
-        lambda a: a.update(parameters=[]),
-        lambda a: a["fit"].pop("converged"),
-        lambda a: a["checks"].pop("verdicts"),
-        lambda a: a["checks"].pop("warnings"),
-        lambda a: a["fit"].update(position_rms={"nobody": -1.0}),
-        lambda a: a["parameters"]["joint1.viscous"].update(stderr=-1.0),
-    ],
-)
-def test_a_damaged_file_is_refused_in_a_sentence(change: Callable[[dict[str, Any]], object], tmp_path: Path) -> None:
-    path = tmp_path / "out.json"
-    path.write_text(json.dumps(spoiled(found("idim").to_dict(), change)), "utf-8")
-    with pytest.raises(RecordError):
-        load_estimate(path, logged(0)[0].robot)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["didim", "drive_side"])
 def test_a_saved_estimate_of_a_flexible_robot_comes_back(method: str, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import re
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -13,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from jointid.common.text import encodable, printable
+from jointid.common.text import printable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -185,8 +184,7 @@ class Documented(ABC):
         return self.to_document(details=details).text()
 
     def __str__(self) -> str:
-        """Summarise the result in the encoding of the standard output."""
-        return encodable(self.summary(), getattr(sys.stdout, "encoding", None))
+        return self.summary()
 
     @property
     def sentence(self) -> str:

@@ -41,26 +41,6 @@ def round_to(value: float, digits: int = 3) -> float:
     return float(f"{value:.{digits - 1}e}")
 
 
-def uniform(values: Sequence[float | None], otherwise: str = "-", digits: int = 3) -> list[str]:
-    """Format the numbers of a column with equal digits and notation.
-
-    Args:
-        values: of the column; None for what is not there.
-        otherwise: what stands for that.
-        digits: significant ones.
-
-    Example:
-        >>> from jointid.common.text import uniform
-        >>> uniform([152982.0, 311000.0, None]), uniform([152982.0, 1.2e6])
-        (['153000', '311000', '-'], ['1.53e+05', '1.20e+06'])
-    """
-    plain = all(value is None or value == 0.0 or 1e-3 <= abs(value) < 1e6 for value in values)
-    return [
-        otherwise if value is None else number(round_to(value, digits), digits) if plain else f"{value:.{digits - 1}e}"
-        for value in values
-    ]
-
-
 def interval(value: float, spread: float) -> str:
     """Format a value and its spread, both to the first two digits of the spread.
 
@@ -84,16 +64,6 @@ def in_words(name: str) -> str:
     """Return the name of a parameter in words, of a robot's behind its joint: "elbow, rotor inertia"."""
     axis, _, quantity = name.rpartition(".")
     return f"{axis}{', ' if axis else ''}{quantity.replace('_', ' ')}"
-
-
-def encodable(text: str, encoding: str | None) -> str:
-    """Replace characters that an encoding lacks, ``±`` by ``+-``."""
-    encoding = encoding or "utf-8"
-    try:
-        text.encode(encoding)
-    except UnicodeEncodeError:
-        return text.replace("±", "+-").encode(encoding, "replace").decode(encoding)
-    return text
 
 
 def sentence(text: str) -> str:

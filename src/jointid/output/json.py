@@ -160,8 +160,9 @@ def read_choices(path: str | Path) -> dict[str, str]:
     Raises:
         RecordError: the file is no estimate.
     """
-    settings = _read_estimate(path).get("settings")
+    answer = _read_estimate(path)
     with _undamaged(path):
+        settings = answer["settings"]
         if "joints" in settings["system"]:
             return {"method": {name: name for name in METHODS}[settings["method"]]}
         return {"friction": FRICTIONS[settings["system"]["friction"]["name"]].name}

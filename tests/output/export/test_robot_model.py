@@ -59,15 +59,6 @@ def test_what_is_lost_is_said() -> None:
     assert "Lost: the rotors' inertias" in made.text
 
 
-def test_a_joint_without_its_spring_has_the_friction_of_both_sides() -> None:
-    robot = arm()
-    soft = replace(robot.joints[1], spring=JointSpring(5000.0, 1.0, viscous=2.0, coulomb=3.0))
-    made = export(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), "urdf")
-    assert any(one.startswith("the springs of the joints; the friction") for one in made.lost)
-    found = read_robot(made.text).joints[1]
-    assert found.viscous == pytest.approx(soft.viscous + 2.0) and found.coulomb == pytest.approx(soft.coulomb + 3.0)
-
-
 def test_a_time_step_and_a_name_are_written() -> None:
     text = export(arm(), "mjcf", name="other", timestep=5e-4).text
     assert 'model="other"' in text and 'timestep="0.0005"' in text

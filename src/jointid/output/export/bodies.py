@@ -28,7 +28,7 @@ from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import LinearSpring
-from jointid.output.export.joint_model import JointModel, comments, losses, number
+from jointid.output.export.joint_model import JointModel, comments, number
 from jointid.output.export.pd_law import PDLaw
 
 _GRAVITY = 9.81  # along -z, m/s2; what a link weighs does not depend on it, see `solid_of`
@@ -93,7 +93,7 @@ class Model:
         """Return the lines of a comment, see `JointModel.remarks`; `bodies` says what of these is chosen."""
         if self.alone is None:
             head = f"{self.robot().name}: a robot, written by jointid {__version__}; all numbers are behind the gears"
-            return comments([head, *losses(lost)])
+            return comments([head], lost)
         chosen = "Masses and centres are chosen; inertia about the axis and weight are what was identified."
         return [*self.alone.remarks(lost), *([chosen] if bodies and self.alone.kind == "revolute" else [])]
 

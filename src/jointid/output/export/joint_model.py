@@ -182,36 +182,37 @@ class JointModel:
 
     def lost(self, *holds: str) -> list[str]:
         """Return a sentence on each part beside inertia and viscous friction that a language does not hold."""
-        joint, masses, found = self.joint, self.masses, list[tuple[str, str]]()
-        steady, _, _, rate = self.weight
+        joint, masses, (steady, _, _, rate) = self.joint, self.masses, self.weight
+        found: list[tuple[str, object, str]] = []  # what it is, whether the joint has it, and the loss
         if isinstance(joint, FlexibleJoint):
             shown = {p.name: f"{text.number(p.value)} {p.unit}" for p in self.parameters}
-            said = f"the spring of {joint.spring.describe(shown)} and its damping; inertia and friction are the sums of"
-            found.append(
-                ("spring", f"{said} both sides, which hold below about a fifth of {text.number(self.mode)} Hz")
-            )
-            if joint.spring.stepped:
-                found.append(("law of the spring", f"{joint.spring.adds}; {joint.spring.instead} is written"))
+            sums = f"inertia and friction are the sums of both sides, which hold below a fifth of {self.mode:.4g} Hz"
+            law = f"{joint.spring.adds}; {joint.spring.instead} is written"
+            found += [
+                ("spring", True, f"the spring of {joint.spring.describe(shown)} and its damping; {sums}"),
+                ("law of the spring", joint.spring.stepped, law),
+            ]
         for name, mass in masses.items():
             size = f"{text.number(mass.coulomb)} {self.torque_unit}"
-            if mass.coulomb:
-                found.append(("coulomb", f"the Coulomb friction of the {name}, {size}, and with it all sticking"))
-        if constant := sum((mass.force for mass in masses.values()), steady):
-            found.append(("constant", f"a constant force of {text.number(constant)} {self.torque_unit}"))
-        if rate:
-            found.append(("rate", "the spring of the counterbalance"))
-        if not all(mass.even for mass in masses.values()):
-            found.append(("", "the difference between viscous friction forwards and backwards; their mean is written"))
-        if not joint.friction.linear:
-            found.append(("law of friction", f"{joint.friction.adds}; {joint.friction.instead} is written"))
-        if joint.ripple is not None:
-            found.append(("", "the ripple over the position"))
-        if abs(self.turns) == 1.0:
-            found.append(("weight", "the weight of the link, which changes with the position"))
-        elif self.turns:
-            said = f"it turns by {self.turns:g} rad per unit of this position, and a body by 1; export the load side"
-            found.append(("", f"the weight of the link: {said}"))
-        return [*(sentence for part, sentence in found if part not in holds), *self.effects_lost]
+            found.append(("coulomb", mass.coulomb, f"the Coulomb friction of the {name}, {size}, and all sticking"))
+        constant = sum((mass.force for mass in masses.values()), steady)
+        uneven = not all(mass.even for mass in masses.values())
+        body = abs(self.turns) == 1.0
+        turns = f"it turns by {self.turns:g} rad per unit of this position, and a body by 1; export the load side"
+        found += [
+            ("constant", constant, f"a constant force of {text.number(constant)} {self.torque_unit}"),
+            ("rate", rate, "the spring of the counterbalance"),
+            ("", uneven, "the difference between viscous friction forwards and backwards; their mean is written"),
+            (
+                "law of friction",
+                not joint.friction.linear,
+                f"{joint.friction.adds}; {joint.friction.instead} is written",
+            ),
+            ("", joint.ripple, "the ripple over the position"),
+            ("weight", body, "the weight of the link, which changes with the position"),
+            ("", self.turns and not body, f"the weight of the link: {turns}"),
+        ]
+        return [*(said for part, there, said in found if there and part not in holds), *self.effects_lost]
 
     @property
     def effects_lost(self) -> list[str]:
@@ -233,17 +234,12 @@ class JointModel:
             ratio = f"{transmission.motor_per_load!r} motor position per load position, efficiency taken as 1"
             lines.append(f"transmission: {ratio}; all numbers here are of the {self.side} side")
         lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {show_value(p)} {p.unit}" for p in self.parameters]
-        return comments([*lines, *losses(lost)])
+        return comments(lines, lost)
 
 
-def losses(lost: Iterable[str]) -> list[str]:
-    """Return a line of a comment for each loss."""
-    return [f"Lost: {sentence}" for sentence in lost]
-
-
-def comments(lines: Iterable[str]) -> list[str]:
-    """Return each of the lines printable and in one: whoever named a record writes no other tool's program."""
-    return [text.short(line, _LONGEST) for line in lines]
+def comments(lines: Iterable[str], lost: Iterable[str]) -> list[str]:
+    """Return lines, and one for each loss, printable and short: whoever named a record writes no other program."""
+    return [text.short(line, _LONGEST) for line in (*lines, *(f"Lost: {sentence}" for sentence in lost))]
 
 
 def identifier(wanted: str) -> str:

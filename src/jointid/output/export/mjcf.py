@@ -35,7 +35,7 @@ from jointid.output.export.bodies import (
     triple,
 )
 from jointid.output.export.joint_model import JointModel, identifier, number
-from jointid.output.export.pd_law import PDLaw
+from jointid.output.export.pd_law import PDLaw, in_steps
 
 Control = Literal["torque", "pd"]
 
@@ -91,7 +91,11 @@ def mjcf(model: Model, *, timestep: float | None = None, control: Control = "tor
             lost += _add_servo(drive, added[moved], joint.name, law, control, timestep or _MUJOCO_STEP, alone)
     if alone is not None:
         _add_constants(drive, sensors, alone)
-        lost += _losses_of_mujoco(alone, robot.joints[0])
+        pieces = _pieces(robot.joints[0])
+        if any(p.damping != pieces[-1].damping and after.deflection > p.deflection for p, after in pairwise(pieces)):
+            lost.append("a gap in which nothing damps: the damper of a MuJoCo tendon acts there, too")
+        if any(mass.coulomb for mass in alone.masses.values()):
+            lost.append("true sticking: MuJoCo's friction creeps where it should hold")
     root.extend(element for element in (tendons, drive, sensors) if len(element))
     lost = [*dict.fromkeys(lost)]
     lines = model.remarks(lost)
@@ -125,14 +129,6 @@ def _pieces(joint: RobotJoint) -> Sequence[Piece]:
             f"A piece of this {spring.law.name} spring never ends, or ends before it begins: identify again."
         )
     return found
-
-
-def _losses_of_mujoco(alone: JointModel, joint: RobotJoint) -> Iterator[str]:
-    pieces = _pieces(joint)
-    if any(p.damping != pieces[-1].damping and after.deflection > p.deflection for p, after in pairwise(pieces)):
-        yield "a gap in which nothing damps: the damper of a MuJoCo tendon acts there, too"
-    if any(mass.coulomb for mass in alone.masses.values()):
-        yield "true sticking: MuJoCo's friction creeps where it should hold"
 
 
 def _motor_of(body: Body, joint: RobotJoint, alone: JointModel | None) -> Body:
@@ -199,20 +195,17 @@ def _add_servo(
     """
     moved = body.find("joint")
     assert moved is not None
-    joint, lost = {"joint": moved.attrib["name"]}, list[str]()
+    joint = {"joint": moved.attrib["name"]}
     prefix, gear, seconds = f"{name}_", 1.0, 0.0
     if alone is not None:  # its gear and delay, and its constant forces, which the limit does not count
         prefix, gear, seconds = "", alone.gear, alone.estimate.settings.delay
-    if control == "pd":
-        if law is None:
-            raise MethodError(
-                'The control "pd" takes a law of position and velocity, and none is declared; add a controller with '
-                'the law "pd", "pid" or "cascade", or use the control "torque".'
-            )
-        seconds = law.command_delay
-    steps, limit = round(seconds / step), math.inf if law is None else law.limit
-    if abs(steps * step - seconds) > 1e-9:
-        lost.append(f"a part of the delay of {1e3 * seconds:.4g} ms: {steps} steps of {1e3 * step:.4g} ms are written")
+    if control == "pd" and law is None:
+        raise MethodError(
+            'The control "pd" takes a law of position and velocity; add a controller with the law "pd", "pid" or '
+            '"cascade", or use the control "torque".'
+        )
+    seconds = law.command_delay if control == "pd" and law is not None else seconds
+    (steps, lost), limit = in_steps(seconds, step), math.inf if law is None else law.limit
     # A sample that is due exactly now may be missed by rounding.
     held = {"delay": number((steps - 1e-3) * step), "nsample": str(steps + 1)} if steps else {}
     if control == "torque" or law is None:
@@ -228,8 +221,6 @@ def _add_servo(
     if limit < math.inf:
         constant = 0.0 if alone is None else _constants(alone)["motor"][0]
         moved.set("actuatorfrcrange", triple((-limit - constant, limit - constant)))
-    if law.delay:
-        lost.append(f"the delay of {1e3 * law.delay:.4g} ms from position to torque: commands alone are late")
     return [*lost, *law.lost]
 
 

@@ -57,19 +57,20 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
     numerator, denominator = as_filter(controller.velocity_filter).coefficients(controller.period or 1e-3)
     numbers = numbers_of(controller)
     forward = [name.replace("_", " ") for name, value in numbers.items() if name.endswith("_feedforward") and value]
-    lost = [
-        *(["the integral of the controller"] if numbers.get("integral_gain") else []),
-        *(["the limit of the velocity command"] if velocity_limit < math.inf else []),
-        *(["the filter of the velocity"] if len(numerator) + len(denominator) > 2 else []),
-        *(["the filters of the torque"] if controller.torque_filters else []),
-        *(["the mean of the reference over a time"] if controller.reference_average else []),
-        *(["the interpolation of the reference"] if controller.interpolation in ("linear", "cubic") else []),
-        *[f"the {name}" for name in forward if name != "velocity feedforward"],
-    ]
+    beside = {
+        "the integral of the controller": numbers.get("integral_gain"),
+        "the limit of the velocity command": velocity_limit < math.inf,
+        "the filter of the velocity": len(numerator) + len(denominator) > 2,
+        "the filters of the torque": controller.torque_filters,
+        "the mean of the reference over a time": controller.reference_average,
+        "the interpolation of the reference": controller.interpolation in ("linear", "cubic"),
+        f"the delay of {1e3 * controller.delay:.4g} ms from position to torque": controller.delay,
+        **{f"the {name}": name != "velocity feedforward" for name in forward},
+    }
     force = controller.gain * controller.ratio**2
     return PDLaw(
         force * gains[0], force * gains[1], share, controller.limit * controller.gain * abs(controller.ratio),
-        controller.reference_delay, controller.delay, tuple(lost),
+        controller.reference_delay, controller.delay, tuple(said for said, there in beside.items() if there),
     )  # fmt: skip
 
 
@@ -81,3 +82,11 @@ def controllers_of(estimate: object) -> Sequence[Controller | None]:
         return getattr(estimate.robot.setup, "controllers", ())
     loop = estimate.settings.loop
     return () if loop is None else (loop.controller,)
+
+
+def in_steps(seconds: float, step: float) -> tuple[int, list[str]]:
+    """Return a delay as a number of steps of a simulation, and the loss of what is no whole step, in s both."""
+    steps = round(seconds / step)
+    if abs(steps * step - seconds) <= 1e-9:
+        return steps, []
+    return steps, [f"a part of the delay of {1e3 * seconds:.4g} ms: {steps} steps of {1e3 * step:.4g} ms are written"]

@@ -98,10 +98,7 @@ def state_space_file(
 ) -> tuple[bytes, list[str]]:
     """Return a .mat file with the state space, continuous and sampled; and its losses.
 
-    Args:
-        model: the joint.
-        period: s, to sample it with; without it the record's sample time.
-        delay: s, from a sample of the torque to its effect; without it as the joint was identified with.
+    Without a period, in s, it is sampled as the record, and without a delay as the joint was identified with.
 
     Raises:
         MethodError: see `linear_part`.
@@ -114,13 +111,9 @@ def state_space_file(
     delay = settings.delay if delay is None else delay
     lost = alone.lost("spring", "rate")
     remarks = model.remarks(lost, bodies=False)
-    content: dict[str, Any] = {
-        "continuous": linear_part(alone),
-        "sampled": {"period": period, "delay": delay, **linear_part(alone, period, delay)},
-        "motor_torque_to_input": alone.gear,
-        "remarks": "\n".join(remarks),
-    }
+    sampled = {"period": period, "delay": delay, **linear_part(alone, period, delay)}
+    beside = {"motor_torque_to_input": alone.gear, "remarks": "\n".join(remarks)}
     made: Any = io.BytesIO()  # which SciPy takes as a file, whatever its types say
-    savemat(made, content)
+    savemat(made, {"continuous": linear_part(alone), "sampled": sampled, **beside})
     head = remarks[0].encode("ascii", "replace")[:_HEADER].ljust(_HEADER)
     return head + made.getvalue()[_HEADER:], lost

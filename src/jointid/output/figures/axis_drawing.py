@@ -89,16 +89,16 @@ def _write(axes: Axes, x: float, y: float, text: str, colour: str, *, bold: bool
 def draw_part(axes: Axes, x: float, wide: float, name: str) -> None:
     """Draw a mass on its friction, or without a name a spring over a damper between two masses."""
     if name:
-        edge = {"edgecolor": _SPRING, "facecolor": _MASS}
-        axes.fill([x + 0.08, x + wide - 0.08, x + wide - 0.08, x + 0.08], [0.0, 0.0, _BOX, _BOX], **edge)
-        axes.plot([x + 0.08, x + wide - 0.08], [-0.08, -0.08], color=_SOFT, linestyle=":")
+        low, high = x + 0.08, x + wide - 0.08
+        axes.fill([low, high, high, low], [0.0, 0.0, _BOX, _BOX], edgecolor=_SPRING, facecolor=_MASS)
+        axes.plot([low, high], [-0.08, -0.08], color=_SOFT, linestyle=":")
         _write(axes, x + wide / 2, 0.4 * _BOX, name, _INK)
         return
     begin, end, middle = x - 0.08, x + wide + 0.08, x + wide / 2
     coil = np.linspace(begin + wide / 3, end - wide / 3, 9)
     waves = 0.75 * _BOX + 0.07 * np.array([0, 1, -1, 1, -1, 1, -1, 1, 0])
     axes.plot([begin, *coil, end], [waves[0], *waves, waves[0]], color=_SPRING, linewidth=1.3)
-    low = 0.25 * _BOX
+    low = 0.25 * _BOX  # of the damper
     cup = [(middle - 0.1, low + 0.1), (middle + 0.1, low + 0.1), (middle + 0.1, low - 0.1), (middle - 0.1, low - 0.1)]
     for line in ([(begin, low), (middle, low)], [(middle, low - 0.06), (middle, low + 0.06)], cup,
                  [(middle + 0.1, low), (end, low)]):  # fmt: skip

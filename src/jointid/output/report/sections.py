@@ -37,13 +37,7 @@ from jointid.tuning.tuned import Tuned
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_TONES: Mapping[Trust, Tone] = {
-    Trust.RELIABLE: "good",
-    Trust.PARTLY: "good",
-    Trust.NOT_YET: "bad",
-    Trust.REFUSED: "bad",
-    Trust.NOT_CHECKED: "open",
-}
+_TONES: Mapping[Trust, Tone] = {Trust.RELIABLE: "good", Trust.PARTLY: "good", Trust.NOT_CHECKED: "open"}  # else bad
 _PICTURES = {
     "torque": (
         "",
@@ -193,7 +187,7 @@ def _picture(given: ReportData, figures: Mapping[str, Figure], name: str) -> Pic
 def _result(given: ReportData) -> Iterator[Block]:
     """Yield the answer, what it was held against, and the drawing of a joint."""
     estimate = given.estimate
-    yield Paragraph(str(estimate.answer), lead=True, tone=_TONES[Trust(estimate.answer.trust.code)])
+    yield Paragraph(str(estimate.answer), lead=True, tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
     if given.diagnosis is not None:
         yield Paragraph(given.diagnosis.answer)
     for check in given.checks:
