@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from types import MappingProxyType
@@ -61,20 +60,6 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
         return figure
 
     return drawn
-
-
-class Charted(ABC):
-    """A result that has a figure."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def draw(self) -> Figure:
-        """Draw the figure."""
-
-    def plot(self) -> Figure:
-        """Return its figure, of matplotlib: ``figure.savefig(path)`` writes it."""
-        return styled(self.draw)()
 
 
 def panels(

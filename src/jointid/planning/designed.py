@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import LOAD, MEASURED, SIMULATED, Charted, mark, panels
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, mark, panels, styled
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
 from jointid.common.files import write_folder
 from jointid.common.text import in_words, join, number
@@ -128,7 +128,7 @@ class Layout(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Design(Charted, Documented):
+class Design(Documented):
     """A proposed test of a joint or a robot, and its predicted intervals.
 
     Attributes:
@@ -297,7 +297,8 @@ class Design(Charted, Documented):
         pairs += [(name, name.replace(".", ".link_", 1)) for name in names if "." in name]
         return [pair for pair in pairs if pair[1] in names]
 
-    def draw(self) -> Figure:
+    @styled
+    def plot(self) -> Figure:
         """Draw reference and predicted torque of each axis, and the spectra of the torques beside the modes."""
         figure, drawn = panels([170] * (3 * len(self.axes)), title="the proposed test")
         for k, axis in enumerate(self.axes):

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, Charted, panels
+from jointid.common.charts import MEASURED, panels, styled
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
@@ -179,7 +179,7 @@ _TORQUES = ("torque", "injected")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record(Charted, Documented):
+class Record(Documented):
     """Signals of one run; a channel that was not logged is None.
 
     Attributes:
@@ -277,7 +277,8 @@ class Record(Charted, Documented):
         facts = (*common_facts(self.resampled, None), *(("remark", remark) for remark in self.remarks))
         return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
 
-    def draw(self) -> Figure:
+    @styled
+    def plot(self) -> Figure:
         """Draw the channels over time, a panel each."""
         channels = [*self.items()]
         figure, drawn = panels((*(170,) * (len(channels) - 1), 195), title=self.name, share_x=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, Charted, panels
+from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, panels, styled
 from jointid.common.document import Block, Code, Document, Documented, Facts, Paragraph, Table, common_facts
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
@@ -63,7 +63,7 @@ class Gain:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tuned(Charted, Documented):
+class Tuned(Documented):
     """Margins over an estimate's interval, and proposed gains.
 
     Attributes:
@@ -147,7 +147,8 @@ class Tuned(Charted, Documented):
         gains = (self._tabulate_gains(),) if self.gains else ()
         return self._tabulate_margins(), *gains, *(() if self.notch is None else (self._write_notch(self.notch),))
 
-    def draw(self) -> Figure:
+    @styled
+    def plot(self) -> Figure:
         """Draw joint response, open loop and Nyquist diagram at the estimate.
 
         The circle about -1 is the required distance.

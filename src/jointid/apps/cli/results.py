@@ -179,7 +179,7 @@ def export(
     of_file = tuple(one for one in changes if not one.startswith("export."))
     file = Options(changes=of_file, axis=axis).load(joint, out, estimate=estimate)
     settings = apply_changes({}, [one for one in changes if one not in of_file]).get("export", {})
-    language = find_language(format or out.suffix.lower()).name
+    language = find_language(format or out.suffix.lower())
     system: Any = file
     if file.robot is not None:
         if side is not None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
@@ -24,35 +24,22 @@ from jointid.output.export.pd_law import controllers_of, pd_law
 from jointid.output.export.state_space import state_space, state_space_file
 from jointid.output.export.urdf import urdf
 
-__all__ = ["LANGUAGES", "Export", "Language", "export", "find_language", "state_space"]
+__all__ = ["LANGUAGES", "Export", "export", "find_language", "state_space"]
 
 
-class Language(NamedTuple):
-    """A language that joints are written in.
-
-    Attributes:
-        name: what `export` and the command line call it.
-        suffixes: the endings of its files, in lower case, with the dot.
-        write: returns the content of a file, and a sentence for each part that it does not have; its keyword arguments
-            are the settings.
-        bodies: whether its joints move bodies: it holds robots, and of a transmission the numbers of the load's side.
-    """
-
-    name: str
-    suffixes: tuple[str, ...]
-    write: Callable[..., tuple[str | bytes, list[str]]]
-    bodies: bool = True
-
-
-LANGUAGES = (
-    Language("joint-file", (".toml",), joint_file, bodies=False),
-    Language("state-space", (".mat",), state_space_file, bodies=False),
-    Language("mjcf", (".xml", ".mjcf"), mjcf),
-    Language("urdf", (".urdf",), urdf),
-    Language("isaac-lab", (".py",), isaac_lab),
-    Language("mjlab", (), mjlab),
-)
-"""Every language there is."""
+_Write: TypeAlias = Callable[..., tuple[str | bytes, list[str]]]
+LANGUAGES: Mapping[str, tuple[tuple[str, ...], _Write]] = {
+    "joint-file": ((".toml",), joint_file),
+    "state-space": ((".mat",), state_space_file),
+    "mjcf": ((".xml", ".mjcf"), mjcf),
+    "urdf": ((".urdf",), urdf),
+    "isaac-lab": ((".py",), isaac_lab),
+    "mjlab": ((), mjlab),
+}
+"""Every language: the endings of its files, and what returns the content of one and a sentence for each part that it
+does not have; the keyword arguments of that are its settings."""
+_BODIES = ("mjcf", "urdf", "isaac-lab", "mjlab")
+"""Those whose joints move bodies: they hold robots, and of a transmission the numbers of the load's side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,17 +125,18 @@ def export(
         a constant force
     """
     chosen = find_language(language)
-    known = [key for key, one in inspect.signature(chosen.write).parameters.items() if one.kind is one.KEYWORD_ONLY]
+    _, write = LANGUAGES[chosen]
+    known = [key for key, one in inspect.signature(write).parameters.items() if one.kind is one.KEYWORD_ONLY]
     if unknown := [key for key in settings if key not in known]:
-        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {', '.join(known)}.")
+        raise MethodError(f"{chosen} has no setting {', '.join(unknown)}; it has: {', '.join(known)}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
     if not isinstance(estimate, Estimate | Robot):
         raise MethodError(f"What is exported is an estimate or a robot; received {type(estimate).__name__}.")
     given, note = controllers or controllers_of(estimate), ""
     if isinstance(estimate, Robot) or estimate.robot is not None:
-        if side is not None or not chosen.bodies:
-            others = join([one.name for one in LANGUAGES if one.bodies])
+        if side is not None or chosen not in _BODIES:
+            others = join(_BODIES)
             raise MethodError(f"A robot is written as {others}, with all numbers behind its gears; leave the side out.")
         require_one_each(given, len(estimate if isinstance(estimate, Robot) else estimate.require_robot().model))
         bodies, note = read_robot_model(estimate)
@@ -156,20 +144,20 @@ def export(
     else:
         require_one_each(given, 1)
         joint = JointModel.of(estimate, name or "joint", *given)
-        joint = joint.on(side or ("load" if chosen.bodies and joint.side is not None else None))
+        joint = joint.on(side or ("load" if chosen in _BODIES and joint.side is not None else None))
         model = Model([joint.law], alone=joint)
-    content, lost = chosen.write(model, **settings)
-    return Export(chosen.name, content.encode() if isinstance(content, str) else content, tuple(lost), note)
+    content, lost = write(model, **settings)
+    return Export(chosen, content.encode() if isinstance(content, str) else content, tuple(lost), note)
 
 
-def find_language(name: str) -> Language:
-    """Return a language by its name or the suffix of its files, in any case.
+def find_language(name: str) -> str:
+    """Return the name of a language from that or from the suffix of its files, in any case.
 
     Raises:
         MethodError: there is none.
     """
-    for language in LANGUAGES:
-        if name.lower() in (language.name, *language.suffixes):
+    for language, (suffixes, _) in LANGUAGES.items():
+        if name.lower() in (language, *suffixes):
             return language
-    known = "; ".join(" ".join([one.name, *(f"({suffix})" for suffix in one.suffixes)]) for one in LANGUAGES)
+    known = "; ".join(" ".join([one, *suffixes]) for one, (suffixes, _) in LANGUAGES.items())
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
