@@ -65,7 +65,7 @@ def test_isaac_lab_has_gains_and_inertia_of_the_load_side() -> None:
         "armature": pytest.approx(0.02), "friction": pytest.approx(0.2), "dynamic_friction": pytest.approx(0.2),
         "viscous_friction": pytest.approx(0.1), "effort_limit": pytest.approx(30.0), "min_delay": 2, "max_delay": 2,
     }  # fmt: skip
-    assert "a part of the command delay of 10.2 ms: 2 steps of 5 ms are written" in made.lost
+    assert "a part of the delay of 10.2 ms: 2 steps of 5 ms are written" in made.lost
     assert any("delay of 0.5 ms from position to torque" in one for one in made.lost)
     assert "a constant force of 0.010000 N m" in made.lost
     assert not any("effort limit" in one for one in made.lost)
