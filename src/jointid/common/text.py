@@ -10,6 +10,8 @@ _EXACT = 1e7  # times its spread: a larger value would be mostly digits
 
 def printable(text: str) -> str:
     """Escape control and bidirectional characters from untrusted text, except line ends and thin spaces."""
+    if text.replace("\n", "").isprintable():
+        return text
     return "".join(mark if mark.isprintable() or mark in "\n\u202f" else ascii(mark)[1:-1] for mark in text)
 
 
