@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from jointid.common.errors import RecordError
 from jointid.records.formats.stamps import find_stamps, is_stamp
-from jointid.records.formats.table import Found, Table
+from jointid.records.formats.table import Found, Table, require_room
 from jointid.records.formats.text import find_encoding, open_text
 
 _LONGEST = 2**28  # bytes of text
@@ -28,8 +28,10 @@ def read_json(path: Path) -> Table:
     if len(raw) > _LONGEST:
         raise RecordError(f"{path.name} has more than {_LONGEST} bytes of text; cut it into shorter files.")
     text, found = raw.decode(find_encoding(path, raw), "replace"), Found(path)
-    by_lines = path.name.lower().removesuffix(".gz").endswith((".jsonl", ".ndjson"))
-    _take(found, "", [json.loads(line) for line in text.split("\n") if line.strip()] if by_lines else json.loads(text))
+    if path.name.lower().removesuffix(".gz").endswith((".jsonl", ".ndjson")):
+        _take_rows(found, "", (json.loads(line) for line in text.split("\n") if line.strip()))
+    else:
+        _take(found, "", json.loads(text))
     return found.table()
 
 
@@ -39,11 +41,22 @@ def _take(found: Found, name: str, value: Any) -> None:
         for key, member in value.items():
             _take(found, f"{name}.{key}" if name else key, member)
     elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
-        rows = [dict(_leaves(name, one)) for one in value]
-        for path in dict.fromkeys(path for row in rows for path in row):
-            _take_cells(found, path, [row.get(path) for row in rows])
+        _take_rows(found, name, value)
     else:
         _take_cells(found, name or "value", value)
+
+
+def _take_rows(found: Found, name: str, rows: Iterable[Any]) -> None:
+    columns, count = dict[str, list[Any]](), 0
+    for count, one in enumerate(rows, start=1):
+        for path, leaf in _leaves(name, one):
+            if path not in columns:
+                columns[path] = []
+                require_room(found.path.name, count * len(columns), len(columns))
+            columns[path].extend([None] * (count - 1 - len(columns[path])))
+            columns[path][count - 1 :] = [leaf]
+    for path, cells in columns.items():
+        _take_cells(found, path or "value", cells + [None] * (count - len(cells)))
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -118,13 +118,12 @@ def read_scope(path: Path, scope: Scope, lines: Sequence[str], decimal: str | No
 def _parse(file: str, scope: Scope, rows: Sequence[str], point: str) -> FloatArray:
     """Return the numbers of all columns, (rows, columns), NaN where a cell is empty."""
     values = np.full((len(rows), len(scope.rows["Name"])), math.nan)
-    cells = [[cell.strip() for cell in row.split(scope.delimiter)] for row in rows]
-    starts = [group.start for group in scope.groups]
-    stamps = [cells[0][start] for start in starts if start < len(cells[0])]
+    starts, firsts = [group.start for group in scope.groups], rows[0].split(scope.delimiter)
+    stamps = [firsts[start].strip() for start in starts if start < len(firsts)]
     origin = min((int(cell) for cell in stamps if cell.isdecimal() and len(cell) in _FILETIME), default=0)
     try:
-        for row, found in zip(values, cells, strict=True):
-            for column, cell in enumerate(found[: row.size]):
+        for row, line in zip(values, rows, strict=True):
+            for column, cell in enumerate(map(str.strip, line.split(scope.delimiter)[: row.size])):
                 if cell and origin and column in starts:
                     row[column] = (int(cell) - origin) / _TICKS  # as a float it would lose its last digits
                 elif cell:

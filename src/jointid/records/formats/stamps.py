@@ -54,14 +54,15 @@ class Stamps(NamedTuple):
         Raises:
             ValueError: a cell is no instant.
         """
-        counts, periods = zip(*(_read(cell, self.day_first) for cell in cells if cell), strict=True)
-        if set(periods) != {self.period}:
-            raise ValueError(periods)
+        read = [_read(cell, self.day_first) for cell in cells if cell]
+        if any(period != self.period for _, period in read):
+            raise ValueError("some have a date, and some have none")
+        counts = np.array([count for count, _ in read])
         steps = np.diff(counts, prepend=self.origin)
         steps[0] = -self.period * (steps[0] < 0)  # rows that are read later begin behind the origin
         begun_again = np.cumsum(2 * steps < -self.period) if self.period else 0
         seconds = np.full(len(cells), np.nan)
-        seconds[[bool(cell) for cell in cells]] = (np.array(counts) - self.origin + begun_again * self.period) / _SECOND
+        seconds[[bool(cell) for cell in cells]] = (counts - self.origin + begun_again * self.period) / _SECOND
         return seconds
 
 
@@ -74,6 +75,8 @@ def find_stamps(cells: Sequence[str]) -> Stamps:
         ValueError: a cell is no instant.
     """
     spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells))
+    if (found := _match(begin)) is None or not found["c"]:  # the order does not matter
+        return Stamps(*_read(begin, True), True)
     for day_first in (True, False):
         with suppress(ValueError):  # there is no such month
             made = Stamps(*_read(begin, day_first), day_first)
@@ -85,7 +88,8 @@ def find_stamps(cells: Sequence[str]) -> Stamps:
 
 
 def _match(cell: str) -> re.Match[str] | None:
-    found = _STAMP.fullmatch(_COMPACT.sub(r"\1:\2:\3", cell)) if ":" in cell or "T" in cell else None
+    text = _COMPACT.sub(r"\1:\2:\3", cell) if "T" in cell else cell
+    found = _STAMP.fullmatch(text) if ":" in text else None
     if found is None or found["hour"]:
         return found
     return found if found["part"] and not (found["y"] or found["c"]) else None  # minutes, as "59:59.5"
