@@ -30,6 +30,7 @@ _NUMBERS = {
     "bool": "B", "byte": "B", "octet": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
     "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
 }  # fmt: skip
+_SIZES = {code: struct.calcsize("=" + code) for code in _NUMBERS.values()}
 _TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
 _OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
@@ -148,7 +149,7 @@ class _Decoder:
             raise ValueError("a message of it has messages within messages without end")
         _, fields = self.types[name]
         if not fields:
-            self.numbers("B")  # a message without fields is a byte long
+            self.take(1, 1)  # a message without fields is a byte long
         return {key: self.member(shape.name, described, deep) for key, (shape, described) in fields}
 
     def member(self, shape: str, described: Any, deep: int) -> Value:
@@ -157,31 +158,36 @@ class _Decoder:
             return self.value(described[0] if shape == "BASE" else described, deep)
         (_, inner), length = described
         kind = inner if isinstance(inner, str) else inner[0]
-        count = length if shape == "ARRAY" else self.numbers("I").item()
+        count = length if shape == "ARRAY" else self.number("I")
         if kind in _NUMBERS:
-            return self.numbers(_NUMBERS[kind], count)
+            start = self.take(_SIZES[_NUMBERS[kind]] if count else 1, count)  # nothing is not aligned
+            return np.frombuffer(self.data, self.order + _NUMBERS[kind], count, start)
         if count > len(self.data) - self.at:  # each is a byte long at least
             raise ValueError("a message of it is shorter than it says")
         return [self.value(kind, deep) for _ in range(count)]
 
     def value(self, kind: str, deep: int) -> Value:
         if kind in _NUMBERS:
-            return float(self.numbers(_NUMBERS[kind]).item())
+            return float(self.number(_NUMBERS[kind]))
         if kind == "string":
-            return self.numbers("B", self.numbers("I").item()).tobytes()[:-1].decode("utf-8", "replace")
+            count = self.number("I")
+            start = self.take(1, count)
+            return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
         if kind in _TIME:
-            return int(self.numbers("i").item() * 10**9 + self.numbers("I").item())
+            return int(self.number("i")) * 10**9 + int(self.number("I"))
         return self.message(kind, deep + 1)
 
-    def numbers(self, code: str, count: int = 1) -> np.ndarray[Any, Any]:
-        """Skip the alignment of `count` numbers, and read them."""
+    def number(self, code: str) -> Any:
+        return struct.unpack_from(self.order + code, self.data, self.take(_SIZES[code], 1))[0]
+
+    def take(self, size: int, count: int) -> int:
+        """Skip the alignment and `count` items; return their offset."""
         self.budget -= 1
-        size = struct.calcsize("=" + code)
-        start = self.at + (-self.at % size if count else 0)
-        if start + count * size > len(self.data) or self.budget < 0:
-            raise ValueError(f"a message of it is shorter than it says, or has more than {_BUDGET} parts")
+        start = self.at + -self.at % size
         self.at = start + count * size
-        return np.frombuffer(self.data, self.order + code, count, start) if count else np.empty(0, self.order + code)
+        if self.at > len(self.data) or self.budget < 0:
+            raise ValueError(f"a message of it is shorter than it says, or has more than {_BUDGET} parts")
+        return start
 
 
 def _flatten(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
