@@ -104,13 +104,6 @@ def test_a_joint_starts_from_the_numbers_of_its_table(robot: Path) -> None:
     }  # fmt: skip
 
 
-def test_a_rigid_joint_is_simulated_with_the_links_that_it_moves(robot: Path) -> None:
-    file = load(robot, ["joints.1.rotor_inertia=0.5"], axis="base")
-    assert file.parameters["inertia"].start == pytest.approx(0.8 + 0.1 + 0.5)
-    numbers = ("viscous=2.0", "coulomb=1.5", "offset=0")
-    run("simulate", robot, "--axis", "base", *(word for one in numbers for word in ("--set", f"joints.1.{one}")))
-
-
 def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
     didim = load(robot, ["method.name=didim", "method.tolerance=1e-3"], axis="base").method
     assert didim == ji.DIDIM(tolerance=1e-3)

@@ -27,12 +27,11 @@ from jointid.models.controllers import Cascade
 from jointid.output.report import tune_to_limit
 from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
 from jointid.records.drives import Drive
-from jointid.records.formats import Table, read_table, write_table
+from jointid.records.formats import Table, write_table
 from jointid.records.record import Record
 from jointid.records.writing import write
 from jointid.simulation.excitation import trapezoids
 from tests.apps.commands import commands
-from tests.text import unwrapped
 
 ROOT = Path(__file__).resolve().parents[3]
 EMPS = ROOT / "examples" / "emps" / "joint.toml"
@@ -65,13 +64,8 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the first 10 s of a demo's record; all 24 s take longer."""
     whole = tmp_path_factory.mktemp("brief") / "record.csv"
     write(twin(seed=7).record, whole)
-    return write_beginning(whole, whole)
-
-
-def write_beginning(record: Path, to: Path) -> Path:
-    """Write the first 10 s of a record."""
-    to.write_text("".join(record.read_text(encoding="utf-8").splitlines(keepends=True)[:10_001]), encoding="utf-8")
-    return to
+    whole.write_text("".join(whole.read_text(encoding="utf-8").splitlines(keepends=True)[:10_001]), encoding="utf-8")
+    return whole
 
 
 def test_the_table_of_the_readme_is_what_the_demo_prints(printed_demo: tuple[Path, str]) -> None:
@@ -105,16 +99,8 @@ def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(tmp_path
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.Tuned/2"
     assert answer["notch"] is None
-    assert answer["proposed"]["worst"]["phase_degrees"] >= 49.7
+    assert answer["proposed"]["worst"]["phase"] >= np.radians(49.7)
     assert picture.stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes(demo: Path, tmp_path: Path) -> None:
-    assert run("demo", tmp_path / "again", "-q", "--seed", 1) == 0
-    for name in ("record.csv", "joint.toml", "estimate.json", "torque.png"):
-        assert (demo / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
-    assert (ROOT / "examples" / "twin" / "joint.toml").read_text(encoding="utf-8") == JOINT_FILE
 
 
 @pytest.mark.slow
@@ -232,56 +218,15 @@ offset = { start = 0.1 }
 
 def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.json"
-    words = ("--record", emps_path, "--method", "idim", "--filtering", "published", "-q", "--json", out)
+    published = ("--set", "method.name=idim", "--set", "filtering.preset=published")
+    words = ("--record", emps_path, *published, "-q", "--json", out)
     assert run("identify", EMPS, *words) == 0
     assert "4.0834 %" in capsys.readouterr().out
     pulses = emps_path.with_name("DATA_EMPS_PULSES.mat")
     assert run("validate", EMPS, "--estimate", out, "--record", pulses) == 0
     assert "5.9824 %" in capsys.readouterr().out
-    assert run("identify", EMPS, *words, "--friction", "asymmetric") == 0
+    assert run("identify", EMPS, *words, "--set", "joint.friction=asymmetric") == 0
     assert "3.1117 %" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_path: Path) -> None:
-    """The proof that DIDIM does not read it: the column is gone, and the answer is the same to the last digit."""
-    cut = {name: values[:5000] for name, values in read_table(emps_path).columns.items()}
-    write_table(tmp_path / "whole.mat", Table(cut))
-    write_table(tmp_path / "no_encoder.mat", Table({name: values for name, values in cut.items() if name != "qm"}))
-    answers = []
-    for record in (tmp_path / "whole.mat", tmp_path / "no_encoder.mat"):
-        assert run("identify", EMPS, "--record", record, "--json", tmp_path / "out.json", "-q") == 0
-        answers.append(json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"])
-    assert answers[0] == answers[1]
-
-
-@pytest.mark.slow
-def test_several_records_by_command(tmp_path: Path) -> None:
-    write(twin(noise="white", seed=1).record, tmp_path / "light.csv")
-    write(twin(noise="white", seed=2, added_mass=True).record, tmp_path / "heavy.csv")
-    for name in ("light.csv", "heavy.csv"):
-        write_beginning(tmp_path / name, tmp_path / name)
-    listed = """
-[[records]]
-file = "light.csv"
-
-[[records]]
-file = "heavy.csv"
-added_inertia = 10.0
-own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "damping", "stiffness", "motor_inertia"]
-"""
-    joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
-    joint.write_text(JOINT_FILE + listed, encoding="utf-8")
-    assert run("identify", joint, "--json", out) == 0
-    answer = json.loads(out.read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.Estimate/2" and answer["data"]["windows"] is None
-    own = {"motor_viscous@2", "stiffness@2", "initial_position@2"}
-    assert {"load_inertia", "offset"} | own <= set(answer["parameters"])
-    inertia = answer["parameters"]["load_inertia"]
-    assert abs(inertia["value"] - TABLE_2["load_inertia"]) <= 4 * inertia["stderr"]
-    assert len(answer["params"]["correlation"]) == len(answer["params"]["names"])
-    words = [word for name in ("light", "light") for word in ("--record", tmp_path / f"{name}.csv")]
-    assert run("identify", joint, "-q", *words) == 2
 
 
 @pytest.fixture
@@ -366,7 +311,9 @@ def test_an_interrupted_search_is_written_and_said(
         ("identfy", EMPS),
         ("doctor",),
         ("identify", EMPS, "--recrod", "x.mat"),
-        ("identify", EMPS, "--method", "magic"),
+        ("identify", EMPS, "--set", "method.name=magic"),
+        ("identify", "log.csv"),
+        ("identify", EMPS, "--record", EMPS),
         ("identify", EMPS, "--set", "method.estimator=ols"),
         ("identify", EMPS, "--set", "method.frequency=30"),
         ("identify", EMPS, "--frequency", "30"),
@@ -467,19 +414,13 @@ def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
     assert "in broken" in capsys.readouterr().err, "the traceback"
 
 
-def test_a_demo_that_is_interrupted_before_its_record_leaves_no_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_demo_that_is_interrupted_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(jointid, "twin", interrupted, raising=False)
     assert run("demo", tmp_path / "new", "-q") == 130
-    assert capsys.readouterr().err == "jointid: Interrupted; no file is left half written.\n"
-    assert not (tmp_path / "new").exists()
-    (tmp_path / "there").mkdir()
-    assert run("demo", tmp_path / "there", "-q") == 130
-    assert (tmp_path / "there").is_dir()
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.slow
@@ -497,20 +438,6 @@ def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture
     keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
     assert run("identify", EMPS, "--record", record, *keys) == 0
     return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"])
-
-
-def test_an_estimate_with_ripple_is_validated_and_simulated(
-    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out.json"
-    keys = ("estimator=ols", "harmonics=1", "period=0.0025", "drift=force")
-    settings = ("--method", "idim", *(word for key in keys for word in ("--set", f"method.{key}")))
-    assert run("identify", EMPS, "--record", emps_path, *settings, "--json", out, "-q") == 0
-    assert run("validate", EMPS, "--record", emps_path, "--estimate", out, "-q") == 0
-    fitted = 100 * json.loads(out.read_text(encoding="utf-8"))["fit"]["filtered_error"]
-    assert f"{fitted:.4f} % filtered" in unwrapped(capsys.readouterr().out.split("direct test on")[1])
-    assert run("simulate", EMPS, "--record", emps_path, "--estimate", out) == 0
-    assert "ripple and drift are left out" in capsys.readouterr().err
 
 
 def test_every_command_is_documented() -> None:

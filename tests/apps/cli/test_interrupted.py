@@ -14,8 +14,7 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli import main
-from jointid.common.errors import MethodError
-from jointid.config import File, loads
+from jointid.config import loads
 
 JOINT = """
 [joint]
@@ -71,34 +70,6 @@ def test_an_estimate_is_printed_whose_checks_are_interrupted(
     assert "which was not checked" in " ".join(said.split())
 
 
-def test_the_reason_is_printed_where_the_search_for_the_cause_is_interrupted(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(*_: Any, **__: Any) -> Any:
-        raise MethodError("The loop is not stable; check the gain.")
-
-    monkeypatch.setattr(File, "identify", fail)
-    monkeypatch.setattr(File, "explain", interrupt)
-    assert identify("joint.toml", "-q") == 130
-    assert "Known so far: The loop is not stable; check the gain." in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_a_wrong_gain_is_suspected_before_the_whole_search_and_no_reason_is_repeated(
-    place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wrong = JOINT.replace("MODEL", "flexible").replace("velocity_gain = 0.9", "velocity_gain = 54.0")
-    (place / "joint.toml").write_text(wrong, encoding="utf-8")
-    assert identify("joint.toml") in (0, 2)
-    told = capsys.readouterr().err.splitlines()
-    reasons = [re.sub(r"[\d.e+-]+", "", line.partition(": ")[2]) for line in told if len(line) > 150]
-    assert len(reasons) == len(set(reasons))
-    likeliest = next(i for i, line in enumerate(told) if line.startswith("the likeliest cause so far: "))
-    assert "times too large" in told[likeliest]
-    searched = next(i for i, line in enumerate(told) if line.startswith("searching for the cause"))
-    assert likeliest < searched, "before the identification ends"
-
-
 PROGRAM = """
 import signal, sys
 from pathlib import Path
@@ -145,23 +116,3 @@ def test_a_reader_that_has_gone_costs_no_file(ending: str, tmp_path: Path) -> No
     ended = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, b"")
     assert (tmp_path / "o.json").read_bytes().rstrip().endswith(b"}")
-
-
-def test_ctrl_c_that_a_callback_swallows_ends_the_program_all_the_same() -> None:
-    program = """
-import signal, time, weakref
-from jointid.apps.cli import app
-class Dropped: pass
-def work(words, debug):
-    dropped = Dropped()
-    kept = weakref.ref(dropped, lambda _: signal.raise_signal(signal.SIGINT))
-    del dropped
-    try:
-        time.sleep(30)
-    except KeyboardInterrupt:
-        return 130
-app._run = work
-app.run([], signals=True)
-"""
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=25, check=False)
-    assert (ended.returncode, ended.stderr) == (130, "")

@@ -144,7 +144,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "tune": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
     "validate": (
         "joint.toml --estimate estimate.json",
-        {"--json": "x.json", "--figure": "x.png", "--residuals": "x.png"},
+        {"--json": "x.json", "--figure": "x.png"},
     ),
 }
 """Where every command writes, and what else it is given."""

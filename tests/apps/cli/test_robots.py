@@ -84,65 +84,6 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
             run(*words)
 
 
-@pytest.mark.slow
-def test_validate(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    figure, residuals, found = tmp_path / "a.svg", tmp_path / "b.svg", tmp_path / "found.json"
-    places = ("--figure", figure, "--residuals", residuals, "--json", found)
-    run("validate", folder / "robot.toml", "--record", folder / "two.csv", *places)
-    said = capsys.readouterr().out
-    assert said.startswith("The robot predicts two: it leaves ")
-    assert "The estimate predicts this record better than the nominal model" in said
-    assert all(f"joint{k}" in path.read_text(encoding="utf-8") for k in range(1, 4) for path in (figure, residuals))
-    answer = json.loads(found.read_text(encoding="utf-8"))
-    assert (answer["schema"], answer["answer"]["code"], len(answer["axes"])) == ("jointid.Validation/2", "predicted", 3)
-    assert all(axis["attainable_error"] < axis["nominal_error"] for axis in answer["axes"][:3])
-
-
-@pytest.mark.slow
-def test_a_saved_estimate_is_taken_by_every_command(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
-    run("identify", joint, "--json", found)
-    capsys.readouterr()
-    unseen = "--record", folder / "two.csv"
-    run("validate", joint, "--estimate", found, *unseen)
-    saved = capsys.readouterr().out
-    run("validate", joint, *unseen)
-    assert saved == capsys.readouterr().out, "as if it were identified anew"
-    run("validate", joint, "--estimate", found, "--record", folder / "one.csv", "--json", tmp_path / "own.json")
-    assert json.loads((tmp_path / "own.json").read_text("utf-8"))["answer"]["code"] == "own_record"
-    capsys.readouterr()
-    run("export", joint, "--estimate", found, "--out", tmp_path / "saved.urdf")
-    run("export", joint, "--out", tmp_path / "anew.urdf")
-    assert (tmp_path / "saved.urdf").read_text("utf-8") == (tmp_path / "anew.urdf").read_text("utf-8")
-    run("report", joint, "--estimate", found, "--held-out", folder / "two.csv", "--html", tmp_path / "page.html")
-    assert "predicts this record better" in (tmp_path / "page.html").read_text("utf-8")
-    run("identify", joint, *unseen, "--json", other)
-    capsys.readouterr()
-    run("compare", found, other, "--json", tmp_path / "compared.json")
-    assert re.match(r"\d+ of \d+ quantities changed significantly: |None of \d+ quantities", capsys.readouterr().out)
-    rows = {row["name"]: row for row in json.loads((tmp_path / "compared.json").read_text("utf-8"))["rows"]}
-    viscous, lumped = (
-        rows["joint2.viscous"],
-        next(row for name, row in rows.items() if name.startswith("Izz1 with Ia1")),
-    )
-    assert (
-        viscous["p_value"] > 0.01 and viscous["before"] == pytest.approx(8.0, rel=0.01) and lumped["symbol"] == "Izz1"
-    )
-
-
-def test_listed_records_alone_are_exported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    listed = folder / "listed.toml"
-    text = (folder / "robot.toml").read_text(encoding="utf-8").replace('file = "one.csv"\n', "")
-    records = "".join(f'[[records]]\nfile = "{name}.csv"\n' for name in ("one", "two"))
-    listed.write_text(text + records, encoding="utf-8")
-    run("export", listed, "--out", folder / "both.xml")
-    run("identify", listed, "--json", folder / "both.json")
-    run("export", listed, "--estimate", folder / "both.json", "--out", folder / "kept.xml")
-    assert (folder / "both.xml").read_text("utf-8") == (folder / "kept.xml").read_text("utf-8")
-
-
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())
@@ -207,7 +148,6 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("identify", "--window", "2"),
         ("identify", "--record", "a.csv", "--record", "b.csv", "--figure", "a.png"),
         ("simulate", "--estimate", "none.json"),
-        ("export", "--out", "a.xml", "--side", "load"),
         ("tune",),
         ("diagnose", "--laws"),
         ("validate",),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
 
-from jointid.apps.web.folder import Draft, Folder
+from jointid.apps.web.folder import Draft
 from jointid.apps.web.routes import Page
 from tests.apps.web.testclient import TestClient
 
@@ -59,9 +59,7 @@ class Asker:
         assert self.post("/channels", UNITS)[0] == 200
         answer = self.client.post("/joint", data={**LAW, **fields}, follow_redirects=False)
         assert answer.status_code == 303, answer.text
-        found = self.folder.run(answer.headers["location"].rsplit("/", 1)[1])
-        assert found is not None
-        return found
+        return Draft(self.page.path / "runs" / answer.headers["location"].rsplit("/", 1)[1])
 
     @property
     def page(self) -> Page:
@@ -70,13 +68,9 @@ class Asker:
         return found
 
     @property
-    def folder(self) -> Folder:
-        return self.page.folder
-
-    @property
     def kept(self) -> set[str]:
         """The names of all files in the folder."""
-        folder: Path = self.folder.path
+        folder: Path = self.page.path
         return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
     def ended(self, run: Draft, most: float = 400.0) -> str:

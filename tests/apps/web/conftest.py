@@ -11,8 +11,8 @@ import pytest
 import uvicorn
 
 from jointid.apps.web import application as serving
+from jointid.apps.web import folder as bound
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Limits
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.writing import write
@@ -31,15 +31,15 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def limits() -> Limits:
+@pytest.fixture(autouse=True)
+def bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small enough to be reached."""
-    return Limits(upload=2_000_000)
+    monkeypatch.setattr(bound, "UPLOAD", 2_000_000)
 
 
 @pytest.fixture
-def client(folder: Path, limits: Limits) -> Iterator[TestClient]:
-    with TestClient(build_application(folder, TOKEN, limits=limits), base_url=ADDRESS) as made:
+def client(folder: Path) -> Iterator[TestClient]:
+    with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as made:
         yield made
 
 
@@ -60,7 +60,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.fixture
-def served(folder: Path, limits: Limits, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+def served(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     """The page on a port of this machine."""
     servers: list[uvicorn.Server] = []
     begin = uvicorn.Server.run
@@ -71,7 +71,7 @@ def served(folder: Path, limits: Limits, monkeypatch: pytest.MonkeyPatch) -> Ite
 
     monkeypatch.setattr(uvicorn.Server, "run", begin_and_note)
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        thread = threading.Thread(target=serving.run, args=(build_application(folder, TOKEN, limits=limits), listening))
+        thread = threading.Thread(target=serving.run, args=(build_application(folder, TOKEN), listening))
         thread.start()
         made = Served(listening.getsockname()[1])
         assert made.ask("GET", "/")[0] == 200  # it has begun

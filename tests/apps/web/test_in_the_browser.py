@@ -150,7 +150,7 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     assert page.evaluate(drawn) == 3
     visit.looked_at("2-channels")
     page.reload()
-    assert visit.field("record.channels.torque.gain").input_value() == "35.15065188"
+    assert visit.field("record.channels.torque.gain").input_value() == "35,15065188"
     page.get_by_role("button", name="Check, and go on").click()
     visit.on("joint")
     fill_in_controller(visit)
@@ -229,7 +229,7 @@ def test_by_keyboard_alone(browser: Any, address: str) -> None:
     tab_to(visit, 'form[action$="/joint"] button.primary')
     keys.press("Enter")
     visit.on("runs/1")
-    tab_to(visit, 'form[action$="/cancel"] button')
+    tab_to(visit, 'form[action$="/runs/1"] button')
     keys.press("Enter")
     page.wait_for_selector("h1:has-text('Cancelled')")
 

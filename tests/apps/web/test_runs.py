@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import json
 import os
-import re
 import signal
 import time
-import zipfile
 from asyncio.subprocess import Process
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from jointid.apps.cli import main
+from jointid.apps.web import folder as folder_module
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Draft, Limits
-from jointid.config import loads
+from jointid.apps.web.folder import Draft
 from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
@@ -61,70 +57,38 @@ def alive(pid: int) -> bool:
     return True
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory, log: bytes) -> Iterator[tuple[Asker, Draft]]:
-    """An identification that ended."""
-    folder = tmp_path_factory.mktemp("finished")
-    limits = Limits(upload=2_000_000)
-    with TestClient(build_application(folder, TOKEN, limits=limits), base_url=ADDRESS) as client:
-        asker = Asker(client)
-        run = asker.identify(log, **{"joint.name": "<b>axis</b>"})
-        assert asker.ended(run) == "done"
-        yield asker, run
-
-
-def test_from_a_log_to_files_that_repeat_the_answer(finished: tuple[Asker, Draft], log: bytes, tmp_path: Path) -> None:
-    asker, run = finished
-    client = asker.client
-    page = client.get(f"/runs/{run.name}")
-    assert "<b>axis</b>" not in page.text
-    answer = client.get(f"/runs/{run.name}/answer.json").json()
+def test_from_a_log_to_files_that_repeat_the_answer(asker: Asker, log: bytes, tmp_path: Path) -> None:
+    run, client = asker.identify(log, **{"joint.name": "<b>axis</b>"}), asker.client
+    assert asker.ended(run) == "done"
+    page = client.get(f"/runs/{run.path.name}")
+    assert "<b>axis</b>" not in page.text and 'sandbox=""' in page.text
+    answer = client.get(f"/runs/{run.path.name}/answer.json").json()
     for name, value in TRUTH.items():
         assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
-    archive = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.name}/all.zip").content))
-    files = {"joint.toml", "answer.json", "report.html", "log.csv"}
-    assert set(archive.namelist()) == files
-    assert archive.read("log.csv") == log
-    assert answer["data"]["record"] == "log"
-    assert loads(archive.read("joint.toml").decode()).source.file == "log.csv"
-    report = archive.read("report.html").decode()
-    carried = json.loads(re.findall(r'id="jointid-answer">(.*?)</script>', report, re.DOTALL)[0])
-    assert carried["record_file"] == "log.csv"
-    assert carried["joint_file"] == archive.read("joint.toml").decode()
-    archive.extractall(tmp_path / "out")
-    for folder in (tmp_path / "out", run.path):  # either as it is
-        with pytest.raises(SystemExit) as end:
-            main(["identify", str(folder / "joint.toml"), "--json", str(tmp_path / "again.json"), "-q"])
-        assert end.value.code == 0
-        again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
-        assert again["parameters"] == answer["parameters"]
-        assert again["data"] == answer["data"]
-
-
-def test_the_report_is_shown_in_a_sandbox(finished: tuple[Asker, Draft]) -> None:
-    asker, run = finished
-    client = asker.client
-    answer = client.get(f"/runs/{run.name}/report.html")
-    policy = answer.headers["content-security-policy"]
-    assert policy.startswith("sandbox;")
-    assert "script-src" not in policy  # and so 'none', the default, as the next
-    assert "connect-src" not in policy
-    assert "default-src 'none'" in policy
-    assert 'sandbox=""' in client.get(f"/runs/{run.name}").text
-    kept = client.get(f"/runs/{run.name}/report.html?download")
-    assert kept.headers["content-disposition"].startswith("attachment")
-    assert kept.content == answer.content
+    assert {*run.files} == {"joint.toml", "answer.json", "report.html", "log.csv"}
+    with pytest.raises(SystemExit) as end:
+        main(["identify", str(run.path / "joint.toml"), "--json", str(tmp_path / "again.json"), "-q"])
+    assert end.value.code == 0
+    again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
+    assert (again["parameters"], again["data"]) == (answer["parameters"], answer["data"])
+    report = client.get(f"/runs/{run.path.name}/report.html")
+    policy = report.headers["content-security-policy"]
+    assert policy.startswith("sandbox; default-src 'none'")
+    assert not {"script-src", "connect-src"} & {*policy.split()}
+    kept = client.get(f"/runs/{run.path.name}/report.html?download")
+    assert kept.headers["content-disposition"].startswith("attachment") and kept.content == report.content
+    assert client.get(f"/runs/{run.path.name}/_progress.txt").status_code == 404
 
 
 def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
     short = b"\n".join(log.splitlines()[:2501])  # the search takes longer on all of it
     run = asker.identify(short, **{"controller.law": "learn"})
     assert asker.ended(run) == "done"
-    answer = client.get(f"/runs/{run.name}/answer.json").json()
+    answer = client.get(f"/runs/{run.path.name}/answer.json").json()
     assert answer["parameters"]["inertia"]["value"] == pytest.approx(TRUTH["inertia"], rel=0.02)
-    text = client.get(f"/runs/{run.name}/joint.toml").text
+    text = client.get(f"/runs/{run.path.name}/joint.toml").text
     assert 'law = "cascade"' in text
-    assert "P-P" in asker.get(f"/runs/{run.name}")
+    assert "P-P" in asker.get(f"/runs/{run.path.name}")
 
 
 def test_a_process_that_is_killed_leaves_the_page_up(
@@ -134,17 +98,17 @@ def test_a_process_that_is_killed_leaves_the_page_up(
     begun(asker, run, processes)
     os.kill(processes[-1].pid, signal.SIGKILL)
     assert asker.ended(run) == "refused"
-    assert "signal 9" in asker.get(f"/runs/{run.name}")
-    assert client.get(f"/runs/{run.name}/answer.json").status_code == 404
+    assert "ended from outside" in asker.get(f"/runs/{run.path.name}")
+    assert client.get(f"/runs/{run.path.name}/answer.json").status_code == 404
     following = asker.identify(log)
-    assert following.name == "2"
+    assert following.path.name == "2"
     begun(asker, following, processes)
 
 
 def test_what_the_record_does_not_allow_is_said_in_its_sentence(asker: Asker, log: bytes) -> None:
     run = asker.identify(log, **{"record.channels.torque.sign": "-1"})
     assert asker.ended(run) == "refused"
-    page = asker.get(f"/runs/{run.name}")
+    page = asker.get(f"/runs/{run.path.name}")
     assert "It could not be identified" in page
     assert asker.page.jobs.state(run)["sentence"].splitlines()[0] in page
     assert "Traceback" not in page
@@ -153,7 +117,7 @@ def test_what_the_record_does_not_allow_is_said_in_its_sentence(asker: Asker, lo
 def test_cancelling_ends_the_process(asker: Asker, log: bytes, processes: list[Process]) -> None:
     run = asker.identify(log)
     begun(asker, run, processes)
-    assert "You cancelled it" in asker.post(f"/runs/{run.name}/cancel")[1]
+    assert "Cancelled" in asker.post(f"/runs/{run.path.name}")[1]
     assert asker.page.jobs.state(run)["state"] == "cancelled"
     assert not alive(processes[-1].pid)
     assert not run.has("answer.json")  # it did not run to its end
@@ -163,21 +127,21 @@ def test_one_identification_runs_at_a_time(asker: Asker, log: bytes) -> None:
     run = asker.identify(log)
     code, page = asker.post("/joint", LAW)
     assert code == 422
-    assert "Identification 1 is still running; wait for its end or cancel it" in page
-    assert [one.name for one in asker.folder.runs] == ["1"]
-    asker.post(f"/runs/{run.name}/cancel")
+    assert "still running" in page
+    assert [one.path.name for one in asker.page.runs] == ["1"]
+    asker.post(f"/runs/{run.path.name}")
     assert asker.post("/joint", LAW)[0] == 200
-    assert [one.name for one in asker.folder.runs] == ["2", "1"]
+    assert [one.path.name for one in asker.page.runs] == ["2", "1"]
 
 
-def test_an_identification_that_takes_too_long_is_stopped(folder: Path, log: bytes, processes: list[Process]) -> None:
-    hasty = build_application(folder, TOKEN, limits=Limits(seconds=0.5))
-    with TestClient(hasty, base_url=ADDRESS) as client:
-        asker = Asker(client)
-        run = asker.identify(log)
-        assert asker.ended(run) == "refused"
-        assert "took longer than" in asker.page.jobs.state(run)["sentence"]
-        assert not alive(processes[-1].pid)
+def test_an_identification_that_takes_too_long_is_stopped(
+    asker: Asker, log: bytes, processes: list[Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder_module, "IDENTIFYING", 0.5)
+    run = asker.identify(log)
+    assert asker.ended(run) == "refused"
+    assert "took longer than" in asker.page.jobs.state(run)["sentence"]
+    assert not alive(processes[-1].pid)
 
 
 def test_the_end_of_the_page_ends_what_runs(folder: Path, log: bytes, processes: list[Process]) -> None:
@@ -193,20 +157,20 @@ def test_a_page_that_is_started_again_finds_everything_under_its_new_token(folde
     with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
         asker = Asker(client)
         run = asker.identify(log)
-        asker.post(f"/runs/{run.name}/cancel")
+        asker.post(f"/runs/{run.path.name}")
     (run.path / "_run.json").unlink()  # as a page that is killed leaves it
     with TestClient(build_application(folder, "new"), base_url="http://127.0.0.1:8765/new/") as client:
-        assert "log.csv" in client.get("/").text
+        assert "log.csv" in client.get("/channels").text
         assert "stopped before this had ended" in client.get("/runs/1").text
         assert client.get(f"http://127.0.0.1:8765/{TOKEN}/").status_code == 403
 
 
-def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Path, log: bytes) -> None:
-    small = build_application(folder, TOKEN, limits=Limits(memory=100 * 2**20))
-    with TestClient(small, base_url=ADDRESS) as client:
-        asker = Asker(client)
-        assert asker.send("log.csv", log)[0] == 200
-        asker.post("/draft/joint", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-7}'})
-        code, said = asker.post("/channels", UNITS)
-        assert code == 422
-        assert "jointid identify --window" in said
+def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(
+    asker: Asker, log: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert asker.send("log.csv", log)[0] == 200
+    monkeypatch.setattr(folder_module, "MEMORY", 2 * 2**30)
+    slow = '[record]\nresample = {method = "linear", sample_time = 1e-7}'
+    code, said = asker.post("/channels", {**UNITS, "extra": slow})
+    assert code == 422
+    assert "jointid identify --window" in said

@@ -43,21 +43,15 @@ def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700
 
 
-def test_the_address_holds_a_token_that_is_new_at_each_start_and_no_browser_has_it_among_its_words(
+def test_the_address_holds_a_token_that_is_new_at_each_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    opened_at: list[str] = []
     monkeypatch.setattr("uvicorn.Server.run", lambda server, sockets: None)
-    monkeypatch.setattr("webbrowser.open", opened_at.append)
-    path = tmp_path / "open.html"
     tmp_path.chmod(0o755)
     for _ in range(2):
-        assert served("--open", "--port", 0, "--folder", tmp_path) == 0
+        assert served("--port", 0, "--folder", tmp_path) == 0
     said = capsys.readouterr()
     first, second = re.findall(r"http://127\.0\.0\.1:[0-9]+/([A-Za-z0-9_-]{32})/", said.out)
     assert first != second
-    assert opened_at == [path.as_uri()] * 2
-    assert f'/{second}/"' in path.read_text(encoding="utf-8")
     if sys.platform != "win32":
-        assert path.stat().st_mode & 0o777 == 0o600
         assert said.err.count("Warning") == 2

@@ -37,7 +37,7 @@ def test_what_the_page_writes_is_its_owners_alone(served: Served, folder: Path, 
     assert served.ask("POST", "/channels", entries.encode(), form)[0] == 303
     entries = "controller.law=cascade&controller.position_gain=60&controller.velocity_gain=500"
     assert served.ask("POST", "/joint", entries.encode(), form)[0] == 303
-    assert served.ask("POST", "/runs/1/cancel")[0] == 303
+    assert served.ask("POST", "/runs/1")[0] == 303
     written = [*folder.rglob("*")]
     assert any(path.name == "log.csv" for path in written)
     for path in written:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
-import zipfile
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,8 +13,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from jointid.apps.web import folder as bounds
 from jointid.apps.web.application import build_application
-from jointid.apps.web.folder import Limits
 from jointid.apps.web.form import clean_name
 from tests.apps.web.asking import ADDRESS, TOKEN, Asker
 from tests.apps.web.testclient import TestClient
@@ -37,7 +37,7 @@ def test_a_clean_name_is_one_name_of_harmless_characters(raw: str) -> None:
 def test_a_record_is_kept_under_a_harmless_name(asker: Asker, log: bytes, folder: Path) -> None:
     code, page = asker.send(HOSTILE, log)
     assert code == 200
-    assert asker.folder.now.records == ["img src_x onerror_alert(1)__22.csv"]
+    assert asker.page.now.records == ["img src_x onerror_alert(1)__22.csv"]
     assert {path.name for path in folder.parent.iterdir()} == {"page"}
     assert {path.name for path in folder.iterdir()} == {"now"}
     assert "<option>reference</option>" in page
@@ -56,18 +56,18 @@ def test_names_of_columns_are_escaped_everywhere(client: TestClient, asker: Aske
         assert "</textarea><script>" not in client.get(path).text
 
 
-def test_a_file_that_is_too_large_is_stopped_at_the_bound(asker: Asker, limits: Limits) -> None:
-    assert "larger than 1.91 MB" in asker.said("big.csv", b"1,2\n" * limits.upload)
+def test_a_file_that_is_too_large_is_stopped_at_the_bound(asker: Asker) -> None:
+    assert "larger than 1.91 MB" in asker.said("big.csv", b"1,2\n" * bounds.UPLOAD)
     assert not asker.kept
 
 
-def test_a_size_that_nobody_announced_is_stopped_at_the_bound(client: TestClient, asker: Asker, limits: Limits) -> None:
+def test_a_size_that_nobody_announced_is_stopped_at_the_bound(client: TestClient, asker: Asker) -> None:
     sent = 0
 
     def body() -> Iterator[bytes]:
         nonlocal sent
         yield b'--x\r\nContent-Disposition: form-data; name="file"; filename="big.csv"\r\n\r\n'
-        while sent < 10 * limits.upload:
+        while sent < 10 * bounds.UPLOAD:
             sent += 1000
             yield b"1,2\n" * 250
 
@@ -110,11 +110,11 @@ def test_nothing_in_a_file_is_executed(asker: Asker) -> None:
 @pytest.mark.parametrize(
     ("body", "kind", "said"),
     [
-        (b"file=1", "application/x-www-form-urlencoded", "Expected one record"),
+        (b"file=1", "application/x-www-form-urlencoded", "Expected records"),
         (
             b'--x\r\nContent-Disposition: form-data; name="file"; filename=""\r\n\r\n\r\n--x--\r\n',
             "multipart/form-data; boundary=x",
-            "Expected one record",
+            "Expected records",
         ),
         (b"rubbish", "multipart/form-data; boundary=x", "did not arrive whole"),
         (b"", "multipart/form-data", "did not arrive whole"),
@@ -138,8 +138,8 @@ def test_a_text_file_can_be_read_in_another_way(client: TestClient, asker: Asker
     assert "decimal" in asker.said("a.csv", rows)
     options = {"record.delimiter": ",", "record.decimal": ".", "record.header": "false"}
     assert client.post("/record", files={"file": ("a.csv", rows)}, data=options).status_code == 200
-    assert asker.folder.now.tables["record"]["header"] is False
-    assert [column["name"] for column in asker.folder.now.json("_columns.json")["columns"]] == ["1", "2"]
+    assert asker.page.now.texts["record.header"] == "false"
+    assert [column["name"] for column in asker.page.now.json("_columns.json")["columns"]] == ["1", "2"]
 
 
 def test_a_geared_axis_is_asked_for_its_gear_in_step_2_and_passes_it(asker: Asker) -> None:
@@ -159,12 +159,20 @@ def test_a_geared_axis_is_asked_for_its_gear_in_step_2_and_passes_it(asker: Aske
     assert 'href="/kept-secret/channels"' in said, "and back"
 
 
+def test_units_are_asked_where_nothing_says_them(asker: Asker) -> None:
+    rows = "\n".join(f"{0.001 * i},{i % 7},{i * i}" for i in range(50))
+    asker.send("a.csv", f"t,force,way [mm]\n{rows}\n".encode())
+    columns = {"record.channels.torque.column": "force", "record.channels.reference.column": "way [mm]"}
+    page = asker.post("/draft/channels", {"joint.kind": "prismatic", **columns})[1]
+    assert re.findall(r'<select id="record-channels-(torque|reference)-unit"[^>]* required>', page) == ["torque"]
+
+
 def test_a_joint_file_fills_in_the_form(client: TestClient, asker: Asker, log: bytes) -> None:
     joint = b'[controller]\nlaw = "cascade"\nposition_gain = 61.5\nvelocity_gain = 500.0\n'
     files = [("file", ("log.csv", log)), ("file", ("my axis+1.toml", joint))]
     assert client.post("/record", files=files).status_code == 200
     assert 'value="61.5"' in asker.get("/joint")
-    assert asker.folder.now.records == ["log.csv"]
+    assert asker.page.now.records == ["log.csv"]
 
 
 def test_what_was_on_its_way_in_when_the_page_was_killed_is_removed(folder: Path) -> None:
@@ -177,7 +185,7 @@ def test_what_was_on_its_way_in_when_the_page_was_killed_is_removed(folder: Path
 def test_a_folder_that_is_damaged_is_shown(folder: Path, content: str) -> None:
     for path in (
         *(folder / "runs" / "1" / one for one in ("_run.json", "answer.json")),
-        *(folder / "now" / f"{one}" for one in ("joint.toml", "_checked.json", "_columns.json")),
+        *(folder / "now" / f"{one}" for one in ("_texts.json", "_checked.json", "_columns.json")),
     ):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(content, encoding="latin-1")
@@ -186,13 +194,9 @@ def test_a_folder_that_is_damaged_is_shown(folder: Path, content: str) -> None:
             assert client.get(address).status_code == 200, address
 
 
-def test_an_archive_holds_files_of_its_own_folder_alone(folder: Path, client: TestClient) -> None:
+def test_a_link_out_of_the_folder_is_not_followed(folder: Path, client: TestClient) -> None:
     run = folder / "runs" / "1"
     run.mkdir(parents=True)
-    for name in ("answer.json", "log.csv", "_progress.txt"):
-        (run / name).write_text("{}")
     (folder.parent / "secret.txt").write_text("kept out of sight")
-    (run / "link.csv").symlink_to(folder.parent / "secret.txt")
-    with zipfile.ZipFile(io.BytesIO(client.get("/runs/1/all.zip").content)) as archive:
-        assert archive.namelist() == ["answer.json", "log.csv"]
-    assert client.get("/runs/1/_progress.txt").status_code == 404
+    (run / "answer.json").symlink_to(folder.parent / "secret.txt")
+    assert client.get("/runs/1/answer.json").status_code == 404

@@ -157,7 +157,7 @@ def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(f
 @pytest.mark.parametrize(
     "words",
     [
-        ("a.pdf",), ("a.mat", "--set", "export.timestep=1e-4"), ("a.xml", "--side", "motor"), ("nowhere/a.xml",),
+        ("a.pdf",), ("a.mat", "--set", "export.timestep=1e-4"), ("a.xml", "--set", "export.side=x"), ("nowhere/a.xml",),
         ("out.json",), ("a.xml", "--format", "word"), ("a.xml", "--set", "export.timestep=abc"),
     ],
 )  # fmt: skip

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import _thread
 import atexit
 import contextlib
-import errno
 import gc
 import io
 import os
 import platform
 import signal
 import sys
-import threading
 import traceback
 import warnings
 from collections.abc import Callable, Mapping
-from functools import partial
 from importlib import metadata
 from typing import Any, NoReturn
 
@@ -34,12 +30,10 @@ from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import reproduce, simulate
-from jointid.common.errors import JointidError, RecordError
+from jointid.common.errors import JointidError
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
-_MOMENT = 0.02  # s until an interrupt that a callback has swallowed is sent again
 _SIGNALLED = 128  # added to a signal's number it is the exit code
-
 _ENDING = "Exit codes and --debug: docs/commands.md"
 
 
@@ -90,31 +84,17 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
     # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
     atexit.register(gc.freeze)
     _prepare_outputs()
-    warnings.showwarning = partial(_show_warning, debug)
+    warnings.showwarning = _show_warning
     try:
         if signals:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.signal(signal.SIGTERM, _leave)
-            sys.unraisablehook = _interrupt_again
         code = _finish(_run([word for word in words if word != "--debug"], debug))
     except KeyboardInterrupt:  # once more, while the first was being answered
-        code = _end_interrupted(debug)
+        code = _say("Interrupted.", _SIGNALLED + signal.SIGINT)
     if signals:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(code)
-
-
-def _interrupt_again(swallowed: Any) -> None:
-    """Interrupt again a moment later where a callback has swallowed Ctrl-C; report other exceptions as usual."""
-    if not isinstance(swallowed.exc_value, KeyboardInterrupt):
-        sys.__unraisablehook__(swallowed)
-        return
-    if hasattr(signal, "pthread_kill"):  # it wakes what waits, too
-        again = threading.Timer(_MOMENT, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
-    else:
-        again = threading.Timer(_MOMENT, _thread.interrupt_main)
-    again.daemon = True
-    again.start()
 
 
 def _leave(number: int, _: object) -> NoReturn:
@@ -133,41 +113,33 @@ def _prepare_outputs() -> None:
 
 
 def _run(words: list[str], debug: bool) -> int:
+    """Run a command, print its error, and return the exit code."""
     try:
         code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
-    except KeyboardInterrupt:
-        return _end_interrupted(debug)
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
         if debug and not isinstance(error, CycloptsError):
             traceback.print_exc()
-        return _explain(error)
+        return _say(*_explain(error))
     finally:
         clear_bars()
     return code or 0
 
 
-def _explain(error: Exception) -> int:
-    """Print an error, and return the exit code."""
+def _explain(error: BaseException) -> tuple[str, int]:
+    """Return the sentence of an error, and the exit code."""
+    if isinstance(error, KeyboardInterrupt):
+        return "Interrupted; no file is left half written.", _SIGNALLED + signal.SIGINT
     if isinstance(error, JointidError):
-        return _say(str(error), USERS_MISTAKE)
+        return str(error), USERS_MISTAKE
     if isinstance(error, CycloptsError):
-        options = [name for one in getattr(error, "argument_collection", ()) for name in one.names]
-        hint = "A setting of the joint file is given by --set. " if "--set" in options else ""
-        return _say(f"{error} {hint}See jointid --help.", USERS_MISTAKE)
-    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # of any path that is opened
-        return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
-    return _say(
+        return f"{error} A key of the joint file is given by --set. See jointid --help.", USERS_MISTAKE
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename} cannot be used ({error.strerror}); name another file.", USERS_MISTAKE
+    return (
         f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
         "output of the same command and --debug, and that of jointid --version.",
         OUR_FAILURE,
     )
-
-
-def _end_interrupted(debug: bool) -> int:
-    """Print that Ctrl-C ends the program, and return the exit code."""
-    if debug:
-        traceback.print_exc()
-    return _say("Interrupted; no file is left half written.", _SIGNALLED + signal.SIGINT)
 
 
 def _finish(code: int) -> int:
@@ -176,18 +148,22 @@ def _finish(code: int) -> int:
     failures = [error for error in console.unprinted if not isinstance(error, BrokenPipeError)]
     if not failures:
         return code
-    reason = (failures[0].strerror or type(failures[0]).__name__).lower()
-    _say(f"The answer could not be printed ({reason}); free space there, or print to another place.", code)
-    return code or USERS_MISTAKE
+    return _say(f"The answer could not be printed ({failures[0]}); print to another place.", code or USERS_MISTAKE)
 
 
 def _show_warning(
-    debug: bool, message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: object = None,
+    line: object = None,
 ) -> None:
     """Print a warning on the compiler's cache as a sentence; a library's is for who looks for a fault of ours."""
+    del file, line
     if category.__name__ == "CacheWarning":  # its module would load the compiler
         tell(f"Warning: {message}")
-    elif debug:
+    elif console.details:
         tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
 
 

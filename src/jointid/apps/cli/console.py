@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -18,7 +16,7 @@ from cyclopts import Parameter
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import require_room
-from jointid.common.messages import Detail, Pace, Progress, Suspicions, describe_time, ignore_progress
+from jointid.common.messages import Detail, Pace, Progress, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -68,14 +66,27 @@ def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
         taken.append(out)
 
 
+def require_kinds(joint: Path | None, *records: Path) -> None:
+    """Raise a `RecordError` where a record stands in the place of a joint file, or the reverse, by their suffixes."""
+    from jointid.records.formats import FORMATS
+
+    if joint is not None and any(joint.suffix.lower() in entry.suffixes for entry in FORMATS):
+        raise RecordError(
+            f"{joint} is a record, by its suffix; expected a joint file (.toml): name that first, and the record by "
+            f"--record, or write one by jointid inspect {joint} --write joint.toml."
+        )
+    for record in records:
+        if record.suffix.lower() == ".toml":
+            raise RecordError(f"{record} is a joint file, by its suffix; expected a record, as log.csv: name that.")
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
     """The options that most commands have.
 
     Attributes:
-        records: the record, instead of the one the joint file names; given several times, or with [[records]] in the
-            joint file and none here, identify takes all of them in one fit.
+        records: the record, instead of the one the joint file names; identify takes several, in one fit.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of one joint, which is taken alone, as if no other joint moved.
         json: also write the answer as JSON to this file.
@@ -105,7 +116,12 @@ class Options:
         return listen(self.quiet)
 
     def load(
-        self, joint: Path, *outputs: Path | None, estimate: Path | None = None, what: str = "", **choices: str | None
+        self,
+        joint: Path,
+        *outputs: Path | None,
+        estimate: Path | None = None,
+        what: str = "",
+        method: str | None = None,
     ) -> File:
         """Load the joint file or robot file with its changes, as an estimate says; see `jointid.config.load`.
 
@@ -114,22 +130,21 @@ class Options:
             outputs: what the command writes, beside the JSON.
             estimate: file of an estimate, whose choices hold.
             what: the work, if it is for a joint; the beginning of the sentence.
-            choices: method, filtering and friction.
+            method: the method, whatever the file says.
 
         Raises:
             JointFileError: it cannot be loaded.
             MethodError: it is a robot file, and the work is for a joint.
-            RecordError: an output is refused, see `spare`, or the estimate is none.
+            RecordError: an output is refused, see `spare`, the estimate is none, or a record stands for the file.
         """
         from jointid.config import load, load_joint
+        from jointid.output.json import read_choices
 
+        require_kinds(joint, *self.records)
         spare((self.json, *outputs), joint, *self.records, estimate)
-        if estimate is not None:
-            from jointid.output.json import read_choices
-
-            choices |= read_choices(estimate)
-        read: Callable[..., File] = partial(load_joint, what=what) if what else load
-        file = read(joint, self.changes, axis=self.axis, **choices)
+        given: dict[str, Any] = {"axis": self.axis, "method": method}
+        given |= {} if estimate is None else read_choices(estimate)
+        file = load_joint(joint, self.changes, what=what, **given) if what else load(joint, self.changes, **given)
         for record in self.records or (None,):
             spare((self.json, *outputs), *file.inputs(record))
         return file.of_record(self.records[0]) if len(self.records) == 1 else file
@@ -141,7 +156,7 @@ class Options:
 
         Args:
             file: as `load` returns it.
-            checks: whether to check the estimate.
+            checks: whether to check the estimate; an interrupt prints the one that was not.
             judged: as of `File.record`.
             whole: whether to identify at once, and refuse a record that is too long for it.
 
@@ -152,24 +167,19 @@ class Options:
         from jointid.estimation.identify import plan_windows
         from jointid.estimation.result.parts import IN_WINDOWS
 
-        record = file.record(self.record, judged=judged)
+        record, known, progress = file.record(self.record, judged=judged), list[Estimate](), self.progress
         if file.robot is None:  # the engine of a robot is another
-            ready(self.progress)
-        asked: dict[str, Any] = {"windows": False} if whole else {}
+            ready(progress)
         if whole and plan_windows(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
-        suspicions, known = Suspicions(self.progress), list[Estimate]()
+        asked: dict[str, Any] = {"windows": False} if whole else {}
         try:
-            try:
-                return record, file.identify(record, suspicions, checks=checks, unchecked=known.append, **asked)
-            except JointidError as error:
-                suspicions.latest = suspicions.latest or str(error)
-                raise file.explain(error, record, suspicions) from error
+            return record, file.identify(record, progress, checks=checks, unchecked=known.append, **asked)
+        except JointidError as error:
+            raise file.explain(error, record, progress) from error
         except KeyboardInterrupt:
             if known:
                 show(known[0])
-            elif suspicions.latest:
-                show(f"Not identified yet. Known so far: {suspicions.latest}")
             raise
 
 
@@ -207,25 +217,6 @@ def put(text: str, stream: IO[str]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-class Lines:
-    """Prints progress where no line can be rewritten: each stage once, and every ten seconds that it goes on."""
-
-    def __init__(self) -> None:
-        self._stage, self._began = "", time.monotonic()
-        self._told = self._began
-
-    def __call__(self, message: str) -> None:
-        """Print the stage that a line of progress begins."""
-        now, stage = time.monotonic(), message.brief if isinstance(message, Detail) else message
-        if stage and stage != self._stage:
-            self._stage, self._began, self._told = stage, now, now
-            tell(stage)
-        elif now - self._told >= _BETWEEN:
-            self._told = now
-            going_on = f"{self._stage or 'searching'}: {describe_time(now - self._began)} so far"
-            tell(message if isinstance(message, Pace) else going_on)
-
-
 @lru_cache(maxsize=1)
 def _bars() -> Bars:
     from jointid.apps.cli.terminal import Bars
@@ -234,12 +225,26 @@ def _bars() -> Bars:
 
 
 def listen(quiet: bool) -> Progress:
-    """Return the listener to progress: bars on a terminal, else lines; with --debug every detail."""
+    """Return the listener to progress: bars on a terminal, else a line for each stage; with --debug every detail."""
     if quiet:
         return ignore_progress
     if details:
         return tell
-    return _bars() if sys.stderr.isatty() else Lines()
+    if sys.stderr.isatty():
+        return _bars()
+    stage, told = "", time.monotonic()
+
+    def tell_stage(message: str) -> None:
+        nonlocal stage, told
+        begun, now = message.brief if isinstance(message, Detail) else message, time.monotonic()
+        if begun and begun != stage:
+            stage, told = begun, now
+            tell(begun)
+        elif isinstance(message, Pace) and now - told >= _BETWEEN:
+            told = now
+            tell(message)
+
+    return tell_stage
 
 
 def clear_bars() -> None:
@@ -279,32 +284,3 @@ def ready(listener: Progress, *, derivatives: bool = True) -> None:
         warm_up(derivatives=derivatives)
     finally:
         timer.cancel()
-
-
-@contextlib.contextmanager
-def fresh_folder(folder: Path) -> Iterator[None]:
-    """Make a folder, and take away one that is new after an exception.
-
-    Raises:
-        RecordError: see `make_folder`.
-    """
-    is_new = not folder.exists()
-    make_folder(folder)
-    try:
-        yield
-    except BaseException:
-        if is_new:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
-
-
-def make_folder(folder: Path, mode: int = 0o777) -> None:
-    """Make a folder, unless it is there; the mode says who may reach a new one.
-
-    Raises:
-        RecordError: it cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=mode)
-    except OSError as error:
-        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one.") from None

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from jointid.apps.cli.console import Flag, Options, Quiet, fresh_folder, listen, ready, show
+from jointid.apps.cli.console import Flag, Options, Quiet, listen, ready, show
 from jointid.common.document import Document
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import require_room, write_whole
+from jointid.common.files import explain, require_room, write_whole
+from jointid.common.messages import Progress
 
 if TYPE_CHECKING:
     from jointid import Record, Robot
@@ -28,7 +30,7 @@ records = "logs/{joint}/{day}.npy"
 """
 FIRST_DAY = datetime.date(2026, 10, 1)
 _JOINTS, _DAYS = 4, 9
-_SPOILED, _FALL = 0.05, 0.1  # of the records, of a stiffness
+_FALL = 0.1  # of a stiffness
 SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "motor_viscous": 0.03, "load_viscous": 0.03}
 """Standard deviation from day to day, as a share of the value."""
 
@@ -39,8 +41,6 @@ def demo(
     *,
     robot: Flag = False,
     fleet: Flag = False,
-    details: Flag = False,
-    seed: int = 1,
     quiet: Quiet = False,
 ) -> None:
     """Try all of it on a simulated axis, robot or fleet.
@@ -50,82 +50,81 @@ def demo(
     `jointid identify FOLDER/joint.toml` to see what follows.
 
     Args:
-        folder: where to write, new or empty; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
+        folder: where to write, a new one; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
         robot: a robot of two joints instead, one of them flexible, from torques alone.
         fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
-        details: also the progress of the search, and the whole answer with its checks.
-        seed: of the noise.
         quiet: say nothing of the progress.
     """
     if robot and fleet:
         raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
     folder = folder or Path("jointid-demo-robot" if robot else "jointid-demo-fleet" if fleet else "jointid-demo")
+    if folder.exists():
+        raise RecordError(f"{folder} exists, and a demo might replace what it holds; name another folder.")
     require_room(folder)
-    if folder.is_dir() and any(folder.iterdir()):
-        raise RecordError(f"{folder} holds files, which a demo might replace; name another folder.")
     listener = listen(quiet)
-    with fresh_folder(folder):
+    with explain(folder), TemporaryDirectory(prefix=".jointid-", dir=folder.parent) as room:
+        fresh = Path(room, folder.name)
+        fresh.mkdir()
+        listener(f"simulating {'a fleet' if fleet else 'a robot' if robot else 'an axis'}")
         if fleet:
-            listener("simulating 8 s of four axes on each of nine days")
             ready(listener)
-            _write_fleet(folder, seed)
-            show("The stiffness of axis-001 falls by a tenth one day; 5 % of files are spoiled.\n")
-            show(f"Written to {folder}: campaign.toml, joint.toml, fleet.csv, logs")
-            show(f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}")
-            return
-        listener("simulating 8 s of a robot of two joints" if robot else "simulating 24 s of the paper's flexible axis")
-        truth = _write_robot(folder, seed) if robot else _write_axis(folder, seed)
-        listener("identifying it from motor torque and reference alone")
-        _identify(folder, truth, Options(quiet=quiet or not details), details=details)
+            said = _write_fleet(fresh)
+        else:
+            name, truth = _write_robot(fresh) if robot else _write_axis(fresh)
+            said = _identify(fresh, name, truth, listener)
+        fresh.rename(folder)
+    show(said)
+    show(f"\nWritten to {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+    if fleet:
+        show(f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}")
+        return
+    file = folder / ("robot.toml" if robot else "joint.toml")
+    show(f"All of it on one page: jointid report {file} --html report.html")
+    show(f"Change the {file.stem} file, then: jointid identify {file}")
 
 
-def _write_axis(folder: Path, seed: int) -> Mapping[str, float]:
-    """Write the record and joint file of the twin, and return its truth."""
-    from jointid import twin, write
-    from jointid.paper.twin import JOINT_FILE
-
-    axis = twin(seed=seed)
-    write(axis.record, folder / "record.csv")
-    write_whole(folder / "joint.toml", JOINT_FILE)
-    return axis.truth
-
-
-def _write_robot(folder: Path, seed: int) -> Robot:
-    """Write the record, file and model of a robot, and return it."""
-    from jointid.config import load
-
-    for name in ("robot.toml", "robot.xml"):
-        write_whole(folder / name, files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8"))
-    file = load(folder / "robot.toml")
-    robot, records = _simulate_robot(file.loop, seed)
-    file.write(records, folder / "record.csv")
-    return robot
-
-
-def _identify(folder: Path, truth: Any, options: Options, *, details: bool) -> None:
-    """Identify as the demo's file says, write answer and figure, and show them beside the truth."""
+def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
+    """Identify as the file of this name says, write answer and figure, and return them beside the truth."""
     from jointid import figures
     from jointid.estimation.result.summary import parameters_table
     from jointid.output import json as answers
 
-    (file,) = folder.glob("*.toml")
-    _, estimate = options.identify(options.load(file))
+    listener("identifying it from motor torque and reference alone")
+    options = Options(quiet=True)
+    estimate = options.identify(options.load(folder / name))[1]
     answers.write(answers.to_dict(estimate), folder / "estimate.json")
     figures.save(figures.torque(estimate), folder / "torque.png")
     if estimate.robot is not None:
         values = estimate.robot.parameters_of(truth)
         assert values is not None
         truth = dict(zip(estimate.robot.names, values.tolist(), strict=True))
-    if details:
-        show(estimate, details=True)
-        show()
-    show(Document(str(estimate.answer), (parameters_table(estimate, truth=truth),)).text())
-    show(f"\nWritten to {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
-    show(f"All of it on one page: jointid report {file} --html report.html")
-    show(f"Change the {file.stem} file, then: jointid identify {file}")
+    return Document(str(estimate.answer), (parameters_table(estimate, truth=truth),)).text()
 
 
-def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ...]]:
+def _write_axis(folder: Path) -> tuple[str, Mapping[str, float]]:
+    """Write the record and joint file of the twin, and return the file's name and the twin's truth."""
+    from jointid import twin, write
+    from jointid.paper.twin import JOINT_FILE
+
+    axis = twin(seed=1)
+    write(axis.record, folder / "record.csv")
+    write_whole(folder / "joint.toml", JOINT_FILE)
+    return "joint.toml", axis.truth
+
+
+def _write_robot(folder: Path) -> tuple[str, Robot]:
+    """Write the record, file and model of a robot, and return the file's name and the robot."""
+    from jointid.config import load
+
+    for name in ("robot.toml", "robot.xml"):
+        write_whole(folder / name, files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8"))
+    file = load(folder / "robot.toml")
+    robot, records = _simulate_robot(file.loop)
+    file.write(records, folder / "record.csv")
+    return "robot.toml", robot
+
+
+def _simulate_robot(loop: RobotLoop) -> tuple[Robot, tuple[Record, ...]]:
     """Return a heavier robot with friction, and the records of its drives."""
     import numpy as np
 
@@ -143,7 +142,7 @@ def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ..
         Record(reference=Channel(excitation.multisine(8000, 1e-3, size, f, 35.0, lines=n, tilt=1.6), "rad", 1e-3))
         for size, f, n in motions
     ]
-    draw, logged = np.random.default_rng(seed), []
+    draw, logged = np.random.default_rng(1), []
     for record in simulate(replace(loop, robot=robot), driven).records(driven):
         assert record.torque is not None
         values = record.torque.values
@@ -152,7 +151,7 @@ def _simulate_robot(loop: RobotLoop, seed: int) -> tuple[Robot, tuple[Record, ..
     return robot, tuple(logged)
 
 
-def _write_fleet(folder: Path, seed: int) -> None:
+def _write_fleet(folder: Path) -> str:
     """Write the records of a fleet and its files: the twin's axis with parameters that scatter from day to day.
 
     The stiffness of the first joint falls, from a day between a third and two thirds on.
@@ -163,31 +162,25 @@ def _write_fleet(folder: Path, seed: int) -> None:
     from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2
 
     joint = JOINT_FILE.replace("record.csv", f"logs/axis-001/{FIRST_DAY}.npy")
-    for file, text in {"campaign.toml": CAMPAIGN, "joint.toml": joint}.items():
+    names = [f"axis-{number + 1:03}" for number in range(_JOINTS)]
+    rows = ["name,filtering.cutoff,method.frequency", *(f"{name},60,30" for name in names)]
+    table = "".join(f"{row}\n" for row in rows)
+    for file, text in {"campaign.toml": CAMPAIGN, "joint.toml": joint, "fleet.csv": table}.items():
         write_whole(folder / file, text)
     loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
     pulses = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
-    names = [f"axis-{number + 1:03}" for number in range(_JOINTS)]
-    rows = ["name,filtering.cutoff,method.frequency", *(f"{name},60,30" for name in names)]
-    write_whole(folder / "fleet.csv", "".join(f"{row}\n" for row in rows))
-    for place_in_line, name in enumerate(names):
-        draw = np.random.default_rng([seed, place_in_line])
+    for place, name in enumerate(names):
+        draw = np.random.default_rng([1, place])
         own = {name: value * (1 + 0.1 * draw.uniform(-1, 1)) for name, value in TABLE_2.items()}
         begins = int(draw.integers(_DAYS // 3, 2 * _DAYS // 3))
-        place = folder / "logs" / name
-        place.mkdir(parents=True, exist_ok=True)
+        (folder / "logs" / name).mkdir(parents=True)
         for day in range(_DAYS):
             today = {name: value * (1 + SCATTER.get(name, 0.0) * draw.standard_normal()) for name, value in own.items()}
-            if place_in_line == 0 and day >= begins:
-                today["stiffness"] *= 1 - _FALL
+            today["stiffness"] *= 1 - _FALL * (place == 0 and day >= begins)
             force = 10.0 * draw.standard_normal(reference.size)
             record = ji.simulated_record(
                 loop, reference, today, sample_time=1e-3, injected=pulses, disturbance=force, encoder_step=5e-8
             )
-            path = place / f"{FIRST_DAY + datetime.timedelta(days=day)}.npy"
-            ji.write(record, path)
-            if draw.random() < _SPOILED:
-                content = path.read_bytes()
-                ways = (content[: len(content) // 3], b"", b"the drive could not be reached\n")
-                path.write_bytes(ways[int(draw.integers(3))])
+            ji.write(record, folder / "logs" / name / f"{FIRST_DAY + datetime.timedelta(days=day)}.npy")
+    return "The stiffness of axis-001 falls by a tenth one day."

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, ready, show, spare
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.registry import MethodName
 
 
 def identify(
@@ -18,9 +17,6 @@ def identify(
     *,
     options: Options = DEFAULTS,
     window: float | None = None,
-    method: MethodName | None = None,
-    filtering: Literal["default", "published"] | None = None,
-    friction: str | None = None,
     figure: Path | None = None,
     details: Flag = False,
 ) -> None:
@@ -33,10 +29,6 @@ def identify(
         options: those that most commands have.
         window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
             identified in windows, and tested for drift.
-        method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
-            too if the joint is flexible; drive_side reads torque and motor position, and no controller.
-        filtering: published repeats the results of the EMPS benchmark; default is the program's own.
-        friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
     """
@@ -46,17 +38,17 @@ def identify(
     figures.require_format(figure)
     several = len(options.records) > 1
     what = "A log in windows" if window is not None else "--figure of several records" if several and figure else ""
-    file = options.load(joint, figure, what=what, method=method, filtering=filtering, friction=friction)
-    if window is not None:
-        if figure is not None:
-            raise MethodError(IN_WINDOWS)
-        ready(options.progress)
-        estimate = file.identify_log(options.record, Windowing(window), options.progress)
-    elif several or (file.runs and not options.records):
-        ready(options.progress)
-        estimate = file.identify_together(options.records, options.progress)
-    else:
+    file = options.load(joint, figure, what=what)
+    if window is not None and figure is not None:
+        raise MethodError(IN_WINDOWS)
+    if window is None and not several and (options.records or not file.runs):
         estimate = options.identify(file, whole=figure is not None)[1]
+    else:
+        ready(options.progress)
+        if window is not None:
+            estimate = file.identify_log(options.record, Windowing(window), options.progress)
+        else:
+            estimate = file.identify_together(options.records, options.progress)
     deliver(estimate, options.json, (figure, figures.torque), details=details)
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
@@ -106,8 +98,6 @@ def tune(
     options: Options = DEFAULTS,
     gain_margin: float = 2.0,
     phase_margin: float = 45.0,
-    modulus: float = 0.5,
-    confidence: float = 0.95,
     notch: bool = True,
     figure: Path | None = None,
 ) -> None:
@@ -120,15 +110,13 @@ def tune(
         options: those that most commands have.
         gain_margin: that the proposed loop keeps in the worst case, a ratio; 2 is 6 dB.
         phase_margin: likewise, degrees.
-        modulus: likewise, the smallest distance of the loop's response from -1; the inverse of the largest sensitivity.
-        confidence: with which the interval holds all parameters together.
         notch: whether one may be proposed.
         figure: also save the responses of joint and loop as PNG, SVG or PDF.
     """
     from jointid import Tuning, figures
     from jointid import tune as run
 
-    settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch)
+    settings = Tuning(gain_margin, phase_margin, notch=notch)
     figures.require_format(figure)
     file = options.load(joint, figure, what="Tuning", method="didim")
     _, estimate = options.identify(file)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import deliver, show, spare
+from jointid.apps.cli.console import deliver, require_kinds, show, spare
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
 
@@ -45,6 +45,7 @@ def inspect(
     from jointid import inspect as look
     from jointid.config.logged import describe_log
 
+    require_kinds(None, file)
     spare((json, write), file)
     if write is not None and write.exists():
         raise RecordError(f"{write} exists, and may hold what only you know; name another file, or remove it first.")

@@ -10,7 +10,6 @@ from jointid.common.errors import RecordError
 from jointid.common.files import require_room
 
 if TYPE_CHECKING:
-    from jointid import Record
     from jointid.config import File
     from jointid.planning.designed import Design
 
@@ -46,9 +45,8 @@ def design(
         search_time: that the search may take, in s.
         within: percent of each value, by which it may be off; 2 sigma: limits and intervals hold for joints or robots
             drawn from that. Without it the intervals of the estimate of a joint, or 0.
-        motion: a test of your own, predicted in the place of a search: a past record, or a table with its columns; of
-            a joint also a table with the columns t (s), reference (m or rad) and, if a signal is added to the torque,
-            injected (N, N m, or the torque's unit).
+        motion: a test of your own, predicted in the place of a search: a past record, or a table with its columns and
+            "injected", in the torque's unit, if a signal is added to the torque.
         out: also write the test into this folder: a CSV file in the columns, units and sides of the joint file, a page
             on how to run it, and, without a signal on the torque, the motion as a ROS 2 JointTrajectory (YAML).
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
@@ -64,18 +62,18 @@ def design(
         outputs += [out / "test.csv"] if out.is_dir() else []  # the only one that may be a record
     spare((options.json, *outputs), motion)
     file = options.load(joint, *outputs)
-    asked: dict[str, Any] = {
-        "goal": goal, "duration": duration, "search_time": search_time, "injection": injection,
-        "progress": options.progress, "within": within, "limits": file.limits,
-    }  # fmt: skip
     if file.robot is None:
         file = options.load(joint, *outputs, method="didim")
         _require_goal(file, goal)
-        asked["motion"] = None if motion is None else _read(motion, file)
+    asked: dict[str, Any] = {
+        "goal": goal, "duration": duration, "search_time": search_time, "injection": injection, "within": within,
+        "progress": options.progress, "limits": file.limits, "motion": None if motion is None else file.driving(motion),
+    }  # fmt: skip
+    if file.robot is None:
         record, estimate = options.identify(file, checks=False, whole=True)
         found = run(estimate, record, **asked)
     else:
-        found = _plan_robot(file, options, asked, None if motion is None else file.driving(motion))
+        found = _plan_robot(file, options, asked)
     found = lay_out(file, found)
     deliver(found, options.json, (figure, lambda one: one.plot()))
     if out is not None:
@@ -91,51 +89,20 @@ def _require_goal(file: File, goal: str) -> None:
     parse_goal(goal, {p.name: file.joint.unit(p) for p in own if p.free})
 
 
-def _plan_robot(file: File, options: Options, asked: dict[str, Any], motion: tuple[Record, ...] | None) -> Design:
+def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
     """Plan the test of a robot from a record, or from its model alone."""
     from jointid import design
 
     # Of a motion that was never played nothing is logged: such a robot is predicted without.
-    feed_forward = "none" if file.feed_forward == "logged" else file.feed_forward
-    asked = file.design_settings | asked | {"motion": motion, "feed_forward": feed_forward}
-    enough = motion is not None or all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
-    named = options.record is not None or not enough or file.source.first is not None
-    if named:
+    asked = file.design_settings | asked | {"feed_forward": file.feed_forward.replace("logged", "none")}
+    known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
+    if options.record is not None or file.source.first is not None or not (known or asked["motion"]):
         try:
             records = file.record(options.record)
-            estimate = file.identify(records, options.progress, checks=False)
+            return design(file.identify(records, options.progress, checks=False), records, **asked)
         except RecordError as error:  # references to simulate, or a log that is still to be made
-            if options.record is not None or not enough:
+            if options.record is not None or not (known or asked["motion"]):
                 raise
             show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
-        else:
-            return design(estimate, records, **asked)
     assert file.robot is not None
-    return design(file.robot, sample_time=file.source.sample_time if motion is None else None, **asked)
-
-
-def _read(motion: Path, file: File) -> Record:
-    """Read a test of the user's own, or a past record: one of a drive has other columns beside those of a test.
-
-    Raises:
-        RecordError: it is neither.
-    """
-    from jointid import Column, inspect, read
-    from jointid.common.parameters import POSITION_UNIT
-
-    try:
-        past: Record = file.driving(motion)
-    except RecordError as error:
-        if not {"t", "reference"} <= {one.name for one in inspect(motion).channels} <= {"t", "reference", "injected"}:
-            said = (
-                f"{motion.name} was read as a past record; a test of your own has the columns t, reference and, if a "
-                "signal is added, injected, and no others: rename its columns."
-            )
-            raise RecordError([*error.faults, said]) from None
-    else:
-        return past
-    columns = {
-        "reference": Column("reference", POSITION_UNIT[file.joint.kind]),
-        "injected": Column("injected", file.joint.force_unit, optional=True),
-    }
-    return read(motion, columns, time="t", kind=file.joint.kind)
+    return design(file.robot, sample_time=None if asked["motion"] else file.source.sample_time, **asked)

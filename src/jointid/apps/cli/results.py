@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, deliver, ready, show, spare
 from jointid.common.errors import MethodError
@@ -51,17 +50,16 @@ def report(
     require_page(html)
     spare((html, options.json), held_out)
     file = options.load(joint, html, estimate=estimate)
-    asked = {"axis": options.axis, "held_out": held_out and held_out.name}
-    asked |= {} if estimate is None else {"estimate": estimate.name}
     unseen = None if held_out is None else file.record(held_out)
     records = file.source.files_of(file.record_path(options.record), joint.parent)
-    again = repetition(joint, records, asked, options.changes, html.name)
+    files = {"held_out": held_out and held_out.name, "estimate": estimate and estimate.name}
+    again = repetition(joint, records, {"axis": options.axis, **files}, options.changes, html.name)
     if estimate is None:
         record, found = options.identify(file, judged=True, whole=True)
     else:
         record, found = file.record(options.record, judged=True), load_estimate(estimate, file)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
-    tuning = None if no_tuning else Aside(partial(tune_to_limit, found, file.declared_numbers))
+    tuning = None if no_tuning else Aside(lambda: tune_to_limit(found, file.declared_numbers))
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
         controllers=file.controllers, feed_forward=file.feed_forward, repetition=again, progress=options.progress,
@@ -71,14 +69,12 @@ def report(
         show(f"Without margins and gains: {tuned}")
     else:
         stated = replace(stated, tuned=tuned)
-    show(found)
-    for check in checks:
-        show(check)
-    written = [stated.save(html)]
+    for one in (found, *checks):
+        show(one)
+    stated.save(html)
     if options.json is not None:
         write_whole(options.json, stated.answer())
-        written.append(options.json)
-    show("\nWritten: " + ", ".join(map(str, written)))
+    show("\nWritten: " + ", ".join(str(path) for path in (html, options.json) if path is not None))
 
 
 def validate(
@@ -88,7 +84,6 @@ def validate(
     estimate: Path | None = None,
     options: Options = DEFAULTS,
     figure: Path | None = None,
-    residuals: Path | None = None,
 ) -> None:
     """Test whether an estimate predicts a record.
 
@@ -103,14 +98,12 @@ def validate(
         estimate: what identify --json wrote.
         options: those that most commands have.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
-        residuals: also save the error against velocity and position, and its autocorrelation, likewise.
     """
     from jointid import figures
     from jointid import validate as run
 
-    for picture in (figure, residuals):
-        figures.require_format(picture)
-    file = options.load(joint, figure, residuals, estimate=estimate)
+    figures.require_format(figure)
+    file = options.load(joint, figure, estimate=estimate)
     if estimate is None and options.record is None:
         raise MethodError(
             "An estimate is held against a record that it has not seen; expected --estimate FILE, of identify --json, "
@@ -119,7 +112,7 @@ def validate(
     identified = _read_or_identify(file, estimate, options.progress)
     ready(options.progress)
     found = run(identified, file.record(options.record))
-    deliver(found, options.json, (figure, figures.torque), (residuals, figures.residual))
+    deliver(found, options.json, (figure, figures.torque))
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
@@ -149,7 +142,6 @@ def export(
     axis: str | None = None,
     out: Path,
     format: str | None = None,  # noqa: A002
-    side: Literal["motor", "load"] | None = None,
 ) -> None:
     """Write an estimate for another tool.
 
@@ -163,36 +155,27 @@ def export(
             from the record that it names; MJCF and URDF have bodies that fit.
         estimate: what identify --json wrote.
         changes: a key of the joint file and its value, as method.frequency=30, or a setting of the language, as
-            export.timestep=1e-3; may be given several times.
+            export.timestep=1e-3 or export.side=motor; may be given several times.
         axis: of a robot file the name of the one joint that the estimate is of.
         out: the file to write.
         format: the language by its name, as joint-file, instead of the one the ending of the file means.
-        side: of a transmission, whose numbers are written; without it the load's for URDF, MJCF and actuators, and else
-            the side that was identified.
     """
     from jointid.config.toml import apply_changes
     from jointid.estimation.result.estimate import law_fingerprint
     from jointid.output.export import export as run
     from jointid.output.export import find_language
-    from jointid.output.json import load_estimate
 
     of_file = tuple(one for one in changes if not one.startswith("export."))
     file = Options(changes=of_file, axis=axis).load(joint, out, estimate=estimate)
     settings = apply_changes({}, [one for one in changes if one not in of_file]).get("export", {})
     language = find_language(format or out.suffix.lower())
-    system: Any = file
-    if file.robot is not None:
-        if side is not None:
-            raise MethodError("A robot is written as bodies behind their gears; leave --side out.")
-        if language == "urdf" and file.model_path is not None and file.model_path.suffix.lower() == ".urdf":
-            settings |= {"model": file.model_path, "locked": file.locked}
-    else:
-        system = file.joint  # whose controller may be another one
-        settings |= {"side": side, "name": file.name}
+    if file.robot is None:
+        settings |= {"name": file.name}
         settings |= {"file": file, "folder": out.parent} if language == "joint-file" else {}
-    found = _read_or_identify(file, None) if estimate is None else load_estimate(estimate, system)
-    under = found.settings.controller
-    if file.robot is None and file.loop is not None and under not in ("", law_fingerprint(file.loop)):
+    elif language == "urdf" and file.model_path is not None and file.model_path.suffix.lower() == ".urdf":
+        settings |= {"model": file.model_path, "locked": file.locked}
+    found = _read_or_identify(file, estimate, system=file.joint if file.robot is None else file)
+    if file.robot is None and file.loop and found.settings.controller not in ("", law_fingerprint(file.loop)):
         show("The controller of the joint file is not the one the joint was identified under.")
     exported = run(found, language, controllers=file.controllers, **settings)
     exported.save(out)
@@ -201,10 +184,12 @@ def export(
     show(f"Written: {out}")
 
 
-def _read_or_identify(file: File, estimate: Path | None, progress: Progress = ignore_progress) -> Estimate:
+def _read_or_identify(
+    file: File, estimate: Path | None, progress: Progress = ignore_progress, system: Any = None
+) -> Estimate:
     """Return an estimate: from its file, or else from the record that the joint file or robot file names."""
     from jointid.output.json import load_estimate
 
     if estimate is not None:
-        return load_estimate(estimate, file)
+        return load_estimate(estimate, file if system is None else system)
     return file.identify_together([], progress) if file.only_lists else file.identify(file.record(), progress)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import os
 import secrets
 import socket
-import webbrowser
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from jointid.apps.cli.console import make_folder, show, tell
+from jointid.apps.cli.console import show, tell
 from jointid.common.errors import JointidError, extra
-from jointid.common.files import require_room
+from jointid.common.files import explain, require_room
 
 _HOST = "127.0.0.1"  # which no other machine reaches
 _TOKEN = 24  # bytes that nobody guesses
@@ -23,7 +19,6 @@ def serve(
     *,
     port: int = 8765,
     folder: Path = Path("jointid-page"),
-    open_: Annotated[bool, Parameter(name=["--open", "-o"], negative=())] = False,
 ) -> None:
     """Serve the page in the browser.
 
@@ -34,14 +29,14 @@ def serve(
     Args:
         port: to listen at; 0 takes a free one.
         folder: in which records and answers are kept; it is made if it is not there.
-        open_: also open the page in the browser.
     """
     for module in ("uvicorn", "starlette", "python_multipart"):
         extra(module, "web", "The page")
     from jointid.apps.web.application import build_application, run
 
     require_room(folder)
-    make_folder(folder, mode=0o700)
+    with explain(folder):
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
     with socket.socket() as listening:
         try:
@@ -55,11 +50,4 @@ def serve(
         show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
         if os.name == "posix" and folder.stat().st_mode & 0o077:
             tell(f"Warning: other users of this machine may reach {folder} and its records; set its mode (chmod 700).")
-        if open_:
-            # Others on the machine see how a browser is started, and must not see the token there.
-            path = folder.absolute() / "open.html"
-            path.unlink(missing_ok=True)
-            with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w", encoding="utf-8") as file:
-                file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n')
-            webbrowser.open(path.as_uri())
         run(build_application(folder, token), listening)

@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointid.apps.cli.console import DEFAULTS, Options, Quiet, fresh_folder, listen, ready, show
+from jointid.apps.cli.console import DEFAULTS, Options, Quiet, listen, ready, show
 from jointid.common.errors import MethodError
 from jointid.common.files import require_room
-from jointid.common.text import in_words, interval
 
 if TYPE_CHECKING:
     from jointid import Estimate
@@ -60,7 +59,6 @@ def simulate(
 def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:
     """Return the simulation of a joint, what its drive would log, and its document."""
     from jointid import simulate as run
-    from jointid.models.disturbances import EncoderOffset
     from jointid.output.json import simulation_answer
     from jointid.simulation.simulated import require_success
     from jointid.simulation.synthesis import as_record
@@ -70,8 +68,6 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     # What is written begins with its first sample, from where a position loop's offset will be counted.
     driven = replace(file.driving(options.record), begin=0.0)
     values = file.axis.values() if estimate is None else estimate.identified.values
-    if estimate is not None and any(not isinstance(one, EncoderOffset) for one in estimate.identified.effects):
-        options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
     ready(options.progress, derivatives=False)
     found = require_success(run(file.loop, driven, values))
     show(f"{100 * found.at_limit:.2f} % of the time at the limit")
@@ -120,15 +116,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.paper.reproduce import reproduce as run
 
     require_room(out)
-    with fresh_folder(out):
-        ready(listen(quiet))
-        found = run(seed, listen(quiet))
-        written = save(
-            report_reproduction(found, lambda answer: render(torque(answer), "png", 100)), out, "reproduction"
-        )
-    for name in ("motor_inertia", "load_inertia", "stiffness"):
-        best, truth = found.first.best[name], found.first.axis.truth[name]
-        show(
-            f"{in_words(name):14} {interval(best.value or 0.0, 2 * (best.stderr or 0.0))} {best.unit}, truth {truth:g}"
-        )
+    ready(listen(quiet))
+    report = report_reproduction(run(seed, listen(quiet)), lambda answer: render(torque(answer), "png", 100))
+    written = save(report, out, "reproduction")
     show(f"Written: {', '.join(map(str, written))}")

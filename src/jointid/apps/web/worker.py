@@ -2,7 +2,7 @@
 
 The words are those of a command of jointid, or one of the actions below, in the current folder. A file may be damaged
 and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is bounded. It ends when
-the page does, whose end it hears on its standard input. A refusal is printed as that of a command.
+the page does, whose end it hears on its standard input.
 """
 
 from __future__ import annotations
@@ -15,61 +15,61 @@ from typing import Any
 
 import numpy as np
 
+from jointid.apps.cli.app import app, run
 from jointid.apps.web.folder import Draft
-from jointid.apps.web.form import TEXT, at
+from jointid.apps.web.form import TEXT, make_tables, show_tables
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
+from jointid.config.toml import parse_toml
 from jointid.records.inspection import find_band
 
 _DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
-_LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 150, 74, 8, 10, 24
 _LINE = "#0072B2"  # that of what is measured, in all our figures
 
 
-def preview(draft: Draft) -> None:
+def preview() -> None:
     """Write the names of the first record's columns, their plots, and what the names say of the drive."""
-    from jointid.records.formats import read_table
-    from jointid.records.recognition import recognise
+    from jointid import inspect
 
-    options = {one.key.partition(".")[2]: at(draft.tables, one.key) for one in TEXT}
-    given = {key: value for key, value in options.items() if value is not None}
-    every = [read_table(draft.path / name, **given).columns for name in draft.records]
-    columns = every[0]
-    if not columns:
-        raise JointidError(f"{draft.records[0]} holds no column with more than one number; choose another file.")
-    names, log = list(columns), recognise(tuple(columns))
-    for k, name in enumerate(names[:_DRAWN]):
-        (draft.path / f"_plot-{k}.svg").write_text(draw_column(columns[name]), encoding="utf-8")
-    drive, sentence = dict[str, Any](), ""
-    if log is not None:
-        place = log.axes[0].place if len(log.axes) > 1 else {}
-        drive = {"profile": log.profile.name} | {key: value for key, value in place.items() if key != "index"}
-        sentence = log.sentence
+    draft = Draft(Path.cwd())
+    given = make_tables({one.key: draft.texts.get(one.key, "") for one in TEXT}, [])
+    found = inspect(draft.path / draft.records[0], **given.get("record", {}))
+    if not found.channels:
+        raise JointidError(f"{found.file} holds no column with more than one number; choose another file.")
+    for k, channel in enumerate(found.channels[:_DRAWN]):
+        (draft.path / f"_plot-{k}.svg").write_text(draw_column(channel.values), encoding="utf-8")
     listed = [
-        {"name": name, "samples": columns[name].size, "plot": f"{k}.svg" if k < _DRAWN else ""}
-        for k, name in enumerate(names[:_LISTED])
+        {"name": channel.name, "samples": channel.rows, "plot": f"{k}.svg" if k < _DRAWN else ""}
+        for k, channel in enumerate(found.channels[:_LISTED])
     ]
-    draft.write_json("_columns.json", {"columns": listed, "count": len(names), "drive": drive, "sentence": sentence})
+    said: dict[str, Any] = {"columns": listed, "count": len(found.channels), "drive": {}, "sentence": ""}
+    if found.recognised is not None:
+        place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}
+        drive = {"profile": found.recognised.profile.name} | {key: place[key] for key in place if key != "index"}
+        said |= {"drive": drive, "sentence": found.recognised.sentence}
+    draft.write_json("_columns.json", said)
 
 
-def example(draft: Draft) -> None:
-    """Simulate the digital twin, and write its record and joint file."""
+def example() -> None:
+    """Simulate the digital twin, and write its record and what the forms say of it."""
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 
-    write(twin().record, draft.path / "example.csv")
-    draft.write(JOINT_FILE.replace(", optional = true", ""))  # this record has every channel
+    write(twin().record, "example.csv")
+    Draft(Path.cwd()).enter(
+        show_tables(parse_toml(JOINT_FILE.replace(", optional = true", "")))
+    )  # it has every channel
 
 
-def check(draft: Draft) -> None:
+def check() -> None:
     """Read the records as the forms say, and write what the first one holds."""
-    from jointid.config import load_joint
+    from jointid.config import load
 
-    file = load_joint(draft.path / "_reading.toml")
-    first, *_ = [file.record(draft.path / name) for name in draft.records[: 1 if file.source.files else None]]
-    torque = first.torque
+    draft, file = Draft(Path.cwd()), load("_order.toml", learn=True)
+    paths = [None] if file.source.files else [draft.path / name for name in draft.records]
+    torque, *_ = [file.record(path).torque for path in paths]
     assert torque is not None
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
     draft.write_json("_checked.json", size)
@@ -104,35 +104,13 @@ def _end_with_the_page() -> None:
     os._exit(1)
 
 
-def _limit_memory(most: int) -> None:
-    """Bound the memory beside that of the libraries, in bytes, on Linux."""
-    if sys.platform != "linux":
-        return
-    import resource
-
-    taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    least = taken + _LIBRARIES + most
-    resource.setrlimit(resource.RLIMIT_AS, (least if hard == resource.RLIM_INFINITY else min(least, hard), hard))
-
-
-def _act(words: list[str]) -> None:
-    """Carry out an action, or a command, and exit as the command does."""
-    action = {"preview": preview, "example": example, "check": check}.get(words[0])
-    if action is None:
-        from jointid.apps.cli import main
-
-        main(words)
-    else:
-        try:
-            action(Draft(Path.cwd()))
-        except JointidError as error:
-            sys.stderr.writelines(f"jointid: {line}\n" for line in str(error).splitlines())
-            sys.exit(2)
-
-
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
-    # Beside the libraries: one that is loaded at the limit fails in ways of its own, not with `MemoryError`.
-    _limit_memory(int(sys.argv[1]))
-    _act(sys.argv[2:])
+    if sys.platform == "linux":
+        import resource
+
+        bounds = (int(sys.argv[1]), resource.getrlimit(resource.RLIMIT_AS)[1])
+        resource.setrlimit(resource.RLIMIT_AS, (min(one for one in bounds if one != resource.RLIM_INFINITY), bounds[1]))
+    for _action in (preview, example, check):
+        app.command(_action, show=False)
+    run(sys.argv[2:])

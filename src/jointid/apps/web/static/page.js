@@ -1,5 +1,5 @@
-// What the page does beyond its forms, which work without it: keep the draft, show the fields that count, refuse large
-// files, follow an identification. What is shown is a page of the server, put in the place of the old one.
+// What the page does beyond its forms, which work without it: keep the draft, show the fields that count,
+// follow an identification. What is shown is a page of the server, put in the place of the old one.
 "use strict";
 
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
@@ -52,21 +52,8 @@ document.addEventListener("input", (event) => {
 });
 window.addEventListener("pagehide", () => { if (unkept) keep(unkept, true); });
 
-// A file that is too large is refused before it is sent.
-function fits(form) {
-  const files = [...form.querySelector('input[type="file"]').files], most = Number(form.dataset.upload);
-  const large = files.reduce((sum, file) => sum + file.size, 0) > most;
-  const rest = `is larger than ${Math.floor(most / 2 ** 20)} MB, which is the most this page takes; cut it, or log it slower.`;
-  form.querySelector("[data-too-large]").textContent = large ? `${files.map((file) => file.name).join(", ")} ${rest}` : "";
-  return !large;
-}
-
 document.addEventListener("submit", (event) => {
   const form = event.target;
-  if (form.dataset.upload && !fits(form)) {
-    event.preventDefault();
-    return;
-  }
   unkept = null;
   clearTimeout(timer);
   if (form.dataset.busy) say(`${form.dataset.busy} ...`);
