@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
-from jointid.records.checks import find_encoder_step, find_record_warnings
+from jointid.records.checks import find_encoder_lag, find_encoder_step, find_record_warnings
 from jointid.records.clock import Cut, cut_table
 from jointid.records.columns import Column, find_wrap, unwrap
 from jointid.records.drives import Drive
@@ -201,40 +199,28 @@ def test_a_rhythm_and_a_rounding_are_found() -> None:
     assert find_encoder_step(Channel(TORQUE, "N", T)) is None
 
 
-def notes(**values: np.ndarray) -> tuple[str, ...]:
-    channels: dict[str, Any] = {
-        name: Channel(array, "N m" if name == "torque" else "rad", T) for name, array in values.items()
-    }
-    record = Record(**channels)
-    return find_record_warnings(record, record.channels)
-
-
-def test_what_refreshing_does_is_said() -> None:
-    assert notes(torque=TORQUE, motor_position=MOTION) == ()
-    (late,) = notes(torque=slow(4, 0))
-    assert "sample_time = 0.004" in late
+def test_a_torque_that_repeats_its_values_is_said() -> None:
+    steady, repeated = (Record(torque=Channel(values, "N m", T)) for values in (TORQUE, slow(4, 0)))
+    assert find_record_warnings(steady, ("torque",)) == ()
+    assert "sample_time = 0.004" in find_record_warnings(repeated, ("torque",))[0]
 
 
 def test_an_encoder_that_is_late_is_found() -> None:
     smooth = np.sin(5 * TIME) + 0.3 * np.sin(13 * TIME)
-    late = np.interp(TIME - 3e-3, TIME, smooth)
-    (said,) = notes(motor_position=smooth, load_position=late)
-    assert "99% of the difference" in said
-    assert "as if load_position were 3 ms later than motor_position" in said
-    (said,) = notes(motor_position=late, load_position=smooth)
-    assert "motor_position were 3 ms later" in said
     spring = smooth - 1e-3 * np.gradient(np.gradient(smooth, T), T)
-    assert notes(motor_position=smooth, load_position=spring) == ()
+    motor, late, bent = (Channel(one, "rad", T) for one in (smooth, np.interp(TIME - 3e-3, TIME, smooth), spring))
+    assert find_encoder_lag(Record(motor_position=motor, load_position=bent)) is None
+    for load, first in ((late, motor), (motor, late)):
+        lag = find_encoder_lag(Record(motor_position=first, load_position=load))
+        assert lag is not None and lag.late == ("load_position" if load is late else "motor_position")
+        assert lag.lag == pytest.approx(3e-3, rel=0.02) and lag.share > 0.98
 
 
 def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
     for name in ("rec_A", "rec_B"):
         for axis in (1, 2, 3):
-            record = read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis), kind="revolute")
-            (said,) = find_record_warnings(record, record.channels)
-            share, lag = (float(text) for text in re.findall(r"(\d+)%.* were ([\d.]+) ms later", said)[0])
-            assert share >= 94
-            assert 2.7 <= lag <= 3.2
+            lag = find_encoder_lag(read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis)))
+            assert lag is not None and lag.share > 0.935 and 2.65e-3 < lag.lag < 3.25e-3
 
 
 def test_a_second_clock_is_not_cut_by_the_first() -> None:

@@ -150,6 +150,13 @@ def test_two_rates_stand_side_by_side(saved: Saved) -> None:
     assert record.reference.sample_time == 4e-3
     with pytest.raises(RecordError):
         write(record, path)
+    lengths = read(
+        saved(i=TORQUE, r=POSITION[::4]),
+        {"torque": "i", "reference": Column("r", sample_time=4e-3)},
+        sample_time=RATE,
+        kind="prismatic",
+    )
+    assert [channel.sample_time for _, channel in lengths.items()] == [RATE, 4e-3]
 
 
 def test_all_faults_of_a_step_are_reported_at_once(saved: Saved) -> None:

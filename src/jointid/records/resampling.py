@@ -119,13 +119,14 @@ def pick_samples(
     Raises:
         RecordError: a number is missing, or rows and period contradict each other.
     """
+    every_row = clock is not None and clock.stamps.size == values.size
     clock = None if clock is None else clock.over(values.size)
     is_of_clock = clock is not None and clock.stamps.size == values.size
     kept = _find_filled_rows(values, resampled=resampled) if is_of_clock else None
     if kept is None and (faults := finite_faults(what, values)):
         raise RecordError(faults)
     if kept is None and period is not None:
-        if clock is None or not is_of_clock or period < _SLOWER * clock.sample_time:  # samples of its own
+        if clock is None or not every_row or period < _SLOWER * clock.sample_time:  # samples of its own
             return values, uniform_clock(period, values.size, 0.0 if clock is None else clock.first), False
         kept = _find_refreshes(values, period / clock.sample_time)
     if clock is None or not is_of_clock:
