@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -63,26 +62,6 @@ def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> 
     np.testing.assert_allclose(read, fresh, rtol=1e-12)
     said = ji.Report.of(back, logged(0)[1])
     assert json.loads(said.answer())["estimate"]["parameters"] == estimate.to_dict()["parameters"]
-
-
-def spoiled(answer: dict[str, Any], change: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-    copy: dict[str, Any] = json.loads(json.dumps(answer))
-    change(copy)
-    return copy
-
-
-def test_parameters_and_terms_in_another_order_are_the_same(tmp_path: Path) -> None:
-    def turn(answer: dict[str, Any]) -> None:
-        answer["parameters"] = dict(reversed(answer["parameters"].items()))
-        for i, formula in enumerate(answer["robot"]["formulas"]):
-            first, *terms = formula.replace(" - ", " + -").split(" + ")
-            answer["robot"]["formulas"][i] = " + ".join([first, *reversed(terms)]).replace("+ -", "- ")
-
-    path = tmp_path / "out.json"
-    path.write_text(json.dumps(spoiled(found("idim").to_dict(), turn)), "utf-8")
-    back = load_estimate(path, systems()["idim"])
-    assert back.values == found("idim").values
-    np.testing.assert_allclose(back.covariance, found("idim").covariance, rtol=1e-12)
 
 
 def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:

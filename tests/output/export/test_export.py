@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -165,28 +163,6 @@ def test_mistakes_are_refused(folder: Path, words: tuple[object, ...]) -> None:
     before = (folder / "out.json").read_bytes()
     assert exported(folder, *words) == 2
     assert (folder / "out.json").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"schema": "jointid.loop/1"}, {"parameters": []}, {"data": None}, {"parameters": {}}, {"schema": []},
-        {"controller_sha256": float("nan")},
-        *({"settings": one} for one in (
-            {"delay": "0"}, {"effects": [1]}, {"system": {"model": "rigid"}}, {"system": {"kind": "revolute"}},
-            {"system": {"gravity": {"load": "link", "angle": 1.0}}}, {"system": {"transmission": {"side": "load"}}},
-        )),
-    ],
-)  # fmt: skip
-def test_an_answer_of_something_else_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any]
-) -> None:
-    told = json.loads((folder / "out.json").read_text(encoding="utf-8"))
-    change = {key: told[key] | value if isinstance(value, dict) and value else value for key, value in change.items()}
-    (folder / "out.json").write_text(json.dumps(told | change), encoding="utf-8")
-    assert exported(folder, "a.xml") == 2
-    assert "Traceback" not in capsys.readouterr().err
-    assert not (folder / "a.xml").exists()
 
 
 def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:

@@ -12,7 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Tone, Verdicts
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import format_signed, in_words, interval, number, round_to
+from jointid.common.text import format_signed, in_words, interval, number
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
 from jointid.estimation.result.agreement import DriftTest
@@ -400,7 +400,7 @@ def bounds_table(estimate: EstimateParts, caption: str = "") -> Table | None:
         return None
     unit = estimate["stiffness"].unit
     header = ("load's share of the inertia", f"stiffness at least [{unit}]", "free-free mode [Hz]")
-    shown = ["not bounded" if b.stiffness is None else number(round_to(b.stiffness), 3) for b in bounds]
+    shown = ["not bounded" if b.stiffness is None else f"{b.stiffness:.3g}" for b in bounds]
     modes = ["-" if b.stiffness is None or b.frequency is None else f"{b.frequency:.0f}" for b in bounds]
     rows = [(f"{b.share:.2f}", *row) for b, *row in zip(bounds, shown, modes, strict=True)]
     return Table(header, tuple(rows), caption)

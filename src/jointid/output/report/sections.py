@@ -46,9 +46,8 @@ _PICTURES = {
     ),
     "bounds": (
         "Lower bound of the stiffness",
-        "The stiffness is refused, and this is what is known of it instead: what lies in the shaded part is excluded "
-        "with 95 % confidence, for a mode damped by up to 15 %. The more of the inertia is behind the spring, the "
-        "stiffer it must be.",
+        "The stiffness is refused; what lies in the shaded part is excluded with 95 % confidence, for a mode damped by "
+        "up to 15 %. The more of the inertia is behind the spring, the stiffer it must be.",
     ),
     "residual": (
         "Residual",
@@ -75,8 +74,8 @@ _PICTURES = {
     "profiles": (
         "Profiles",
         "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
-        "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
-        "by the slopes at the estimate alone, takes it for. Where the two part, the profile is to be believed.",
+        "criterion has risen. The interval ends where the line passes 2; the dashed line is that of the table's "
+        "interval. Where the two part, the profile is to be believed.",
     ),
     "convergence": (
         "Convergence",
