@@ -22,6 +22,18 @@ _ASKED = """
 # derivative_gain = "? N m s/rad"
 """
 
+_UNKNOWN = """\
+# No profile of a drive knows these columns: {0}.
+# Name those of the channels below, with their units.
+
+"""
+_CHANNELS = """
+[record.channels]
+# torque = { column = "?", unit = "N m" }
+# reference = { column = "?", unit = "rad" }
+# motor_position = { column = "?", unit = "rad" }
+"""
+
 
 def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
     """Return the text of a file that reads a log: of a joint, or of a robot where the log has several axes.
@@ -34,14 +46,13 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         axis: number or name of the axis to read alone.
 
     Raises:
-        RecordError: no profile of a drive knows the columns, or there is no such axis.
+        RecordError: there is no such axis.
     """
     log = found.recognised
     if log is None:
-        raise RecordError(
-            f"{found.file} has no columns that a profile of a drive knows as a position and a torque or a reference; "
-            "name the columns in [record.channels] of a joint file."
-        )
+        names = ", ".join(show(channel.name) for channel in found.channels)
+        text = tomlkit.dumps({"joint": {"kind": "revolute"}, "record": {"file": file}})
+        return _UNKNOWN.format(names) + text + _CHANNELS + _ASKED.format("", "", "pd")
     axes = {axis.name: axis for axis in log.axes}
     axes |= {str(one.place["axis"]): one for one in log.axes if "axis" in one.place}
     if axis is not None and axis not in axes:

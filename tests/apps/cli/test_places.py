@@ -14,6 +14,7 @@ import pytest
 from jointid.apps.cli.console import spare
 from jointid.common.errors import RecordError
 from jointid.common.files import beside, write_folder, write_whole
+from jointid.config.toml import parse_toml
 from jointid.output import json as answers
 from jointid.records.formats import Table, write_table
 from tests.apps.cli.test_commands import EMPS, run
@@ -90,16 +91,12 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
         write_whole(tmp_path, b"a folder")
 
 
-def test_a_log_of_nobody_is_refused_before_anything_is_written(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = contents(place)
-    assert run("inspect", "record.csv", "--json", "new.json", "--write", "new.toml") == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "has no columns that a profile of a drive knows" in said.err
-    assert contents(place) == before
-    write_table("known.csv", Table({"t": np.arange(9) * 1e-3, "q": np.arange(9.0), "tauEst": np.ones(9)}))
-    (place / "new.toml").mkdir()
-    assert run("inspect", "known.csv", "--write", "new.toml") == 2
+def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("inspect", "record.csv", "--write", "new.toml") == 0
+    text = Path("new.toml").read_text(encoding="utf-8")
+    assert "t, vir, qg" in text and parse_toml(text)["record"]["file"] == "record.csv"
+    (place / "taken.toml").mkdir()
+    assert run("inspect", "record.csv", "--write", "taken.toml") == 2
     assert "Traceback" not in capsys.readouterr().err
 
 

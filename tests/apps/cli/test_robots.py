@@ -84,6 +84,21 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
             run(*words)
 
 
+def test_a_saved_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path) -> None:
+    joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
+    for record, kept in (("one.csv", found), ("two.csv", other)):
+        run("identify", joint, "--record", folder / record, "--json", kept)
+    run("validate", joint, "--estimate", found, "--record", folder / "two.csv", "--json", tmp_path / "seen.json")
+    seen = json.loads((tmp_path / "seen.json").read_text("utf-8"))
+    assert seen["answer"]["code"] == "predicted" and all(one["nominal_error"] for one in seen["axes"])
+    run("compare", found, other, "--json", tmp_path / "compared.json")
+    rows = {row["name"]: row for row in json.loads((tmp_path / "compared.json").read_text("utf-8"))["rows"]}
+    assert rows["joint2.viscous"]["p_value"] > 0.01
+    run("export", joint, "--estimate", found, "--out", tmp_path / "saved.urdf")
+    run("export", joint, "--out", tmp_path / "anew.urdf")
+    assert (tmp_path / "saved.urdf").read_text("utf-8") == (tmp_path / "anew.urdf").read_text("utf-8")
+
+
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())

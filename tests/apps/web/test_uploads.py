@@ -142,23 +142,6 @@ def test_a_text_file_can_be_read_in_another_way(client: TestClient, asker: Asker
     assert [column["name"] for column in asker.page.now.json("_columns.json")["columns"]] == ["1", "2"]
 
 
-def test_a_geared_axis_is_asked_for_its_gear_in_step_2_and_passes_it(asker: Asker) -> None:
-    time = 1e-3 * np.arange(4000)
-    command, torque = 30.0 * np.sin(3 * time) ** 3, np.sign(np.cos(3 * time)) + np.sin(7 * time)
-    motor = 100.0 * 30.0 * np.sin(3 * (time - 0.03)) ** 3
-    rows = "\n".join(",".join(map(repr, row)) for row in np.column_stack([time, torque, command, motor]).tolist())
-    assert asker.send("axis.csv", f"t [s],torque [Nm],q_ref [deg],q_m [deg]\n{rows}\n".encode())[0] == 200
-    channels = {"torque": "torque [Nm]", "reference": "q_ref [deg]", "motor_position": "q_m [deg]"}
-    columns = {f"record.channels.{name}.column": column for name, column in channels.items()}
-    status, said = asker.post("/channels", {"joint.kind": "revolute", **columns})
-    assert status == 422
-    assert "transmission.ratio" in said
-    geared = {"transmission.ratio": "100", "record.channels.reference.side": "load"}
-    status, said = asker.post("/channels", geared)
-    assert (status, "The record is sound" in said) == (200, True)
-    assert 'href="/kept-secret/channels"' in said, "and back"
-
-
 def test_units_are_asked_where_nothing_says_them(asker: Asker) -> None:
     rows = "\n".join(f"{0.001 * i},{i % 7},{i * i}" for i in range(50))
     asker.send("a.csv", f"t,force,way [mm]\n{rows}\n".encode())

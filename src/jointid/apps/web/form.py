@@ -18,7 +18,7 @@ import tomlkit
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.common.settings import Declared, Setting
-from jointid.config.declaration import FileKey, list_keys
+from jointid.config.declaration import FileKey, flatten_keys, list_keys
 from jointid.config.tables import JOINT_FILE
 from jointid.config.toml import apply_changes, parse_toml
 from jointid.records.columns import known_units
@@ -62,9 +62,7 @@ class Field:
     @property
     def label(self) -> str:
         """Its key in words."""
-        table, _, last = self.key.rpartition(".")
-        words = (f"{table} {last}" if table in ("gravity", "filtering") else last).replace("_", " ")
-        return f"{words[:1].upper()}{words[1:]}"
+        return self.key.rpartition(".")[2].replace("_", " ").capitalize()
 
     @property
     def is_number(self) -> bool:
@@ -204,7 +202,7 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
         tables = parse_toml(texts.get(EXTRA, ""))
         given = [(one, text) for key, one in fields_of(texts).items() if (text := texts.get(key, ""))]
         changes = [f"{one.key}={one.read(text)}" for one, text in given if (one.key, text) != (LAW, LEARN)]
-        if "records" in tables or _at(tables, "record.files") is not None:
+        if {"records", "record.files"} & flatten_keys(tables).keys():
             records = ()
         changes += [f"record.file={_quote(name)}" for name in records if len(records) == 1]
         made = apply_changes(tables, changes)
@@ -226,9 +224,9 @@ def _confine(value: Any, key: str = "") -> Any:
 
 def show_tables(tables: Tables) -> dict[str, str]:
     """Return the texts of the forms of a joint file, with the keys without a field as further lines."""
-    texts = dict[str, str]()
+    texts, given = dict[str, str](), flatten_keys(tables)
     for _ in range(2):  # what is chosen decides which other fields count
-        shown = {key: one.show(_at(tables, key)) for key, one in fields_of(texts).items()}
+        shown = {key: one.show(given.get(key)) for key, one in fields_of(texts).items()}
         texts |= {key: text for key, text in shown.items() if text is not None}
     return texts | {EXTRA: tomlkit.dumps(_leave_out(tables, {*texts, "record.file"}))}
 
@@ -255,10 +253,3 @@ def clean_name(raw: str) -> str:
     """Return the last part of a path without any character that has a meaning, and unlike names of the page's own."""
     name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])[-_NAME:].strip(" ._") or "record"
     return f"record-{name}" if name.lower() in ("answer.json", "report.html") else name
-
-
-def _at(tables: Any, key: str) -> Any:
-    """Return the value of a key; None if it is not there."""
-    for name in key.split("."):
-        tables = tables.get(name) if isinstance(tables, dict) else None
-    return tables

@@ -35,7 +35,6 @@ from jointid.config import load
 from jointid.config.toml import parse_toml, read_text
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import FORMATS
-from jointid.records.record import CHANNELS
 
 _FORM = 2**19  # bytes of a form beside its files
 _FILES = 50  # of one upload
@@ -182,17 +181,12 @@ async def take_record(request: Request) -> Response:
         options = {name: value for name, value in entries.items() if value}
         fresh.enter(({form.EXTRA: text} if fresh.robot else form.show_tables(tables)) | options)
         await work(fresh.path, folder.READING, "_log.txt", "preview")
-        if not files:
-            fresh.enter(_what_was_said(page.now, fresh) | options)
+        if not files:  # what was said of other records counts for the same columns
+            columns, before = (one.json("_columns.json") for one in (fresh, page.now))
+            same = columns["names"] == before.get("names") and not page.now.robot
+            known = page.now.texts if same else {}
+            fresh.enter((known or form.show_tables({"drive": columns["drive"]})) | options)
     return page.redirect("/joint" if page.now.robot else "/channels")
-
-
-def _what_was_said(before: Draft, fresh: Draft) -> dict[str, str]:
-    """Return what the forms said of other records, where it suits the columns, or what the names of these say."""
-    columns, texts = fresh.json("_columns.json"), before.texts
-    named = {texts.get(f"record.channels.{name}.column", "") for name in CHANNELS} - {""}
-    suits = named and named <= {one["name"] for one in columns["columns"]}
-    return texts if suits else form.show_tables({"drive": columns["drive"]})
 
 
 async def make_example(request: Request) -> Response:

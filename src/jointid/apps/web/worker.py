@@ -44,7 +44,8 @@ def preview() -> None:
         {"name": channel.name, "samples": channel.rows, "plot": f"{k}.svg" if k < _DRAWN else ""}
         for k, channel in enumerate(found.channels[:_LISTED])
     ]
-    said: dict[str, Any] = {"columns": listed, "count": len(found.channels), "drive": {}, "sentence": ""}
+    names = [channel.name for channel in found.channels]
+    said: dict[str, Any] = {"columns": listed, "names": names, "count": len(names), "drive": {}, "sentence": ""}
     if found.recognised is not None:
         place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}
         drive = {"profile": found.recognised.profile.name} | {key: place[key] for key in place if key != "index"}
