@@ -116,7 +116,7 @@ def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
 @pytest.mark.parametrize(
     "choices",
     [
-        {"method": "didm"}, {"filtering": "x"}, {"friction": "dahl"}, {"method": "didim", "friction": "asymmetric"},
+        {"method": "didm"}, {"friction": "dahl"}, {"method": "didim", "friction": "asymmetric"},
         {"changes": ["method.estimator=ols"]}, {"changes": ["method.frequency=0.0"]},
     ],
 )  # fmt: skip
@@ -134,8 +134,6 @@ def test_a_choice_replaces_what_the_file_says() -> None:
     assert loads(text, method="didim") == file  # its settings are kept, though the file does not name it
     assert loads(text, method="idim") == dataclasses.replace(file, method=IDIM())
     assert loads(text.replace("tolerance", 'name = "idim"\n# tolerance'), method="didim").method == DIDIM()
-    assert loads(text, filtering="published") == dataclasses.replace(file, filtering=Filtering.published())
-    assert loads(text, filtering="default") == dataclasses.replace(file, filtering=Filtering())
     assert loads(text, friction="asymmetric").joint == RigidJoint("prismatic", friction=AsymmetricFriction())
     assert loads(text, friction="symmetric") == file
 
@@ -144,7 +142,7 @@ def test_keys_are_set_after_the_choices() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + "[method]\ntolerance = 1e-3"
     assert loads(text, changes=[]) == loads(text)
     assert loads(text, changes=["method.frequency=42.0"]).method == DIDIM(tolerance=1e-3, frequency=42.0)
-    changed = loads(text, changes=["method.frequency=20.0"], filtering="published")
+    changed = loads(text, changes=["method.frequency=20.0", "filtering={preset='published'}"])
     assert changed.method == DIDIM(tolerance=1e-3, frequency=20.0)
     assert changed.filtering == Filtering.published()
     whole = ['method={name="didim", frequency=20.0}']  # in place of the whole table
@@ -158,7 +156,6 @@ def test_keys_are_set_after_the_choices() -> None:
 def test_a_choice_holds_against_a_change() -> None:
     text = SMALLEST + "[method]\ntolerance = 1e-3"
     assert loads(text, changes=["method.name=idim"], method="didim").method == DIDIM(tolerance=1e-3)
-    assert loads(text, changes=["filtering.preset=published"], filtering="default").filtering == Filtering()
     file = loads(text, changes=["joint.friction=symmetric"], friction="asymmetric")
     assert file.joint.friction == AsymmetricFriction()
 

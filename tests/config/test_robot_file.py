@@ -16,12 +16,10 @@ from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.payload import identify_payload
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
-from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS
 from jointid.output.export import export
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate
@@ -90,27 +88,6 @@ def test_a_robot_and_its_record(folder: Path) -> None:
         assert record.torque.values == pytest.approx(2.0 * gear * rows[:, i])
         assert record.motor_position.values == pytest.approx(rows[:, 3 + i] / gear)
         assert record.reference.values == pytest.approx(rows[:, 6 + i] / gear)
-
-
-def test_clocks_and_wraps_of_a_robot_are_repaired_as_those_of_a_joint(folder: Path) -> None:
-    time, random = np.arange(2000) * 0.002, np.random.default_rng(5)
-    stamps = time + 0.2 * 0.002 * random.random(time.size)
-    motion = np.sin(np.outer(3 * stamps, (1.0, 0.7, 0.5)))
-    wrapped = motion * (4.0, 100.0, 4.0)  # a motor behind 100:1 turns 16 times
-    rows = np.column_stack([stamps, motion, np.mod(wrapped, 2 * np.pi), wrapped])
-    names = ["t", "i_0", "i_1", "i_2", "joint0.q", "joint1.q", "joint2.q", "r1", "r2", "last"]
-    rows = np.insert(rows, [301], rows[300], axis=0)
-    np.savetxt(folder / "log.csv", rows, delimiter=",", header=",".join(names), comments="")
-    (folder / "robot.toml").write_text(TEXT.replace("sample_time = 0.002", 'time = "t"'), encoding="utf-8")
-    for record, gear, size in zip(load(folder / "robot.toml").records(), (1, 100, 1), (4.0, 100.0, 4.0), strict=True):
-        assert record.motor_position is not None and record.reference is not None and record.resampled is not None
-        np.testing.assert_allclose(record.motor_position.values, record.reference.values, atol=1e-5)
-        assert np.ptp(record.motor_position.values) == pytest.approx(2 * size / gear, rel=1e-3)
-        assert len(record.remarks) == 3
-    (folder / "robot.toml").write_text(
-        TEXT.replace("sample_time = 0.002", 'time = "t"\nstart = 1.0\nstop = 3.0'), encoding="utf-8"
-    )
-    assert load(folder / "robot.toml").records()[2].duration == pytest.approx(2.0, abs=0.01)
 
 
 def test_what_is_written_is_read_back(folder: Path) -> None:
@@ -366,14 +343,7 @@ def test_a_method_and_a_friction_are_chosen_as_of_a_joint_file(folder: Path) -> 
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     kept = load(folder / "robot.toml", method="drive_side")
     assert kept.method == DriveSideFit(log_delay=0.001)
-    file = load(folder / "robot.toml", method="idim", friction="asymmetric", filtering="published")
+    file = load(folder / "robot.toml", method="idim", friction="asymmetric")
     assert file.method == IDIM() and all(one.asymmetric for one in file.robot.joints)
-    assert file.filtering == Filtering.published()
     again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints
-
-
-def test_limits_of_a_joint_are_those_of_a_joint_file(folder: Path) -> None:
-    limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, jerk = 5.0 }"
-    found = loads(TEXT.replace("viscous = 3.0", limits), folder).limits
-    assert found[0] == AxisLimits(lower=-1.0, upper=1.0, speed=2.0, jerk=5.0) and not found[1].stated

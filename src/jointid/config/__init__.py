@@ -2,12 +2,12 @@
 
 from jointid.config.axis import Axis
 from jointid.config.file import File
-from jointid.config.loading import dumps, load, load_joint, loads, require_joint
+from jointid.config.loading import dumps, load, loads
 from jointid.config.serialise import controller_text, learned_text, save_with_controller
 from jointid.config.source import Run, Source, Together
 from jointid.config.toml import edit, move_paths, name_record, replace_table
 
 __all__ = [
-    "Axis", "File", "Run", "Source", "Together", "controller_text", "dumps", "edit", "learned_text", "load",
-    "load_joint", "loads", "move_paths", "name_record", "replace_table", "require_joint", "save_with_controller",
+    "Axis", "File", "Run", "Source", "Together", "controller_text", "dumps", "edit", "learned_text", "load", "loads",
+    "move_paths", "name_record", "replace_table", "save_with_controller",
 ]  # fmt: skip

@@ -25,11 +25,11 @@ def load(
     *,
     axis: str | None = None,
     method: str | None = None,
-    filtering: str | None = None,
     friction: str | None = None,
     learn: bool = False,
+    what: str = "",
 ) -> File:
-    """Load a joint file, or a robot file, which has the table [robot]; it is checked completely.
+    """Load a joint file, or a robot file, which has the table [robot]; it is checked before anything runs.
 
     Args:
         path: of the TOML file, in UTF-8.
@@ -38,58 +38,18 @@ def load(
             `method` and `gravity`, and with its numbers as starts. Changes of [method] are then of its own method.
         method: its name, whatever the file and the changes say. Settings of [method] are kept if the file names no
             other method and this one has them.
-        filtering: a preset, whatever the file and the changes say.
-        friction: the name of a law, likewise, of a robot for every joint.
+        friction: the name of a law, of a robot for every joint, whatever the file and the changes say.
         learn: whether the gains of the controller, or all of it, may be missing; a missing gain is 1.
+        what: the work, the beginning of a sentence, if it is for a single joint.
 
     Raises:
         JointFileError: the file, or the model of a robot that it names, cannot be read, is no TOML, or has faults;
             `faults` has a sentence for each.
-        MethodError: the robot has no such joint.
+        MethodError: the robot has no such joint, or none is named for work on a single one.
         ExtraError: MuJoCo, which reads the model of a robot, is not installed.
     """
     path = Path(path)
-    return _load(read_text(path), path, changes, axis, method, filtering, friction, learn)
-
-
-def load_joint(
-    path: str | os.PathLike[str], changes: Iterable[str] = (), *, what: str = "This work", **choices: Any
-) -> File:
-    """Load a joint file, or one joint of a robot file, for work on a single joint.
-
-    Args:
-        path: as of `load`.
-        changes: as of `load`.
-        what: the work, the beginning of the sentence.
-        choices: further arguments of `load`.
-
-    Raises:
-        JointFileError: see `load`.
-        MethodError: it is a robot file, and no axis is named.
-    """
-    path = Path(path)
-    if choices.get("axis") is None and "robot" in parse_toml(read_text(path)):  # before the choices of one joint
-        raise _robot_error(path, what)
-    return require_joint(load(path, changes, **choices), what)
-
-
-def require_joint(file: File, what: str) -> File:
-    """Return a file that is a joint's.
-
-    Args:
-        file: as `load` returns it.
-        what: the work that is not done with a robot, the beginning of the sentence.
-
-    Raises:
-        MethodError: it is a robot file.
-    """
-    if file.robot is None:
-        return file
-    raise _robot_error(file.path, what)
-
-
-def _robot_error(path: Path, what: str) -> MethodError:
-    return MethodError(f"{what} takes one joint, and {path} is a robot file; name one of its joints by --axis.")
+    return _load(read_text(path), path, changes, axis, method, friction, learn, what)
 
 
 def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: Any) -> File:
@@ -115,12 +75,14 @@ def _load(
     changes: Iterable[str] = (),
     axis: str | None = None,
     method: str | None = None,
-    filtering: str | None = None,
     friction: str | None = None,
     learn: bool = False,
+    what: str = "",
 ) -> File:
     """Return the file of a text with changes; see `load`."""
     tables = parse_toml(text)
+    if what and axis is None and "robot" in tables:  # before the choices of one joint
+        raise MethodError(f"{what} takes one joint, and {path} is a robot file; name one of its joints by --axis.")
     joints = tables.get("joints")
     names = [one.get("name") for one in joints if isinstance(one, dict)] if isinstance(joints, list) else []
     below = ["joints", str(names.index(axis) + 1)] if "robot" in tables and axis in names else []
@@ -128,9 +90,6 @@ def _load(
     if method is not None:
         first.append(partial(_keep_settings, path=[*below, "method"], method=method))
         last.append(partial(put, path=[*below, "method", "name"], value=method))
-    if filtering is not None:
-        first.append(partial(put, path=["filtering"], value={}))
-        last.append(partial(put, path=["filtering", "preset"], value=filtering))
     if friction is not None:
         laws = [["joints", str(number + 1)] for number in range(len(names))] or [["joint"]]
         last += [partial(put, path=[*law, "friction"], value=friction) for law in laws]
@@ -175,6 +134,6 @@ def _stand_ins(raw: Mapping[str, Any]) -> dict[str, float]:
     given = raw.get("controller", {})
     if "robot" in raw or not isinstance(given, dict) or not isinstance(law := given.get("law", "cascade"), str):
         return {}
-    known = {*given, *(one.gives for one in INSTEAD.get(law, ()) if one.name in given)}
+    known = {*given, *(gives for name, (gives, *_) in INSTEAD.get(law, {}).items() if name in given)}
     needed = keys_of(LAWS[law]).values() if law in LAWS else ()
     return {one.name: 1.0 for one in needed if one.required and one.type is float and one.name not in known}

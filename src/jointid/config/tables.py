@@ -40,50 +40,29 @@ _FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Instead:
-    """A key that says another one of its table in other words.
+Instead: TypeAlias = tuple[str, str, str, Callable[[float, float], float]]
+"""The key that another one gives; meaning and unit of the other, and what computes the key, with the position gain."""
 
-    Attributes:
-        name: of the key.
-        gives: the other one.
-        help: what it means.
-        compute: takes its value, and the position gain of a law, to that of the other.
-        unit: of its value.
-    """
-
-    name: str
-    gives: str
-    help: str
-    compute: Callable[[float, float], float]
-    unit: str = "s"
-
-
-_DERIVATIVE = Instead(
-    "derivative_time", "derivative_gain", "derivative time Td: derivative_gain = position_gain x derivative_time",
+_DERIVATIVE: Instead = (
+    "derivative_gain", "derivative time Td: derivative_gain = position_gain x derivative_time", "s",
     lambda time, gain: gain * time,
 )  # fmt: skip
-INSTEAD: Mapping[str, tuple[Instead, ...]] = {
-    "cascade": (
-        Instead(
-            "integral_time", "integral_gain", "integral time Tn of the velocity loop, 1 over its integral gain",
-            lambda time, _: 1.0 / time,
-        ),
-    ),
-    "pd": (_DERIVATIVE,),
-    "pid": (
-        _DERIVATIVE,
-        Instead(
-            "integral_time", "integral_gain", "integral time Ti: integral_gain = position_gain / integral_time",
-            lambda time, gain: gain / time,
-        ),
-    ),
-    "first_order": (
-        Instead("cutoff", "time_constant", "1 / (2 pi time_constant)", lambda hertz, _: 0.5 / (math.pi * hertz), "Hz"),
-    ),
-    "second_order": (Instead("cutoff", "frequency", "its frequency", lambda hertz, _: hertz, "Hz"),),
+INSTEAD: Mapping[str, Mapping[str, Instead]] = {
+    "cascade": {"integral_time": (
+        "integral_gain", "integral time Tn of the velocity loop, 1 over its integral gain", "s",
+        lambda time, _: 1.0 / time,
+    )},
+    "pd": {"derivative_time": _DERIVATIVE},
+    "pid": {"derivative_time": _DERIVATIVE, "integral_time": (
+        "integral_gain", "integral time Ti: integral_gain = position_gain / integral_time", "s",
+        lambda time, gain: gain / time,
+    )},
+    "first_order": {"cutoff": (
+        "time_constant", "1 / (2 pi time_constant)", "Hz", lambda hertz, _: 0.5 / (math.pi * hertz),
+    )},
+    "second_order": {"cutoff": ("frequency", "its frequency", "Hz", lambda hertz, _: hertz)},
 }  # fmt: skip
-"""The keys in other words of each law and each kind of filter."""
+"""By each law and each kind of filter, and by its name, the keys in other words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,21 +211,18 @@ def _make_record(channels: Mapping[str, Column] | None = None, **given: Any) -> 
 
 def _variant(word: str, keys: Mapping[str, Declared], owner: Callable[..., Any]) -> Table:
     """Return the table of a law or of a kind of filter, with the keys that say others in other words."""
-    known, instead = dict(keys), INSTEAD.get(word, ())
-    for one in instead:
-        known |= key(one.name, float, one.help, unit=one.unit, above=0)
-        if keys[one.gives].required:
-            known[one.gives] = replace(keys[one.gives], default=None)
+    known, instead = dict(keys), INSTEAD.get(word, {})
+    for name, (gives, means, unit, _) in instead.items():
+        known |= key(name, float, means, unit=unit, above=0)
+        known[gives] = replace(keys[gives], default=None) if keys[gives].required else keys[gives]
 
     def make(**given: Any) -> Any:
         stated = frozenset(given)
-        for one in instead:
-            if one.name in given and one.gives in given:
-                raise key_error(one.name, f" stands beside {one.gives}, which says the same: leave one out.")
-            if one.name in given:
-                given[one.gives] = one.compute(given.pop(one.name), given.get("position_gain", 1.0))
-            elif one.gives not in given and keys[one.gives].required:
-                raise key_error(one.gives, f" is missing; expected it, or {one.name}: add one.", "missing")
+        for name, (gives, _, _, compute) in instead.items():
+            if (name in given and gives in given) or (keys[gives].required and not {name, gives} & given.keys()):
+                raise key_error(gives, f" and {name} say the same; expected one of them.", "missing")
+            if name in given:
+                given[gives] = compute(given.pop(name), given.get("position_gain", 1.0))
         return owner(stated | given.keys(), **given)
 
     return Table(known, make)

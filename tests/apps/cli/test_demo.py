@@ -9,7 +9,7 @@ import pytest
 
 from jointid.apps.cli import main
 from jointid.apps.cli.demo import FIRST_DAY
-from jointid.config import load_joint
+from jointid.config import load
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -47,7 +47,7 @@ def test_a_fleet_is_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFi
     place = tmp_path / "fleet"
     assert run("demo", "--fleet", place, "-q") == 0
     assert len([*place.glob("logs/axis-00?/*.npy")]) == 4 * 9
-    record = load_joint(place / "joint.toml").record(place / "logs" / "axis-001" / f"{FIRST_DAY}.npy")
+    record = load(place / "joint.toml").record(place / "logs" / "axis-001" / f"{FIRST_DAY}.npy")
     assert record.torque is not None and record.torque.values.size == 8000
     said = capsys.readouterr()
     assert f"jointid campaign {place}/campaign.toml" in said.out

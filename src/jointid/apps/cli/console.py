@@ -137,14 +137,14 @@ class Options:
             MethodError: it is a robot file, and the work is for a joint.
             RecordError: an output is refused, see `spare`, the estimate is none, or a record stands for the file.
         """
-        from jointid.config import load, load_joint
+        from jointid.config import load
         from jointid.output.json import read_choices
 
         require_kinds(joint, *self.records)
         spare((self.json, *outputs), joint, *self.records, estimate)
-        given: dict[str, Any] = {"axis": self.axis, "method": method}
+        given: dict[str, Any] = {"axis": self.axis, "method": method, "what": what}
         given |= {} if estimate is None else read_choices(estimate)
-        file = load_joint(joint, self.changes, what=what, **given) if what else load(joint, self.changes, **given)
+        file = load(joint, self.changes, **given)
         for record in self.records or (None,):
             spare((self.json, *outputs), *file.inputs(record))
         return file.of_record(self.records[0]) if len(self.records) == 1 else file

@@ -34,12 +34,10 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
         laws: also compare the laws of spring and friction, each by how well it predicts parts of the record that were
             kept from its fit.
     """
-    from jointid.config import require_joint
-
     file = options.load(joint)
     if file.robot is None and file.loop is not None:
         file = options.load(joint, method="didim")
-    if laws and require_joint(file, "A comparison of laws").loop is None:
+    if laws and file.axis.loop is None:
         raise MethodError("Laws are compared in the closed loop; declare the [controller].")
     several = options.record is None and file.only_lists
     paths = file.listed if several else [Path(file.record_path(options.record))]

@@ -69,7 +69,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             else, comments too, stays as it is, but for the paths of records, which from another folder lead to the same
             files.
     """
-    from jointid.config import learned_text, load_joint, save_with_controller
+    from jointid.config import learned_text, load, save_with_controller
 
     if write is not None and options.axis is not None:
         raise MethodError(
@@ -78,7 +78,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
         )
     spare((options.json, write), joint, options.record)
     what = "Learning a controller"
-    file = load_joint(joint, options.changes, what=what, axis=options.axis, learn=True)
+    file = load(joint, options.changes, what=what, axis=options.axis, learn=True)
     spare((options.json, write), *file.inputs(options.record))
     learned = file.learn_controller(file.record(options.record), options.progress)
     learned = learned.beside(file.axis.drive_numbers(learned.controller))
