@@ -138,6 +138,15 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
         list(Log(tmp_path / "none.csv", CHANNELS).chunks(20, 4))
 
 
+def test_a_column_that_a_block_lacks_is_passed_over_with_its_clock() -> None:
+    one, two = np.zeros(2), np.ones(3)
+    first = Table({"t": one, "q": one, "state": one}, clocks={"q": "state"})
+    whole = join_tables([first, Table({"t": two, "q": two}, passed={"state": "it holds text"})])
+    assert list(whole.columns) == ["t", "q"]
+    np.testing.assert_array_equal(whole.columns["q"], [0, 0, 1, 1, 1])
+    assert (dict(whole.passed), dict(whole.clocks)) == ({"state": "it holds text"}, {})
+
+
 SHAPED = {
     "rows": lambda m: m, "by columns": np.asfortranarray, "on its side": lambda m: np.ascontiguousarray(m.T),
     "on its side, by columns": lambda m: m.T, "3 x 1 x N": lambda m: np.ascontiguousarray(m.T)[:, None, :],

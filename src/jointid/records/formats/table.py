@@ -95,7 +95,7 @@ class Table:
 
 
 def join_tables(tables: Iterable[Table]) -> Table:
-    """Concatenate tables; a column missing in a later one ends there."""
+    """Concatenate tables; a column that one of them lacks is passed over."""
     every, numbers = list[Table](), 0
     for table in tables:
         every.append(table)
@@ -103,8 +103,13 @@ def join_tables(tables: Iterable[Table]) -> Table:
         require_room(table.source, numbers)
     if len(every) == 1:
         return every[0]
-    parts = {name: [table.columns[name] for table in every if name in table.columns] for name in every[0].columns}
-    return replace(every[0], columns={name: freeze(np.concatenate(values)) for name, values in parts.items()})
+    shared = [name for name in every[0].columns if all(name in table.columns for table in every)]
+    return replace(
+        every[0],
+        columns={name: freeze(np.concatenate([table.columns[name] for table in every])) for name in shared},
+        passed={name: why for table in every for name, why in table.passed.items()},
+        clocks={name: clock for name, clock in every[0].clocks.items() if clock in shared},
+    )
 
 
 @dataclass(slots=True)
