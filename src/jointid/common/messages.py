@@ -51,41 +51,16 @@ class Suspicion(Detail):
     """A line of progress "brief: why" on an attempt that fails.
 
     Attributes:
-        why: the reason, a sentence.
         of_drive: whether the record may come from another drive.
     """
 
-    why: str
     of_drive: bool
 
     def __new__(cls, brief: str, why: object, *, of_drive: bool = False) -> Self:
         """Return the line, without the reason where `brief` ends with it."""
         made = super().__new__(cls, brief if brief.endswith(str(why)) else f"{brief}: {why}")
-        made.brief, made.why, made.of_drive = brief, str(why), of_drive
+        made.brief, made.of_drive = brief, of_drive
         return made
-
-
-class Suspicions:
-    """A listener that keeps the latest reason.
-
-    Args:
-        progress: the listener that it passes lines to.
-        look: called after each suspicion of the drive.
-
-    Attributes:
-        latest: the reason that was told last; empty where none was.
-    """
-
-    def __init__(self, progress: Progress, look: Callable[[], object] = tuple) -> None:
-        self._progress, self._look, self.latest = progress, look, ""
-
-    def __call__(self, message: str) -> None:
-        """Pass on a line."""
-        self._progress(message)
-        if isinstance(message, Suspicion):
-            self.latest = message.why
-            if message.of_drive:
-                self._look()
 
 
 class Work:
