@@ -1,4 +1,4 @@
-"""Drives with a smooth law that shows."""
+"""Drives with a law that is no line, and that shows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointid.models.friction import FRICTIONS
+from jointid.models.friction import FRICTIONS, StribeckFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS
@@ -24,6 +24,9 @@ LAWS = (
     "elastic-load",
     "ripple",
 )
+"""Smooth laws."""
+PIECES = ("stribeck", "three-piece", "backlash")
+"""Laws in pieces."""
 
 
 def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
@@ -34,7 +37,7 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
     assert own.load_position is not None
     windup = float(np.max(np.abs(own.motor_position - own.load_position)))
     travel, stiffness = float(np.ptp(own.motor_position)), case.truth["stiffness"]
-    duration = own.torque.size * own.sample_time
+    duration, fastest = own.torque.size * own.sample_time, float(np.max(np.abs(own.motor_velocity)))
     more = {
         "presliding": {"motor_presliding_distance": 3e-3 * travel, "load_presliding_distance": 2e-3 * travel},
         "load-dependent": {"load_friction_per_torque": 0.15},
@@ -53,6 +56,13 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
         "elastic-load": {
             "swinging_share": 0.4, "swinging_stiffness": 2.5 * stiffness, "swinging_damping": case.truth["damping"]
         },
+        "stribeck": {f"{side}_stribeck_force": 0.4 * case.truth[f"{side}_coulomb"] for side in ("motor", "load")}
+        | {f"{side}_stribeck_speed": 0.05 * fastest for side in ("motor", "load")},
+        "three-piece": {
+            "stiffness": 0.6 * stiffness, "stiffness_2": stiffness, "stiffness_3": 1.4 * stiffness,
+            "torque_1": 0.3 * stiffness * windup, "torque_2": 0.6 * stiffness * windup,
+        },
+        "backlash": {"gap": 0.5 * windup},
         "ripple": {"harmonic_1_cosine": 0.1 * stiffness * windup, "harmonic_1_sine": -0.05 * stiffness * windup},
     }[law]  # fmt: skip
     if law == "ripple":
@@ -60,3 +70,24 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
     else:
         other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())
     return replace(case.loop, joint=other), case.truth | more
+
+
+RISES = {"stribeck_force": 0.4, "stribeck_speed": 0.05}  # of the Coulomb friction, and of the largest speed
+FALLS = {"stribeck_force": -0.4, "stribeck_speed": 0.05}
+
+
+def slow(case: Case, shares: dict[str, float]) -> tuple[ClosedLoop, dict[str, float]]:
+    """The drive with another friction towards standstill."""
+    joint = case.loop.joint
+    own = simulate(case.loop, prepare(case.loop, case.clean), case.truth)
+    values = dict(case.truth)
+    for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
+        values[f"{prefix}stribeck_force"] = shares["stribeck_force"] * values[f"{prefix}coulomb"]
+        values[f"{prefix}stribeck_speed"] = shares["stribeck_speed"] * float(np.max(np.abs(own.motor_velocity)))
+    return replace(case.loop, joint=replace(joint, friction=StribeckFriction())), values
+
+
+def rigid(case: Case) -> Case:
+    joint = case.loop.joint
+    assert isinstance(joint, FlexibleJoint)
+    return replace(case, loop=replace(case.loop, joint=joint.rigid), truth=joint.rigid_sums(case.truth))

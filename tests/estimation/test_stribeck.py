@@ -21,7 +21,7 @@ from jointid.uncertainty.verdict import Subject
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.plants import Case, prismatic
-from tests.simulation.test_friction_in_pieces import FALLS, RISES, rigid, slow
+from tests.smooth_laws import FALLS, RISES, rigid, slow
 
 EMPS_RESIDUAL = {"symmetric": (4.48, 5.41), "stribeck": (3.79, 4.93), "asymmetric-stribeck": (2.72, 4.13)}
 

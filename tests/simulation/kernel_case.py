@@ -7,11 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from jointid.models.smooth import SmoothLaws
+from jointid.models.smooth import SmoothFriction, SmoothSpring
 from jointid.simulation.kernels import drive as kernels
 from jointid.simulation.kernels import engine
-from jointid.simulation.plant import plant_of_numbers
+from jointid.simulation.plant import assemble, motion_of
 from tests.simulation.oracle import Law, Plant
+
+Laws = tuple[SmoothFriction, SmoothFriction, SmoothSpring]
 
 
 def drive(plant: Plant) -> np.ndarray:
@@ -33,32 +35,37 @@ def bands(points: tuple[tuple[float, float], ...]) -> list[tuple[float, float, f
     return found
 
 
-def segments(plant: Plant) -> np.ndarray:
-    """Return the kernel's rows for a spring and a friction in pieces: each side's, from the line through each piece."""
-    if not (plant.pieces or plant.more1 or plant.more2):
-        return kernels.NO_SEGMENTS
-    pieces = plant.pieces or ((0.0, 0.0, plant.stiffness, plant.damping),)
-    motor, load = bands(plant.more1), bands(plant.more2)
-    steps = [len(motor) * len(load), len(load), 1]
-    springs, ends = [], [*(piece[0] for piece in pieces[1:]), math.inf]
-    for i, ((begin, torque, stiffness, damping), end) in enumerate(zip(pieces, ends, strict=True)):
-        for side in (1.0,) if i == 0 else (-1.0, 1.0):
-            row = drive(plant)
-            row[2:4] = stiffness, damping
-            row[12:] += np.array([-1.0, 1.0]) * side * (torque - stiffness * begin)
-            low, high = (begin, end) if side > 0 else (-end, -begin)
-            springs.append([*row, -end if i == 0 else low, high])
-    rows = []
-    for spring in sorted(springs, key=lambda row: row[14]):
-        for one in motor:
-            for two in load:
-                row = np.array([*spring, *one[:2], *two[:2], *steps])
-                row[4:6] += one[2]
-                row[6:8] += one[3]
-                row[8:10] += two[2]
-                row[10:12] += two[3]
-                rows.append(row)
-    return np.array(rows)
+FINE = 0.005  # rad in a step
+NOTHING = SmoothFriction(), SmoothFriction(), SmoothSpring()
+
+
+def mass(
+    inertia: float, offset: float, fv: tuple[float, float], fc: tuple[float, float],
+    points: tuple[tuple[float, float], ...], smooth: SmoothFriction,
+) -> np.ndarray:  # fmt: skip
+    """Return the engine's rows of a mass, one for each line of its friction's rest."""
+    winding = 1.0 / smooth.presliding if smooth.presliding else 0.0
+    return np.array([
+        [inertia, offset, *(v + slope for v in fv), *(c + more for c in fc), winding, *smooth[1:], high]
+        for _, high, slope, more in bands(points)
+    ])  # fmt: skip
+
+
+def engine_plant(plant: Plant, laws: Laws, places: np.ndarray) -> engine.Plant:
+    """Return the engine's numbers of a plant of the oracle."""
+    motor, load, more = laws
+    masses = [mass(plant.inertia1, plant.offset, plant.fv1, plant.fc1, plant.more1, motor)]
+    springs = []
+    if plant.inertia2 is not None:
+        own = (1.0 - more.swing_share) * plant.inertia2
+        masses.append(mass(own, plant.load_offset, plant.fv2, plant.fc2, plant.more2, load))
+        beside = more.cubic, more.slips, more.slider / more.slips if more.slips else 0.0
+        pieces = plant.pieces or ((0.0, 0.0, plant.stiffness, plant.damping),)
+        springs.append(np.array([[k, d, *beside, torque - k * begin, begin] for begin, torque, k, d in pieces]))
+    if more.swing_share:
+        masses.append(mass(more.swing_share * (plant.inertia2 or 0.0), 0.0, (0, 0), (0, 0), (), SmoothFriction()))
+        springs.append(np.array([[more.swing_stiffness, more.swing_damping, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+    return assemble(masses, springs, places, [(0, 1), (1, 2)][: len(springs)], [0], [-1, 0, 1][: len(masses)])
 
 
 def run(
@@ -71,7 +78,7 @@ def run(
     before: float,
     x0: np.ndarray,
     far: float = math.inf,
-    laws: SmoothLaws | None = None,
+    laws: Laws | None = None,
     places: np.ndarray | None = None,
     reach: float = engine.REACH,
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
@@ -85,36 +92,52 @@ def run(
     nz = np.size(law.C)
     x = np.zeros(4)
     x[: len(x0)] = x0
-    u, states, counts = np.empty(len(w)), np.empty((len(w) * len(lengths), 4)), np.zeros(4, dtype=np.int64)
+    n, parts, counts = len(w), len(lengths), np.zeros(4, dtype=np.int64)
+    u, states = np.empty(n), np.zeros((n * parts, 4))
     feedback = kernels.Feedback(
-        np.array(law.A, dtype=float).reshape(1, nz, nz),
-        np.array(law.Bq, dtype=float).reshape(1, nz),
-        np.array(law.Be, dtype=float).reshape(1, nz, 1),
-        np.array(law.C, dtype=float).reshape(1, 1, nz),
-        np.array([[law.D]], dtype=float),
-        np.zeros((1, 1, 1)),
-        np.array([law.limit], dtype=float),
-        np.array([-1]),
-        np.zeros((0, nz)),
-        0,
+        np.array(law.A, dtype=float).reshape(1, 1, nz, nz),
+        np.array(law.Bq, dtype=float).reshape(1, 1, nz),
+        np.array(law.Be, dtype=float).reshape(1, 1, nz, 1),
+        np.array(law.C, dtype=float).reshape(1, 1, 1, nz),
+        np.array([[[law.D]]], dtype=float),
+        np.zeros((1, 1, 1, 1)),
+        np.array([[law.limit]], dtype=float),
+        np.array([[-1]]),
+        np.zeros((1, 0, nz)),
+        np.zeros(1, dtype=np.int64),
     )
     loop = kernels.SampledLoop(
         np.array(lengths),
-        np.array(lags),
+        np.array([lags]),
+        np.ones(1, dtype=np.int64),
         feedback,
-        np.ascontiguousarray(w, dtype=float)[np.newaxis],
-        np.ascontiguousarray(post, dtype=float),
+        np.ascontiguousarray(w, dtype=float)[np.newaxis, np.newaxis],
+        np.ascontiguousarray(post, dtype=float)[np.newaxis],
     )
-    z = np.array(law.z0, dtype=float).reshape(nz).copy()
-    modes, pushed = np.empty(len(states), dtype=np.int16), np.empty((len(states), 2))
-    tape = np.empty((0, kernels.TAPE if laws is None else engine.STEP_TAPE))
-    trace = kernels.Trace(u, np.empty((0, 1)), states, modes, pushed, tape, counts)
-    if laws is not None:
-        places = np.zeros((0, 5)) if places is None else places
-        numbers = plant_of_numbers(drive(plant), laws, places, flexible=plant.inertia2 is not None)
-        status = engine.run(*numbers, loop, float(before), z, x, float(np.sign(x[1])), far, reach, trace)
-    else:
-        load = float(plant.inertia2 is not None)
-        gravity = np.array([*plant.gravity, load]) if any(plant.gravity) else kernels.NO_GRAVITY
-        status = kernels.run(drive(plant), loop, float(before), z, x, far, trace, gravity, segments(plant))
-    return status, u, states[:: len(lengths)], counts
+    z = np.array(law.z0, dtype=float).reshape(1, nz).copy()
+    if laws is None and not (plant.pieces or plant.more1 or plant.more2 or any(plant.gravity)):
+        trace = kernels.Trace(
+            u, np.empty((0, 1)), states, np.empty(len(states), dtype=np.int16), np.empty((0, kernels.TAPE)), counts
+        )
+        status = kernels.run(drive(plant), loop, float(before), z, x, far, trace)
+        return status, u, states[::parts], counts
+    places = np.zeros((0, 5)) if places is None else places
+    if any(plant.gravity):
+        places = np.vstack([places, [*plant.gravity, float(plant.inertia2 is not None)]])
+    numbers = engine_plant(plant, laws or NOTHING, places)
+    masses, side = len(numbers.masses), np.minimum(np.arange(len(numbers.masses)), 1)
+    for rows in (2 * n * parts + 1000, 0):
+        tape = np.empty((rows or counts[1], engine.tape_width(masses, len(numbers.pairs))))
+        counts[:] = 0
+        status = engine.run(
+            numbers, None, np.zeros((0, 10)), loop, np.array([float(before)]), np.array([far]), z.copy(), x[2 * side],
+            x[2 * side + 1], np.full(masses, float(np.sign(x[1]))), 0.0, reach, u[np.newaxis], np.empty((1, 0, 1)),
+            tape, counts,
+        )  # fmt: skip
+        if counts[1] <= len(tape):
+            break
+    position, velocity, *_ = motion_of(tape[: counts[1]], masses, n * parts)
+    shown = min(masses, 2)
+    states[: len(position), : 2 * shown : 2] = position[:, :shown]
+    states[: len(position), 1 : 2 * shown : 2] = velocity[:, :shown]
+    return status, u, states[::parts], counts

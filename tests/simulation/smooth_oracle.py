@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring
+from jointid.models.smooth import SmoothFriction, SmoothSpring
 from tests.simulation.oracle import Law, Plant, split_delay
 
 
@@ -32,11 +32,11 @@ class Smooth:
     ripple: tuple[tuple[int, float, float, float], ...] = ()  # mass, rad per position, of the cosine and the sine
 
     @property
-    def laws(self) -> SmoothLaws:
-        """As the kernel takes it."""
+    def laws(self) -> tuple[SmoothFriction, SmoothFriction, SmoothSpring]:
+        """As the kernel takes it: of motor, load and spring."""
         motor, load = (SmoothFriction(self.presliding[i], self.drift[i], self.fade[i]) for i in (0, 1))
         spring = SmoothSpring(self.cubic, self.slider, self.slips, *self.swings)
-        return SmoothLaws(motor, load._replace(per_torque=self.per_torque), spring)
+        return motor, load._replace(per_torque=self.per_torque), spring
 
     @property
     def places(self) -> np.ndarray:

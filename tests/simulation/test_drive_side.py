@@ -29,16 +29,15 @@ def torque_of(motion: PrescribedMotion, values: dict[str, float], parts: int) ->
 
 
 @pytest.mark.parametrize("coulomb", [10.4, 60.0])
-def test_four_parts_of_a_sample_are_enough(coulomb: float) -> None:
+def test_two_parts_of_a_sample_are_enough(coulomb: float) -> None:
     values = TABLE_2 | {"load_coulomb": coulomb}
-    errors = {}
-    exact = torque_of(prescribed_motion(wave(), T, 64), values, 64)
-    for parts in (1, 2, PARTS):
-        found = torque_of(prescribed_motion(wave(), T, parts), values, parts)
-        errors[parts] = np.linalg.norm(found - exact) / np.linalg.norm(exact)
-    assert errors[PARTS] < 1e-5
-    assert errors[1] / errors[2] == pytest.approx(4, rel=0.2)  # the transient of the first sample is of second order
-    assert errors[2] / errors[PARTS] == pytest.approx(4, rel=0.2)
+    exact = torque_of(prescribed_motion(wave(), T, 32), values, 32)
+    coarse, fine = (
+        np.linalg.norm(torque_of(prescribed_motion(wave(), T, parts), values, parts) - exact) / np.linalg.norm(exact)
+        for parts in (1, PARTS)
+    )
+    assert fine < 1e-5
+    assert coarse / fine > 5.0
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Smooth laws: against a slow reference in rate form, and the exact drive."""
+"""What a simulation in steps does at its edges: rests, dips, limits, bounds and laws that hardly act."""
 
 from __future__ import annotations
 
@@ -8,70 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.arrays import FloatArray
-from jointid.models.controllers import Cascade, numbers_of
+from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS, PARTS
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.position_forces import Gravity, PositionHarmonics
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.springs import SPRINGS
-from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
-from tests.simulation.kernel_case import run
-from tests.simulation.oracle import Law, Plant, random_case
+from tests.simulation.differences import error_beside_differences
+from tests.simulation.kernel_case import FINE, run
+from tests.simulation.oracle import Law, Plant
 from tests.simulation.oracle import simulate as reference_in_pieces
-from tests.simulation.smooth_oracle import Smooth, windup
-from tests.simulation.smooth_oracle import simulate as reference
+from tests.simulation.smooth_oracle import Smooth
+from tests.smooth_laws import with_law
 
-EVENTFUL = 9
-# Two masses: without a delay, with one of 0.9 and of 2.5 periods.
-SEEDS = (2, EVENTFUL, pytest.param(12, marks=pytest.mark.slow))
-_PERIODS = 60
-FINE = 0.005  # rad in a step
-
-
-def _law(name: str, plant: Plant, own: FloatArray, duration: float) -> Smooth:
-    e, travel = windup(own), float(np.ptp(own[:, 0]))
-    torque = plant.stiffness * e
-    laws = {
-        "cubic": Smooth(cubic=0.8 * plant.stiffness / e**2),
-        "hysteretic": Smooth(slider=0.4 * plant.stiffness, slips=0.1 * torque),
-        "presliding": Smooth(presliding=(0.01 * travel, 0.03 * travel)),
-        "load-dependent": Smooth(per_torque=0.2),
-        "elastic-load": Smooth(swings=(0.4, 4.0 * plant.stiffness, 2.0 * plant.damping)),
-        "ripple": Smooth(ripple=((0, 40.0 / travel, 0.1 * torque, 0.0), (1, 90.0 / travel, 0.0, 0.05 * torque))),
-        "drifting": Smooth(
-            drift=(-0.5 * min(plant.fv1) / duration, 0.8 * min(plant.fv2) / duration),
-            fade=(0.6 * min(plant.fc1) / duration, -0.7 * min(plant.fc2) / duration),
-        ),
-    }
-    whole = {
-        field: getattr(law, field) for law in laws.values() for field in vars(law) if any(np.ravel(getattr(law, field)))
-    }
-    return Smooth(**whole) if name == "all together" else laws[name]
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["cubic", "hysteretic", "presliding", "load-dependent", "drifting", "elastic-load", "ripple", "all together"],
-)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_agrees_with_a_reference_that_locates_every_event(seed: int, name: str) -> None:
-    plant, law, w, post, T, delay, before, x0 = random_case(seed)
-    _, _, own, _ = run(plant, law, w[:150], post[:150], T, delay, before, x0)
-    more = _law(name, plant, own, _PERIODS * T)
-    w, post = w[:_PERIODS], post[:_PERIODS]
-    status, u, x, counts = run(
-        plant, law, w, post, T, delay, before, x0, laws=more.laws, places=more.places, reach=FINE
-    )
-    expected_u, expected_x = reference(plant, more, law, w, post, T, delay, before, x0)
-    assert status == 0
-    assert counts[0] > 5 or seed != EVENTFUL
-    np.testing.assert_allclose(u, expected_u, rtol=0, atol=1e-7 * np.abs(expected_u).max())
-    np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-7 * np.abs(expected_x).max())
+_STEP = 3e-6
 
 
 def _nothing_more(case: Case, friction: str = "drifting", spring: str = "cubic") -> tuple[ClosedLoop, dict[str, float]]:
@@ -81,77 +33,6 @@ def _nothing_more(case: Case, friction: str = "drifting", spring: str = "cubic")
         joint = replace(joint, spring=SPRINGS[spring]())
     more = {p.name: 0.0 for p in joint.parameters if p.name not in case.truth}
     return replace(case.loop, joint=joint), case.truth | more
-
-
-def _of_nothing(case: Case) -> dict[str, float]:
-    """What a slider without stiffness, or a share of 0 that swings, may have all the same."""
-    return {"hysteresis_torque": 1.0, "swinging_stiffness": 2.5 * case.truth["stiffness"], "swinging_damping": 1.0}
-
-
-@pytest.mark.parametrize("make", [prismatic, rotary])
-def test_laws_that_add_nothing_leave_the_exact_drive(make: Callable[[int], Case]) -> None:
-    case = make(1)
-    loop, values = _nothing_more(case)
-    experiment = prepare(loop, case.clean)
-    exact, found = (simulate(*one) for one in ((case.loop, experiment, case.truth), (loop, experiment, values)))
-    assert found.outcome is Outcome.FINISHED
-    assert found.events >= exact.events > 10
-    for signal in ("torque", "motor_position", "load_velocity"):
-        peak = np.abs(getattr(exact, signal)).max()
-        np.testing.assert_allclose(getattr(found, signal), getattr(exact, signal), rtol=0, atol=3e-5 * peak)
-    assert found.load is not None and exact.load is not None
-    difference = np.abs(found.load.acceleration - exact.load.acceleration)
-    assert np.median(difference) < 1e-5 * np.abs(exact.load.acceleration).max()
-
-
-@pytest.mark.parametrize("spring", ["cubic", "hysteretic", "elastic-load"])
-@pytest.mark.parametrize("make", [prismatic, rotary])
-def test_laws_that_add_nothing_leave_the_derivatives_of_the_exact_drive(
-    make: Callable[[int], Case], spring: str
-) -> None:
-    case = make(1)
-    loop, values = _nothing_more(case, spring=spring)
-    values |= {name: value for name, value in _of_nothing(case).items() if name in values}
-    experiment = prepare(loop, case.clean)
-    law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
-    names = [*(p.name for p in case.loop.joint.parameters), "initial_position", "initial_velocity", *law]
-    exact = simulate_sensitivities(case.loop, experiment, case.truth, names, positions=True)
-    found = simulate_sensitivities(loop, experiment, values, names, positions=True)
-    for i, name in enumerate(names):
-        for signal in ("torque", "motor_position", "load_position"):
-            column, expected = getattr(found, signal)[:, i], getattr(exact, signal)[:, i]
-            assert np.linalg.norm(column - expected) <= 1e-3 * np.linalg.norm(expected), (name, signal)
-
-
-def test_gravity_beside_a_ripple_is_that_of_the_exact_drive() -> None:
-    """The exact drive holds what gravity is over each period, at an error of second order in it."""
-    plain = RigidJoint("revolute", gravity=Gravity("link", angle=0.7))
-    values = {"inertia": 0.2, "viscous": 0.5, "coulomb": 1.0, "offset": 0.3, "gravity_cos": 4.0, "gravity_sin": -2.0}
-    joint, still = replace(plain, ripple=PositionHarmonics(0.3)), {"harmonic_1_cosine": 0.0, "harmonic_1_sine": 0.0}
-    reference = Record(reference=Channel(trapezoids([2.0, 6.0], 40.0, 3.0, 1e-3, duration=4.0), "rad", 1e-3))
-    loop = ClosedLoop(plain, Cascade(position_gain=30.0, velocity_gain=20.0))
-    exact = simulate(loop, prepare(loop, reference), values).torque
-    found = simulate(replace(loop, joint=joint), prepare(loop, reference), values | still).torque
-    rippled = simulate(replace(loop, joint=joint), prepare(loop, reference), values | dict.fromkeys(still, 1.0)).torque
-    assert np.abs(found - exact).max() < 1e-5 * np.abs(exact).max()
-    assert np.abs(rippled - exact).max() > 0.1
-
-
-def test_the_inverse_model_of_a_run_is_its_torque() -> None:
-    """The columns of a ripple are those that a regression has."""
-    case = prismatic(1)
-    for side in ("motor", "load"):
-        ripple = PositionHarmonics(0.05, 2, side)  # type: ignore[arg-type]
-        joint = replace(case.loop.joint, ripple=ripple)
-        loop, values = replace(case.loop, joint=joint), case.truth | {p.name: 3.0 for p in ripple.parameters}
-        run = simulate(loop, prepare(loop, case.clean), values)
-        moving = (run.motor.velocity != 0) & (run.motor.acceleration != 0)
-        assert run.load is not None
-        moving &= run.load.velocity != 0
-        columns = joint.regressor(run.motor, run.load)
-        found = columns @ np.array([values[p.name] for p in joint.parameters])
-        np.testing.assert_allclose(found[0][moving], run.torque[moving], atol=1e-6 * np.abs(run.torque).max())
-        np.testing.assert_allclose(found[1][moving], 0.0, atol=1e-6 * np.abs(run.torque).max())
 
 
 def test_accelerations_balance_friction_that_drifts() -> None:
@@ -265,3 +146,60 @@ def test_what_has_not_wound_up_does_not_drag_at_the_first_sample(velocity: float
     found = simulate(loop, experiment, values, Initial(velocity=velocity))
     rest = simulate(loop, experiment, values)
     assert np.abs(found.torque - rest.torque).max() <= 1e-3 + 1e6 * velocity
+
+
+def test_a_delay_moves_no_edge_of_a_torque_that_goes_on() -> None:
+    case = prismatic(1)
+    controller = with_numbers(case.loop.controller, {"integral_gain": 5.0})
+    plain = replace(case.loop, controller=controller)
+    drifting, values = with_law(replace(case, loop=plain), "drifting")
+    values = {name: value if name in case.truth else 0.0 for name, value in values.items()}
+    begin = Initial(velocity=0.1, torque=71.7)
+    exact, found = (
+        simulate_sensitivities(loop, prepare(loop, case.clean), values, ["delay"], begin).torque
+        for loop in (plain, drifting)
+    )
+    assert np.linalg.norm(found - exact) <= 1e-5 * np.linalg.norm(exact)
+
+
+def test_a_slider_without_stiffness_has_a_derivative_by_it() -> None:
+    case = prismatic(1)
+    loop, values = with_law(case, "hysteretic")
+    experiment, name, columns = prepare(loop, case.clean), "hysteresis_stiffness", []
+    for stiffness in (0.0, 1e-5 * values["stiffness"]):
+        columns.append(simulate_sensitivities(loop, experiment, values | {name: stiffness}, [name]).torque)
+    assert np.linalg.norm(columns[1] - columns[0]) <= 1e-3 * np.linalg.norm(columns[1])
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-5])
+def test_friction_that_winds_up_within_a_sample_is_followed(share: float) -> None:
+    case = prismatic(1)
+    loop, values = with_law(case, "presliding")
+    experiment = prepare(loop, case.clean)
+    length = share * float(np.ptp(case.clean.reference.values))  # type: ignore[union-attr]
+    values = values | {"motor_presliding_distance": length, "load_presliding_distance": 0.7 * length}
+    found = simulate_sensitivities(loop, experiment, values, list(values))
+    for i, name in enumerate(values):
+        step = _STEP * (abs(values[name]) or 1e-3)
+        error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
+        assert error <= 5e-3, name
+
+
+@pytest.mark.parametrize("law", ["none", "drifting"])
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_a_limit_that_acts_and_a_delay_are_followed(make: Callable[[int], Case], law: str) -> None:
+    case = make(1)
+    loop, values = with_law(case, law) if law != "none" else (case.loop, case.truth)
+    peak = float(np.abs(simulate(loop, prepare(loop, case.clean), values).torque).max())
+    gain = numbers_of(loop.controller)["gain"]
+    controller = with_numbers(loop.controller, {"limit": 0.65 * peak / gain, "delay": 1.5e-4})
+    loop = replace(loop, controller=controller)
+    experiment = prepare(loop, case.clean)
+    run = simulate(loop, experiment, values)
+    assert run.at_limit > 0.001
+    names = ["stiffness", "limit", "delay", "position_gain"]
+    found = simulate_sensitivities(loop, experiment, values, names)
+    for i, name in enumerate(names):
+        step = _STEP * (values.get(name) or numbers_of(controller)[name])
+        error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
+        assert error <= 1e-3, name

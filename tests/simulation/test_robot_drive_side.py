@@ -11,6 +11,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.rest import moving_weights, turning_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
+from jointid.simulation.plant import motion_of
 from jointid.simulation.robot_drive_side import (
     MotorMotion,
     RobotDriveSideRun,
@@ -34,6 +35,11 @@ def played(twin: Twin, duration: float = 3.0) -> RobotSimulation:
 def prescribed(robot: Robot, run: RobotSimulation, parts: int = 1, first: int = 0) -> MotorMotion:
     resting = np.full(len(robot), first == 0)
     return prescribe_motion(robot, run.motor_position[first:], run.sample_time, resting, parts)
+
+
+def places_of(found: RobotDriveSideRun) -> FloatArray:
+    """Return the positions of all masses at the ends of the parts."""
+    return motion_of(found.tape, len(found.numbers.masses), len(found.torque) + 1)[0]
 
 
 def error(found: RobotDriveSideRun, run: RobotSimulation, parts: int = 1, first: int = 0) -> FloatArray:
@@ -75,7 +81,7 @@ def test_where_the_motors_are_at_the_ends_of_the_parts_is_right_to_the_fourth_or
     run, numbers, off = played(twin), RobotNumbers.of(twin.robot), []
     for parts in (1, 2, 4):
         found = run_drive_side(prescribed(twin.robot, run, parts), numbers)
-        there = found.tape.places[found.tape.first][::parts, numbers.rotors]
+        there = places_of(found)[::parts, numbers.rotors]
         off.append(float(np.max(np.abs(there[600:] - run.motor_position[600:]))))
     assert off[0] < 1e-6
     assert off[0] / off[1] > 10.0
@@ -90,9 +96,9 @@ def test_a_record_may_begin_in_motion() -> None:
     steady = run_drive_side(motion, replace(numbers, beside=np.zeros((2, 2))))
     beside = np.column_stack([run.link_position[first] - steady.start[:2], run.link_velocity[first] - motion.speeds])
     found = run_drive_side(motion, replace(numbers, beside=beside))
-    at = found.tape.places[found.tape.first][: len(run.link_position) - first, :2]
+    at = places_of(found)[: len(run.link_position) - first, :2]
     assert at == pytest.approx(run.link_position[first:], abs=3e-6)
-    lost = steady.tape.places[steady.tape.first][:500, :2] - run.link_position[first : first + 500]
+    lost = places_of(steady)[:500, :2] - run.link_position[first : first + 500]
     assert np.max(np.abs(lost)) > 1e-4
 
 

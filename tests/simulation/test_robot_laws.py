@@ -96,10 +96,10 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     peak = float(np.max(np.abs(exact.torque)))
     errors = {steps: float(np.max(np.abs(run.torque[:, 0] - exact.torque))) / peak for steps, run in runs.items()}
     assert all(run.outcome is RobotOutcome.FINISHED for run in runs.values())
-    assert errors[8] < (1e-5 if joint.stepped else 2e-9)
-    assert joint.stepped or errors[8] < errors[4] / 10.0 + 3e-11
-    assert joint.stepped or runs[8].events == exact.events
-    assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if joint.stepped else 1e-9)
+    assert errors[8] < (1e-5 if not joint.straight else 2e-9)
+    assert not joint.straight or errors[8] < errors[4] / 10.0 + 3e-11
+    assert not joint.straight or runs[8].events == exact.events
+    assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if not joint.straight else 1e-9)
 
 
 def own_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:

@@ -76,7 +76,7 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
     run = run_robot(experiment, numbers, keep=True, steps=steps)
     assert run.events > 2
     if any(isinstance(law, PID) for law in loop.controllers):
-        assert 0.01 < np.mean(run.cuts) < 0.99
+        assert 0.01 < np.mean(run.excess != 0.0) < 0.99
     expected = differences(experiment, numbers, places, 2 * steps)
     found = np.stack(differentiate_torques(run, places), axis=1)
     sizes = np.linalg.norm(expected, axis=(0, 1))

@@ -10,17 +10,35 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
+from jointid.common.compiled import compile_kernel
 from jointid.models.controllers import PD, PID, Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.robots.equations import ROOM
-from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, Tree
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.kernels import robot_loop
+from jointid.simulation.kernels.engine import (
+    COULOMB,
+    COULOMB_BACK,
+    FREE,
+    HIGH,
+    LENGTH,
+    SPRING,
+    STATE,
+    accelerate,
+    settle,
+)
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robot_start import begin
-from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, add_feed_forward, prepare_robot, run_robot
+from jointid.simulation.robots import (
+    RobotLoop,
+    RobotOutcome,
+    RobotRun,
+    add_feed_forward,
+    motion_at,
+    prepare_robot,
+    run_robot,
+)
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
@@ -154,8 +172,10 @@ def test_no_mass_slides_against_its_friction() -> None:
     run = run_robot(prepare_robot(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
     assert run.outcome is RobotOutcome.FINISHED
     assert run.events > 500
-    assert np.min(run.tape.speeds * run.tape.directions) >= 0.0
-    assert np.all(run.tape.lasting > 0.0)
+    n = len(run.start)
+    speeds, modes = (run.tape[:, STATE + i * n : STATE + (i + 1) * n] for i in (1, 4))
+    assert np.min(speeds * np.where(modes == FREE, 0.0, modes)) >= 0.0
+    assert np.all(run.tape[1:, LENGTH] > 0.0)
 
 
 def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], worst: float) -> RobotRun:
@@ -219,7 +239,7 @@ def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
         if one.reference
     )
     run = held_against_the_reference(replace(twin.loop(), in_motion=True), late, 1e-4)
-    assert np.min(np.abs(run.tape.speeds[0])) > 0.05
+    assert np.min(np.abs(motion_at(run, np.zeros(1, np.int64)).velocity)) > 0.05
     uncut = simulate(twin.loop(), whole).torque[2500:2900]
     from_rest = simulate(twin.loop(), late).torque
     wrong = [float(np.max(np.abs(torque - uncut))) for torque in (run.torque, from_rest)]
@@ -239,6 +259,26 @@ def brute_force(M: FloatArray, force: FloatArray, coulomb: FloatArray) -> FloatA
     return best
 
 
+@compile_kernel
+def settled(
+    tree: Tree, M: FloatArray, force: FloatArray, coulomb: FloatArray, modes: FloatArray, a: FloatArray
+) -> None:
+    """Fill the accelerations of links that stand still, as the engine does."""
+    n = len(M)
+    mass, spring, none, still = np.zeros((n, HIGH + 1)), np.zeros((0, SPRING)), np.zeros((0, 5)), np.zeros(n)
+    pairs, carriers, order = np.zeros((0, 2), dtype=np.uint64), np.full(n, -1), np.zeros((2, n), dtype=np.int64)
+    held, grip, L = np.zeros(n), np.zeros(n), np.zeros((n, n))
+    mass[:, COULOMB] = coulomb
+    mass[:, COULOMB_BACK] = coulomb
+    for _ in range(1000):
+        accelerate(
+            mass, spring, none, pairs, carriers, tree, M, L, order, still, still, modes, force, 0.0, still, still,
+            still, a, held, grip, still[:0],
+        )  # fmt: skip
+        if not settle(mass, modes, still, a, held, grip, True):
+            break
+
+
 def test_masses_that_stand_still_are_decided_together() -> None:
     rng, n = np.random.default_rng(3), 4
     rested = slid = 0
@@ -246,23 +286,7 @@ def test_masses_that_stand_still_are_decided_together() -> None:
         root = rng.normal(size=(n, n))
         M, force, coulomb = root @ root.T + 0.05 * np.eye(n), 3 * rng.normal(size=n), rng.uniform(0.2, 3.0, n)
         modes, a = rng.choice([-1.0, 0.0, 1.0], n), np.empty(n)
-        bands = np.zeros((n, 1, 4))
-        bands[:, 0, robot_loop.COULOMB] = coulomb
-        bodies = robot_loop.Bodies(
-            np.zeros((n, 10)),
-            np.arange(n),
-            np.zeros((n, 6)),
-            bands,
-            np.zeros((n, 1, 4)),
-            np.zeros((n, 3)),
-            np.ones(n, dtype=np.bool_),
-        )
-        room = robot_loop.Room(
-            np.zeros(n), np.empty((n, ROOM)), M, np.empty((n, n)), np.empty(n), force, np.empty((2, n), np.int64),
-            np.empty((2, n)),
-        )  # fmt: skip
-        at = robot_loop.State(np.zeros(n), np.zeros(n), a, np.empty(n), coulomb, np.zeros(n), np.zeros(n), np.zeros(n))
-        assert robot_loop.settle(bodies, room, np.zeros(n), modes, at)
+        settled(six().robot.tree, M, force, coulomb, modes, a)
         assert a == pytest.approx(brute_force(M, force, coulomb), abs=1e-9)
         rested, slid = rested + int(np.sum(modes == 0)), slid + int(np.sum(modes != 0))
     assert rested > 100

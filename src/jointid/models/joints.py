@@ -17,7 +17,7 @@ of its side what follows the position there: see `position_forces`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeAlias
 
@@ -29,9 +29,8 @@ from jointid.common.parameters import ADDED, POSITION_UNIT, TORQUE_UNIT, Paramet
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.models.controllers import Controller
-from jointid.models.friction import FRICTIONS, Band, Friction, SymmetricFriction
+from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
 from jointid.models.position_forces import Gravity, Motion, PositionHarmonics
-from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
 
 MODE_DAMPING = 0.02
@@ -91,6 +90,12 @@ class _JointBase:
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return self.friction.stepped or self.ripple is not None
+
+    @property
+    def straight(self) -> bool:
+        """True if all its laws are lines, so that its simulation is exact."""
+        varies = self.gravity is not None and self.gravity.varies
+        return self.friction.linear and self.spring_name in {None, "linear"} and self.ripple is None and not varies
 
     def require_no_ripple(self, taker: str, instead: str, side: Side | None = None) -> None:
         """Raise a `MethodError` if there is a ripple, on any side or on one; see `require_linear`."""
@@ -201,17 +206,6 @@ class RigidJoint(_JointBase):
         offset = values["offset"] + self._gravity_constant(values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
-    def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
-        """Return the numbers of its smooth laws; None without any."""
-        return SmoothLaws(self.friction.smooth(values), SmoothFriction(), SmoothSpring()) if self.stepped else None
-
-    def segments(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return a friction in pieces for the simulation, (segments, 23); None of one that is not."""
-        if self.friction.linear or self.stepped:
-            return None
-        drive = self.coefficients(values)
-        return _segments(drive, (_NO_SPRING,), self.friction.bands(values), _NO_FRICTION)
-
     @property
     def linear(self) -> RigidJoint:
         """The joint with the lines of its friction alone, without a ripple."""
@@ -277,13 +271,6 @@ class FlexibleJoint(_JointBase):
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return self.friction.stepped or self.spring.stepped or self.ripple is not None
-
-    def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
-        """Return the numbers of its smooth laws; None without any."""
-        if not self.stepped:
-            return None
-        motor, load = (self.friction.smooth(values, side) for side in ("motor_", "load_"))
-        return SmoothLaws(motor, load, self.spring.smooth(values))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -351,26 +338,6 @@ class FlexibleJoint(_JointBase):
         motor, load = (self.friction.directions(values, side) for side in ("motor_", "load_"))
         return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
 
-    def segments(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return a spring or a friction in pieces for the simulation, (segments, 23); None where none is.
-
-        A row is the drive's coefficients in a segment of the deflection and of both speeds, where that begins and
-        ends, and how many rows further the next segment of each is; what the spring's line has where it meets no
-        deflection is among the constant forces of motor and load.
-        """
-        if self.stepped or (self.spring.linear and self.friction.linear):
-            return None
-        pieces = self.spring.pieces(values)
-        ends = [*(piece.deflection for piece in pieces[1:]), math.inf]
-        first, *others = zip(pieces, ends, strict=True)
-        spring = [(-ends[0], ends[0], *first[0][2:], 0.0)]
-        for piece, end in others:
-            held = piece.torque - piece.stiffness * piece.deflection
-            spring.append((piece.deflection, end, *piece[2:], held))
-            spring.insert(0, (-end, -piece.deflection, *piece[2:], -held))
-        motor, load = (self.friction.bands(values, side) for side in ("motor_", "load_"))
-        return _segments(self.coefficients(values), spring, motor, load)
-
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
 
@@ -430,31 +397,6 @@ class FlexibleJoint(_JointBase):
             "coulomb": values["motor_coulomb"] + values["load_coulomb"],
             **{name: value for name, value in values.items() if acts_on_whole(name)},
         }
-
-
-_NO_SPRING = (-math.inf, math.inf, 0.0, 0.0, 0.0)
-_NO_FRICTION = (Band(0.0, math.inf, (0.0, 0.0, 0.0, 0.0)),)
-
-
-def _segments(
-    drive: FloatArray, spring: Sequence[tuple[float, ...]], motor: Sequence[Band], load: Sequence[Band]
-) -> FloatArray:
-    """Return the segments of a drive, (segments, 23): each piece of the spring with each band of both frictions.
-
-    A piece of `spring` is where it begins and ends, its stiffness and damping, and its torque at no deflection.
-    """
-    steps = np.array([len(motor) * len(load), len(load), 1])
-    count = len(spring) * steps[0]
-    pieces = np.repeat(np.array(spring), steps[0], axis=0)
-    own, other = (np.array([(one.low, one.high, *one.directions) for one in bands]) for bands in (motor, load))
-    of_motor = np.tile(np.repeat(own, steps[1], axis=0), (len(spring), 1))
-    of_load = np.tile(other, (len(spring) * len(motor), 1))
-    held = pieces[:, 4:] * np.array([-1.0, 1.0])
-    inertias, offsets = np.tile(drive[:2], (count, 1)), drive[12:] + held
-    boxes = [pieces[:, :2], of_motor[:, :2], of_load[:, :2]]
-    return np.hstack([
-        inertias, pieces[:, 2:4], of_motor[:, 2:], of_load[:, 2:], offsets, *boxes, np.tile(steps, (count, 1))
-    ])  # fmt: skip
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint

@@ -223,8 +223,8 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
     masses = 2 if isinstance(joint, FlexibleJoint) else 1
     made = []
     for values in candidates:
-        c, laws = joint.coefficients(values), joint.smooth(values)
-        spring = SmoothSpring() if laws is None else laws.spring
+        c = joint.coefficients(values)
+        spring = joint.spring.smooth(values) if isinstance(joint, FlexibleJoint) else SmoothSpring()
         swings = spring.swing_share, spring.swing_stiffness, spring.swing_damping
         rate = 0.0 if joint.gravity is None else joint.gravity.coefficients(values)[3]
         for way in ways:

@@ -44,17 +44,3 @@ class SmoothSpring(NamedTuple):
     swing_share: float = 0.0
     swing_stiffness: float = 0.0
     swing_damping: float = 0.0
-
-
-class SmoothLaws(NamedTuple):
-    """Numbers of the smooth laws of a joint.
-
-    Attributes:
-        motor: friction of the motor's side.
-        load: friction of the load's side.
-        spring: between them.
-    """
-
-    motor: SmoothFriction
-    load: SmoothFriction
-    spring: SmoothSpring

@@ -17,11 +17,11 @@ from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
-from jointid.simulation.plant import Plant, plant_of
 from jointid.simulation.simulated import FINISHED
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Trace
+    from jointid.simulation.kernels.engine import Plant
 
 
 class Outcome(StrEnum):
@@ -111,17 +111,15 @@ class ClosedLoopRun:
 
     Attributes:
         drive: (14,) the joint's coefficients.
-        gravity: (5,) those of its gravity, or None.
-        segments: (segments, 23) those of its spring or its friction in pieces, or None.
-        plant: numbers of a joint whose laws are not lines, which is simulated by `kernels.engine`; or None.
+        plant: numbers of a joint whose laws are not all lines, which is simulated by `kernels.engine`; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
         command: (periods,) the controller's output.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
         states, modes, tape: see `kernels.drive.run`; empty when they were not kept. Of a plant there are no modes, and
             the tape is that of `kernels.engine`.
-        accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, of a plant where
-            states were kept.
+        accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, of a plant that was
+            kept.
         counts: events, rows of the tape, periods simulated, periods at the limit.
     """
 
@@ -129,8 +127,6 @@ class ClosedLoopRun:
     experiment: LoopInput
     values: Mapping[str, float]
     drive: FloatArray
-    gravity: FloatArray | None
-    segments: FloatArray | None
     plant: Plant | None
     position: float
     velocity: float
@@ -151,7 +147,7 @@ class ClosedLoopRun:
         """The kernels' output arrays."""
         from jointid.simulation.kernels.drive import Trace
 
-        return Trace(self.command, self.excess, self.states, self.modes, self.accelerations, self.tape, self.counts)
+        return Trace(self.command, self.excess, self.states, self.modes, self.tape, self.counts)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the first state of such a run, (4,): `start_state`."""
@@ -178,7 +174,7 @@ class ClosedLoopRun:
         def motion(side: int) -> Motion:
             found = np.zeros(push.size)
             if self.outcome is not Outcome.INVALID and self.plant is None:
-                found = _acceleration(_drive_at(self, begin), self.gravity, begin, push, side)
+                found = _acceleration(self.drive, begin, push, side)
             elif self.outcome is not Outcome.INVALID:
                 found = accelerations[:, side].copy()
             return Motion(begin[2 * side], begin[2 * side + 1], found)
@@ -212,48 +208,50 @@ def run(
 ) -> ClosedLoopRun:
     """Run one candidate; optionally keep states, modes and a tape, in given memory."""
     from jointid.simulation.kernels import drive as kernels
-    from jointid.simulation.kernels import engine
+    from jointid.simulation.plant import integrate, is_possible, motion_of, plant_of
 
-    initial = initial or Initial()
+    initial, joint = initial or Initial(), loop.joint
     law = experiment.law
     position = float(experiment.inputs[0, REFERENCE]) if initial.position is None else initial.position
     velocity = initial.velocity or 0.0
     try:
-        drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
-        segments, plant = loop.joint.segments(values), plant_of(loop.joint, values) if loop.joint.stepped else None
+        drive, plant = joint.coefficients(values), None if joint.straight else plant_of(joint, values)
     except KeyError:
-        missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
+        missing = ", ".join(p.name for p in joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
-    command = np.empty(periods)  # never in a room: it may be an answer
+    command = np.zeros(periods)  # never in a room: it may be an answer
     kept = periods * parts if keep else 0
     array = (room or Room()).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
-    modes = array("modes", (kept,), np.int16)
-    tape = array("tape", (taped, kernels.TAPE if plant is None else engine.STEP_TAPE))
-    accelerations = array("accelerations", (kept if plant is not None else 0, 2))
-    counts = np.zeros(4, dtype=np.int64)
+    modes, accelerations = array("modes", (kept,), np.int16), array("accelerations", (kept if plant else 0, 2))
+    tape, counts = array("tape", (0 if plant else taped, kernels.TAPE)), np.zeros(4, dtype=np.int64)
     outcome, before, sliding = Outcome.INVALID, 0.0, 0.0
-    possible = (
-        _possible(drive, gravity)
-        and _check_pieces(segments)
-        and (plant is None or plant.is_possible(periods * law.period))
-    )
+    possible = _possible(drive) if plant is None else is_possible(plant, periods * law.period)
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
         sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
         start = start_state(loop, values, position, velocity, sliding)
         sampled, far = experiment.sampled, experiment.far + abs(position)
-        trace = kernels.Trace(command, excess, states, modes, accelerations, tape, counts)
         if plant is None:
-            status = kernels.run(
-                drive, sampled, before, state, start, far, trace,
-                kernels.NO_GRAVITY if gravity is None else gravity,
-                kernels.NO_SEGMENTS if segments is None else segments,
-            )  # fmt: skip
+            trace = kernels.Trace(command, excess, states, modes, tape, counts)
+            status = kernels.run(drive, sampled, before, state[np.newaxis], start, far, trace)
         else:
-            status = engine.run(*plant, sampled, before, state, start, sliding, far, engine.REACH, trace)
+            masses = len(plant.masses)
+            side = np.minimum(np.arange(masses), 1)  # what swings begins with the load
+            found = integrate(
+                plant, None, np.zeros((0, 10)), sampled, np.array([before]), np.array([far]), state[np.newaxis],
+                start[2 * side], start[2 * side + 1], np.full(masses, sliding), keep=keep, room=room,
+            )  # fmt: skip
+            status, command, counts, tape = found.status, found.command[0], found.counts, found.tape
+            excess, shown = found.excess[0], min(masses, 2)
+            if keep:
+                moved = motion_of(tape, masses, int(counts[2]) * parts)
+                states[:] = 0.0
+                states[: len(moved[0]), : 2 * shown : 2] = moved[0][:, :shown]
+                states[: len(moved[0]), 1 : 2 * shown : 2] = moved[1][:, :shown]
+                accelerations[: len(moved[0]), :shown] = moved[2][:, :shown]
         outcome = _OUTCOMES[status]
     done = int(counts[2])
     command[done:] = command[done - 1] if done else 0.0
@@ -264,8 +262,8 @@ def run(
         for signal in (command, excess, states, accelerations):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return ClosedLoopRun(
-        loop, experiment, values, drive, gravity, segments, plant, position, velocity, initial.torque, sliding, before,
-        command, excess, states, modes, tape, accelerations, outcome, counts,
+        loop, experiment, values, drive, plant, position, velocity, initial.torque, sliding, before, command, excess,
+        states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
 
@@ -301,35 +299,17 @@ def simulate(
         values: every parameter of the joint by name.
         initial: where the motor is at the first sample.
 
-    Exact to rounding for held torques and piecewise linear laws. Position-dependent gravity is held over each part of a
-    period, with second-order error. Laws that are not lines (`Joint.stepped`) use a Runge-Kutta method, whose torque is
-    within some 1e-5 of its peak.
+    Exact to rounding for held torques where all laws are lines (`Joint.straight`). Others use a Runge-Kutta method,
+    whose torque is within some 1e-5 of its peak.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
 
 
-def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
+def _possible(drive: FloatArray) -> bool:
     """Test for a physical drive: positive masses and non-negative friction and stiffness."""
-    if gravity is not None and not (np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0)):
-        return False
     row = drive.tolist()  # a few plain numbers take less time than an array of them
     cones = row[6] + row[7] >= 0 and row[10] + row[11] >= 0
     return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
-
-
-def _check_pieces(segments: FloatArray | None) -> bool:
-    """Test for ordered pieces with non-negative stiffness and damping.
-
-    Piecewise friction holds a mass at rest with a non-negative force.
-    """
-    if segments is None:
-        return True
-    if not np.all(np.isfinite(segments[:, :14])):
-        return False
-    rising = all(np.all(np.isfinite(ends)) and np.all(np.diff(ends) >= 0) for ends in _ends(segments))
-    at_rest = segments[(segments[:, 16] == 0.0) & (segments[:, 18] == 0.0)]
-    cones = min(np.min(at_rest[:, 6] + at_rest[:, 7]), np.min(at_rest[:, 10] + at_rest[:, 11]))
-    return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
 
 
 def start_state(
@@ -349,48 +329,17 @@ def wound_up(experiment: LoopInput, velocity: float) -> float:
     return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest > 0.0 else 0.0
 
 
-def _ends(segments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Upper ends of segments but the last: deflection, motor and load speed."""
-    of_spring, of_motor, _ = segments[0, 20:].astype(int)
-    ends = segments[::of_spring, 15], segments[:of_spring:of_motor, 17], segments[:of_motor, 19]
-    return ends[0][:-1], ends[1][:-1], ends[2][:-1]
-
-
-def _drive_at(out: ClosedLoopRun, states: FloatArray) -> FloatArray:
-    """Drive coefficients, (14,), or those of each sample's segment, (14, samples)."""
-    if out.segments is None:
-        return out.drive
-    position, velocity, *load = states
-    deflection, speed = (load[0] - position, np.abs(load[1])) if load else (np.zeros_like(position), None)
-    seen = deflection, np.abs(velocity), deflection if speed is None else speed
-    steps = out.segments[0, 20:].astype(int)
-    at = sum(
-        step * np.searchsorted(ends, one) for step, ends, one in zip(steps, _ends(out.segments), seen, strict=True)
-    )
-    return np.asarray(out.segments[at, :14].T)
-
-
-def _acceleration(
-    drive: FloatArray, gravity: FloatArray | None, states: FloatArray, torque: FloatArray, side: int
-) -> FloatArray:
-    """Acceleration of motor (0) or load (1) just after `torque` acts; 0 at rest.
-
-    The drive is (14,), or (14, samples).
-    """
+def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray, side: int) -> FloatArray:
+    """Acceleration of motor (0) or load (1) just after `torque` acts; 0 at rest."""
     viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
     push = torque - drive[12] if side == 0 else np.zeros(torque.size) - drive[13]
     if np.any(drive[2:4] != 0.0):
         spring = drive[2] * (states[2] - states[0]) + drive[3] * (states[3] - states[1])
         push = push + spring if side == 0 else push - spring
-    if gravity is not None and side == gravity[4]:
-        cos, sin, rate, angle, _ = gravity
-        position = states[2 * side]
-        push = push - (cos * np.cos(angle * position) + sin * np.sin(angle * position) + rate * position)
     velocity = states[1 + 2 * side]
     moving = np.sign(velocity)
     still = np.flatnonzero(velocity == 0)
-    holds, holds_back = (np.broadcast_to(force, push.shape)[still] for force in (coulomb, coulomb_back))
-    moving[still] = (push[still] > holds) * 1.0 - (push[still] < -holds_back) * 1.0
+    moving[still] = (push[still] > coulomb) * 1.0 - (push[still] < -coulomb_back) * 1.0
     forwards = moving > 0
     friction = np.where(forwards, viscous, viscous_back) * velocity + np.where(forwards, coulomb, -coulomb_back)
     push -= friction

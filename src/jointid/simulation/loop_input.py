@@ -91,7 +91,10 @@ class LoopInput:
     def __post_init__(self) -> None:
         from jointid.simulation.kernels.drive import SampledLoop
 
-        sampled = SampledLoop(self.lengths, self.lags, self.kernel, self.feedforward, self.after_limit)
+        sampled = SampledLoop(
+            self.lengths, self.lags[np.newaxis], np.ones(1, dtype=np.int64), self.kernel, self.feedforward[np.newaxis],
+            self.after_limit[np.newaxis],
+        )  # fmt: skip
         object.__setattr__(self, "sampled", sampled)
         object.__setattr__(self, "shows", bool(np.any(self.shown)))
 
@@ -196,8 +199,9 @@ def _build_input(
     feedback, feedforward, driven, state = _split_law(law, inputs)
     far = _far(law, feedforward[law.output], after_limit)
     B, D = np.ascontiguousarray(feedback.B[:, :, POSITION]), np.ascontiguousarray(feedback.D[:, :, POSITION])
-    A, F, C, E = (np.ascontiguousarray(one) for one in (feedback.A, feedback.F, feedback.C, feedback.E))
-    kernel = Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output)
+    A, F, C, E = (np.ascontiguousarray(one)[np.newaxis] for one in (feedback.A, feedback.F, feedback.C, feedback.E))
+    limits, gates, output = law.limits[np.newaxis], law.gates[np.newaxis], np.array([law.output])
+    kernel = Feedback(A, B[np.newaxis], F, C, D[np.newaxis], E, limits, gates, driven[np.newaxis], output)
     memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
     return LoopInput(
         law, feedback, kernel, memory, feedback.integral(), inputs, after_limit, logged,

@@ -1,81 +1,210 @@
-"""The numbers of a joint for `kernels.engine`: its masses, its springs, and the forces that follow a position."""
+"""The numbers of a joint, and of a robot's masses and springs, as `kernels.engine` reads them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
-from jointid.models.joints import Joint
-from jointid.models.smooth import SmoothFriction, SmoothLaws
+from jointid.common.arrays import FloatArray, Room
+from jointid.models.friction import Friction
+from jointid.models.joints import Joint, RigidJoint
+from jointid.models.robots.robot import Tree
+from jointid.models.springs import LinearSpring, Spring
+from jointid.simulation.kernels import engine
+from jointid.simulation.kernels.drive import IntArray, SampledLoop
+from jointid.simulation.kernels.drive_sensitivities import LANES, Columns, Slopes
+from jointid.simulation.kernels.engine import (
+    BEGIN,
+    COULOMB,
+    COULOMB_BACK,
+    COULOMB_DRIFT,
+    HIGH,
+    INERTIA,
+    PART,
+    PER_TORQUE,
+    SLIPS,
+    STATE,
+    WINDING,
+    Plant,
+)
 
-_IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
+AnyArray: TypeAlias = NDArray[Any]
+
+IMAGINARY = 1e-30
+"""A complex step: its square is nothing beside any value."""
+_MORE = 2  # rows of a tape per step and part, beside a thousand
 
 
-class Plant(NamedTuple):
-    """Numbers of a joint, in the columns of `kernels.engine`.
+def lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], prefix: str = "") -> AnyArray:
+    """Return a mass in each band of its friction, (bands, MASS + 1); complex of complex values."""
+    smooth = law.smooth(values, prefix)
+    winding = 1.0 / smooth.presliding if smooth.presliding != 0.0 else 0.0
+    beside = winding, smooth.viscous_drift, smooth.coulomb_drift, smooth.per_torque
+    return np.array([[inertia, offset, *band.directions, *beside, band.high] for band in law.bands(values, prefix)])
 
-    Attributes:
-        masses: (n, MASS) of the motor, of the load, and of the part of an elastic load that swings.
-        springs: (n - 1, SPRING) each between a mass and the next.
-        places: (forces, 5) gravity and ripple.
+
+def lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
+    """Return a spring in each of its pieces, (pieces, SPRING); complex of complex values."""
+    smooth, found = law.smooth(values), []
+    slides = smooth.slider / smooth.slips if smooth.slips != 0.0 else (math.nan if smooth.slider != 0.0 else 0.0)
+    for begin, torque, stiffness, damping in law.pieces(values):
+        found.append([stiffness, damping, smooth.cubic, smooth.slips, slides, torque - stiffness * begin, begin])
+    return np.array(found)
+
+
+def assemble(
+    masses: Sequence[AnyArray], springs: Sequence[AnyArray], places: FloatArray, pairs: Sequence[tuple[int, int]],
+    motors: Sequence[int], carriers: Sequence[int],
+) -> Plant:  # fmt: skip
+    """Return the plant of lowered masses and springs, filled up to equal numbers of bands and pieces."""
+    pieces = max(map(len, springs), default=1)
+    lowered = []
+    for spring in springs:
+        beyond = np.repeat(spring[-1:], pieces - len(spring), axis=0)
+        beyond[:, BEGIN] = math.inf
+        lowered.append(np.vstack([spring, beyond]))
+    bands = max(map(len, masses))
+    whole = np.array([np.vstack([mass, np.repeat(mass[-1:], bands - len(mass), axis=0)]) for mass in masses])
+    tied = np.array(pairs, dtype=np.uint64).reshape(-1, 2)
+    of_springs = np.array(lowered) if lowered else np.zeros((0, pieces, BEGIN + 1))
+    return Plant(whole, of_springs, places, tied, np.array(motors, dtype=np.uint64), np.array(carriers))
+
+
+def is_possible(plant: Plant, duration: float) -> bool:
+    """Test for masses, springs and friction of a physical joint, for that many seconds.
+
+    Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise.
     """
-
-    masses: FloatArray
-    springs: FloatArray
-    places: FloatArray
-
-    def is_possible(self, duration: float) -> bool:
-        """Test for positive masses, and for springs and friction that are never negative."""
-        if not all(np.all(np.isfinite(one)) for one in self):
-            return False
-        inertia, _, _, _, coulomb, coulomb_back, winding, _, drift, per_torque = self.masses.T
-        fades = np.minimum(drift, 0.0) * duration
-        holds = np.all((drift >= 0) | (np.minimum(coulomb, coulomb_back) + fades >= 0)) and np.all(winding >= 0)
-        sliding = self.springs[:, 3:]
-        return bool(
-            holds and np.all(inertia > 0) and np.all((per_torque >= 0) & (per_torque < 1)) and np.all(sliding >= 0)
-            and np.all(self.springs[:, :2] >= 0)
-        )  # fmt: skip
+    masses, springs = plant.masses, plant.springs
+    numbers = masses[..., :HIGH], springs[..., :BEGIN], plant.places
+    rising = np.all(masses[:, 1:, HIGH] >= masses[:, :-1, HIGH]) and np.all(
+        springs[:, 1:, BEGIN] >= springs[:, :-1, BEGIN]
+    )
+    if not (rising and all(np.all(np.isfinite(one)) for one in numbers)):
+        return False
+    rest, per_torque = masses[:, 0], masses[:, 0, PER_TORQUE]
+    drift = rest[:, COULOMB_DRIFT]
+    faded = np.min(rest[:, [COULOMB, COULOMB_BACK]], axis=1) + np.minimum(drift, 0.0) * duration
+    cones = np.all(rest[:, COULOMB] + rest[:, COULOMB_BACK] >= 0) and np.all((drift >= 0) | (faded >= 0))
+    unsigned = springs[..., [0, 1, SLIPS, SLIPS + 1]]
+    return bool(
+        cones and np.all(rest[:, INERTIA] > 0) and np.all((per_torque >= 0) & (per_torque < 1))
+        and np.all(rest[:, WINDING] >= 0) and np.all(unsigned >= 0)
+    )  # fmt: skip
 
 
 def plant_of(joint: Joint, values: Mapping[str, Any]) -> Plant:
-    """Return the numbers of a joint whose laws are not lines; complex ones of complex values."""
-    laws = joint.smooth(values)
-    assert laws is not None
-    return plant_of_numbers(joint.coefficients(values), laws, joint.places(values), joint.model == "flexible")
+    """Return the numbers of a joint; complex ones of complex values."""
+    drive, places, friction = joint.coefficients(values), joint.places(values), joint.friction
+    if isinstance(joint, RigidJoint):
+        return assemble([lower_mass(drive[0], drive[12], friction, values)], [], places, [], [0], [-1])
+    smooth = joint.spring.smooth(values)
+    load, share, swings = drive[1], smooth.swing_share, np.real(smooth.swing_share) > 0.0
+    if np.real(share) < 0.0:
+        load = math.nan
+    elif swings or smooth.swing_stiffness + smooth.swing_damping == 0.0:
+        load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
+    masses = [
+        lower_mass(drive[0], drive[12], friction, values, "motor_"),
+        lower_mass(load, drive[13], friction, values, "load_"),
+    ]
+    springs = [lower_spring(joint.spring, values)]
+    if swings:
+        masses.append(np.array([[share * drive[1], *np.zeros(HIGH - 1), math.inf]]))
+        own = {"stiffness": smooth.swing_stiffness, "damping": smooth.swing_damping}
+        springs.append(lower_spring(LinearSpring(), own))
+    return assemble(masses, springs, places, [(0, 1), (1, 2)][: len(springs)], [0], [-1, 0, 1][: len(masses)])
 
 
-def plant_of_numbers(drive: FloatArray, laws: SmoothLaws, places: FloatArray, flexible: bool) -> Plant:
-    """Return the numbers from the coefficients of a joint, (14,), and what its laws have beside their lines."""
-    spring = laws.spring
-    if np.real(spring.swing_share) < 0.0:
-        drive = np.full(drive.shape, math.nan)
-    masses, springs = [_mass(drive[0], drive[12], drive[4:8], laws.motor)], []
-    if flexible:
-        slides = spring.slider / spring.slips if spring.slips != 0.0 else (math.nan if spring.slider != 0.0 else 0.0)
-        springs.append([drive[2], drive[3], spring.cubic, spring.slips, slides])
-        load, share = drive[1], spring.swing_share
-        if np.real(share) > 0.0 or spring.swing_stiffness + spring.swing_damping == 0.0:
-            load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
-        masses.append(_mass(load, drive[13], drive[8:12], laws.load))
-        if np.real(share) > 0.0:
-            springs.append([spring.swing_stiffness, spring.swing_damping, 0.0, 0.0, 0.0])
-            masses.append(_mass(share * drive[1], 0.0, np.zeros(4), SmoothFriction()))
-    return Plant(np.array(masses), np.array(springs).reshape(-1, 5), places)
+def plant_seeds(make: Callable[[Mapping[str, Any]], Plant], values: Mapping[str, float], name: str) -> Plant:
+    """Return the derivatives of the numbers that `make` returns by a parameter, by a complex step."""
+    moved = make({**values, name: complex(values[name], IMAGINARY)})
+    return moved._replace(masses=slope(moved.masses), springs=slope(moved.springs), places=slope(moved.places))
 
 
-def seeds_of(joint: Joint, values: Mapping[str, float], name: str) -> Plant:
-    """Return the derivatives of the numbers by a parameter, by a complex step."""
-    moved = plant_of(joint, {**values, name: complex(values[name], _IMAGINARY)})
-    return Plant(*(np.imag(one) / _IMAGINARY for one in moved))
+def slope(moved: AnyArray) -> FloatArray:
+    """Return the derivatives of numbers after a complex step."""
+    return np.asarray(np.imag(moved) / IMAGINARY)
 
 
-def _mass(inertia: Any, offset: Any, friction: FloatArray, smooth: SmoothFriction) -> list[Any]:
-    """Return the row of a mass, of its lines and of what its friction has beside them."""
-    winding = 1.0 / smooth.presliding if smooth.presliding != 0.0 else 0.0
-    drifts = smooth.viscous_drift, smooth.coulomb_drift
-    return [inertia, offset, *friction, winding, *drifts, smooth.per_torque]
+class Integrated(NamedTuple):
+    """A run of `kernels.engine`.
+
+    Attributes:
+        status: how it ended.
+        command: (axes, clock) torques that act, the last held after a failure.
+        excess: (axes, periods, elements) what limits and gates took away, where it was kept.
+        tape: (rows, columns) its steps, where they were kept.
+        counts: (4,) events, rows of the tape, steps of the clock, and those at a limit.
+    """
+
+    status: int
+    command: FloatArray
+    excess: FloatArray
+    tape: FloatArray
+    counts: IntArray
+
+
+def integrate(
+    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
+    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, steps: int = 0,
+    room: Room | None = None,
+) -> Integrated:  # fmt: skip
+    """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
+
+    The arguments are those of `kernels.engine.run`. Steps are those of the integrator in the longest part of a step of
+    the clock; 0 lets each choose its length.
+    """
+    axes, clock = loop.post.shape
+    parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
+    array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
+    excess = array("excess", (axes, periods if keep else 0, elements))
+    rows = _MORE * clock * parts * max(steps, 1) + 1000 if keep else 0
+    rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
+    while True:
+        tape, counts = (
+            array("tape", (rows, engine.tape_width(len(plant.masses), len(plant.pairs)))),
+            np.zeros(4, np.int64),
+        )
+        status = engine.run(
+            plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
+            tape, counts,
+        )  # fmt: skip
+        if not keep or counts[1] <= rows:  # else joints that turn round and stick all the time
+            break
+        rows = int(counts[1])
+    done = int(counts[2])
+    command[:, done:] = command[:, done - 1 : done] if done else 0.0
+    for j, every in enumerate(loop.every):
+        excess[j, -(-done // int(every)) :] = 0.0
+    np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)  # divergence may overflow
+    return Integrated(status, command, excess, tape[: counts[1]], counts)
+
+
+def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the motion as each part begins: positions, velocities, accelerations and modes, (parts, masses) each."""
+    first = tape[np.flatnonzero(np.diff(tape[:, PART], prepend=-1.0))[:parts]]
+    position, velocity, acceleration, _, modes = (
+        first[:, STATE + i * masses : STATE + (i + 1) * masses] for i in range(5)
+    )
+    return position, velocity, acceleration, modes
+
+
+def follow_plant(
+    plant: Plant, seeds: Sequence[Plant | None], loop: SampledLoop, before: float, command: FloatArray,
+    excess: FloatArray, tape: FloatArray, columns: Columns, slopes: Slopes,
+) -> None:  # fmt: skip
+    """Fill the derivatives of a joint's run; `seeds` are those of its numbers, None of a column without any."""
+    from jointid.simulation.kernels import variation
+
+    width = (HIGH, engine.SPRING, engine.WHERE + 1)
+    given = [np.zeros((*one.shape[:-1], last, LANES)) for one, last in zip(plant[:3], width, strict=True)]
+    for j, seed in enumerate(seeds):
+        for whole, own in zip(given, seed[:3] if seed else (), strict=False):
+            whole[..., j] = own[..., : whole.shape[-2]]
+    masses, springs, places = given
+    variation.follow(plant, masses, springs, places, loop, before, command, excess, tape, columns, slopes)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, TypeAlias
@@ -17,10 +16,10 @@ from jointid.models.friction import Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.robot_loop import Bodies
+from jointid.simulation.kernels.engine import Plant
+from jointid.simulation.plant import AnyArray, assemble, lower_mass, lower_spring
 
 Bools: TypeAlias = NDArray[np.bool_]
-AnyArray: TypeAlias = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,15 +72,15 @@ class RobotNumbers:
         return tuple(law for law, _ in self.laws) + tuple(law for law, spring in self.laws if spring is not None)
 
     @property
-    def bodies(self) -> Bodies:
-        """Input of the kernels: bands, pieces and smooth numbers of the laws."""
-        masses = [lower_mass(row, law) for row, law in zip(self.masses, self.frictions, strict=True)]
-        springs = [lower_spring(row, law) for row, (_, law) in zip(self.springs, self.laws, strict=True)]
-        own, bands = np.array([one for one, _ in masses]), _pad([lines for _, lines in masses])
-        presliding, _, faded, per_torque = own[:, 2:].T
-        rests = (np.any(bands[:, :, 3] > 0.0, axis=1) | (faded > 0.0) | (per_torque > 0.0)) & (presliding == 0.0)
-        pieces, bends = _pad([lines for lines, _ in springs]), np.array([one for _, one in springs])
-        return Bodies(self.inertials, self.rotors, own, bands, pieces, bends, rests)
+    def plant(self) -> Plant:
+        """Masses and springs as the kernels read them."""
+        masses = [mass_of(row, law) for row, law in zip(self.masses, self.frictions, strict=True)]
+        flexible = [int(i) for i in np.flatnonzero(self.flexible)]
+        springs = [spring_of(self.springs[i], self.laws[i][1]) for i in flexible]
+        carriers = np.full(len(masses), -1)
+        carriers[flexible] = np.arange(len(flexible))
+        pairs = [(i, int(self.rotors[i])) for i in flexible]
+        return assemble(masses, springs, np.zeros((0, 5)), pairs, self.rotors.tolist(), carriers.tolist())
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -224,27 +223,17 @@ def law_places(numbers: RobotNumbers) -> list[tuple[NumberPlace, Parameter]]:
     return found
 
 
-def lower_mass(row: AnyArray, law: Friction) -> tuple[AnyArray, AnyArray]:
-    """Return a mass as the kernels read it: its own numbers, (6,), and the bands of its friction, (bands, 4)."""
-    values = friction_values(row)
+def mass_of(row: AnyArray, law: Friction) -> AnyArray:
+    """Return a mass as the kernels read it, from its numbers; complex of complex ones."""
     rises = law.linear or law.stepped or row[MassNumbers.SPEED] != 0.0
-    bands = [(band.high, *band.directions[:3]) for band in (law if rises else law.lines).bands(values)]
-    own = row[MassNumbers.INERTIA], row[MassNumbers.OFFSET], *law.smooth(values)
-    return np.array(own), np.array(bands)
+    inertia, offset = row[MassNumbers.INERTIA], row[MassNumbers.OFFSET]
+    return lower_mass(inertia, offset, law if rises else law.lines, friction_values(row))
 
 
-def lower_spring(row: AnyArray, law: Spring | None) -> tuple[AnyArray, AnyArray]:
-    """Return a spring as the kernels read it: its pieces, (pieces, 4), and what it has beside, (3,)."""
-    if law is None:
-        return np.zeros((1, 4)), np.zeros(3)
-    values = dict(zip(SPRING_NUMBERS, row, strict=True))
-    return np.array(law.pieces(values)), np.array(law.smooth(values)[:3])
-
-
-def _pad(each: Sequence[FloatArray]) -> FloatArray:
-    """Pad bands or pieces to one length with unreachable ones."""
-    longest = max(map(len, each))
-    return np.array([np.vstack([one, np.tile([math.inf, 0.0, 0.0, 0.0], (longest - len(one), 1))]) for one in each])
+def spring_of(row: AnyArray, law: Spring | None) -> AnyArray:
+    """Return a spring as the kernels read it, from its numbers; complex of complex ones."""
+    assert law is not None
+    return lower_spring(law, dict(zip(SPRING_NUMBERS, row, strict=True)))
 
 
 class NumberOf(IntEnum):

@@ -23,13 +23,14 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
+from jointid.simulation.plant import IMAGINARY, slope
 from jointid.simulation.robot_numbers import (
     MassNumbers,
     NumberOf,
     NumberPlace,
     RobotNumbers,
-    lower_mass,
-    lower_spring,
+    mass_of,
+    spring_of,
     stribeck_share,
     with_values,
 )
@@ -46,11 +47,10 @@ from jointid.simulation.robot_start import (
 from jointid.simulation.robots import MassMotion, RobotRun, motion_at
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.robot_sensitivities import Moved, Seeds
+    from jointid.simulation.kernels.robot_variation import Moved, Seeds
 
 _RELATIVE = 1e-6  # of a number, or of 1 where that is more: differences of laws
 _SMALL = 1e-7  # rad: differences of the load
-_IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
 
 
@@ -82,7 +82,7 @@ def respond_to_laws(
         Of each joint what its own law adds as the motion changes, (samples, changes); of each change the difference of
         the two laws along the motion of the run, (samples,).
     """
-    from jointid.simulation.kernels.robot_sensitivities import Moved
+    from jointid.simulation.kernels.robot_variation import Moved
 
     clock, n, count = run.experiment.clock, run.numbers.rotors.size, len(changes)
     position = motion_at(run, clock.lengths.size * np.arange(clock.steps)).position[:, run.numbers.rotors]
@@ -97,7 +97,7 @@ def respond_to_laws(
         shown = (to_log(one, seen_torque(one, of.output)) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
     places = tuple(NumberPlace(NumberOf.PUSH, j, i) for i, (j, _) in enumerate(changes))
-    still, states = np.zeros((len(run.numbers.masses), count)), run.experiment.laws.A.shape[-1]
+    still, states = np.zeros((len(run.numbers.masses), count)), run.experiment.sampled.feedback.A.shape[-1]
     moved = Moved(still, still.copy(), np.zeros((n, states, count)), np.zeros((n, count)))
     return _follow(run, places, moved, pushes), direct
 
@@ -116,16 +116,16 @@ def _follow(
 
     Pushes, (pushes, clock), are torques added to controllers' outputs; in the result they are left out.
     """
-    from jointid.simulation.kernels import robot_sensitivities as kernels
+    from jointid.simulation.kernels import robot_variation as kernels
 
-    experiment, clock, laws = run.experiment, run.experiment.clock, run.experiment.laws
-    rows = np.array([(place.of, place.row, place.column) for place in places], dtype=np.int64).reshape(-1, 3)
+    experiment, clock, numbers = run.experiment, run.experiment.clock, run.experiment.carrying(run.numbers)
+    rows = rows_of(run.numbers, places)
     command = np.zeros((len(experiment.experiments), clock.steps, len(rows)))
     seeds = seeds_of(run.numbers, places)
     seeds = seeds if pushes is None else seeds._replace(pushes=pushes)
     kernels.differentiate_run(
-        experiment.tree, experiment.carrying(run.numbers).bodies, clock.timing, laws, run.cuts, run.tape,
-        rows, seeds, moved, command, np.zeros((len(command), 0, 0)),
+        experiment.tree, numbers.inertials, numbers.plant, experiment.sampled, run.before, run.command, run.excess,
+        run.tape, rows, seeds, moved, command, np.zeros((len(command), 0, 0)),
     )  # fmt: skip
     for c, (kind, j, push) in enumerate(rows):
         if kind == NumberOf.PUSH:
@@ -143,25 +143,29 @@ def _follow(
     return found
 
 
+def rows_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> IntArray:
+    """Return what each parameter is a number of, in which row of the kernels' arrays, and which column."""
+    n = numbers.rotors.size
+    found = [(p.of, numbers.rotors[p.row] - n if p.of is NumberOf.SPRING else p.row, p.column) for p in places]
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
+
+
 def seeds_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> Seeds:
     """Return how the numbers that the kernels read depend on parameters, by a complex step: rational functions."""
-    from jointid.simulation.kernels.robot_sensitivities import Seeds
+    from jointid.simulation.kernels.robot_variation import Seeds
 
-    bodies, count = numbers.bodies, len(places)
-    mass, bends = np.zeros((count, bodies.masses.shape[1])), np.zeros((count, bodies.bends.shape[1]))
-    bands, pieces = np.zeros((count, *bodies.bands.shape[1:])), np.zeros((count, *bodies.pieces.shape[1:]))
+    plant = numbers.plant
+    masses = np.zeros((len(places), *plant.masses.shape[1:]))
+    springs = np.zeros((len(places), *plant.springs.shape[1:]))
     for c, place in enumerate(places):
         if place.of not in (NumberOf.MASS, NumberOf.SPRING):
             continue
         row = numbers.arrays[place.of][place.row].astype(np.complex128)
-        row[place.column] += 1j * _IMAGINARY
-        if place.of is NumberOf.MASS:
-            own, lines = lower_mass(row, numbers.frictions[place.row])
-            mass[c], bands[c, : len(lines), 1:] = np.imag(own) / _IMAGINARY, np.imag(lines[:, 1:]) / _IMAGINARY
-        else:
-            lines, own = lower_spring(row, numbers.laws[place.row][1])
-            bends[c], pieces[c, : len(lines)] = np.imag(own) / _IMAGINARY, np.imag(lines) / _IMAGINARY
-    return Seeds(mass, bands, pieces, bends, np.zeros((0, 0)))
+        row[place.column] += 1j * IMAGINARY
+        of_mass = place.of is NumberOf.MASS
+        own = mass_of(row, numbers.frictions[place.row]) if of_mass else spring_of(row, numbers.laws[place.row][1])
+        (masses if of_mass else springs)[c, : len(own)] = slope(own)
+    return Seeds(masses, springs, np.zeros((0, 0)))
 
 
 def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
@@ -170,19 +174,19 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
     Of `robot_start.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
     has; ``K (qm - q) = load(q)``.
     """
-    from jointid.simulation.kernels.robot_sensitivities import Moved
+    from jointid.simulation.kernels.robot_variation import Moved
 
     experiment, numbers = run.experiment, run.experiment.carrying(run.numbers)
     n, rotors = numbers.rotors.size, numbers.rotors
     motors, speeds = run.start[rotors], experiment.speeds
     integrates = np.array([each.integral is not None for each in experiment.experiments])
-    states = np.zeros((n, experiment.laws.A.shape[-1], 3))  # at the start, further, with more torque
+    states = np.zeros((n, experiment.sampled.feedback.A.shape[-1], 3))  # at the start, further, with more torque
     for j, each in enumerate(experiment.experiments):
         for i, (at, torque) in enumerate(((0.0, 0.0), (_NUDGE, 0.0), (0.0, 1.0))):
             state, _ = first_state(each, motors[j] + at, speeds[j], torque if integrates[j] else None)
             states[j, : state.size, i] = state
-    slope = controllers_at(experiment, motors)[1]
-    soft = np.where(integrates | (slope >= 0.0), 0.0, 1.0 / np.where(slope == 0.0, -1.0, slope))
+    steep = controllers_at(experiment, motors)[1]
+    soft = np.where(integrates | (steep >= 0.0), 0.0, 1.0 / np.where(steep == 0.0, -1.0, steep))
     dq, load = slopes_at_start(experiment, numbers, run.start, soft, places)
     of_motor = dq[rotors]
     by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
@@ -243,8 +247,8 @@ def slopes_at_start(
         elif lines[place.row]:
             stretched[place.row, c] = (motors - links)[place.row] if place.column == 0 else 0.0
         elif compliance[place.row] > 0.0:
-            slope = _slope_by_number(lambda other: deflections(other, carried), numbers, place)
-            stretched[place.row, c] = -slope / compliance[place.row]
+            gives = _slope_by_number(lambda other: deflections(other, carried), numbers, place)
+            stretched[place.row, c] = -gives / compliance[place.row]
     direct, turning = gain[:, np.newaxis] * direct, gain[:, np.newaxis] * turning
     direct += np.where(numbers.flexible, 0.0, gain - 1.0)[:, np.newaxis] * own
     moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct

@@ -96,11 +96,11 @@ def begin(experiment: RobotInput, numbers: RobotNumbers) -> RobotStart:
     speeds = speeds_at_start(experiment, numbers)
     of_motors = own_torques(experiment, numbers)
     at_reference, slope = controllers_at(experiment, references)
-    asked = at_reference + experiment.after_limit[:, 0]
+    asked = at_reference + experiment.sampled.post[:, 0]
     integrates = np.array([each.integral is not None for each in experiment.experiments])
     soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
     places, load = places_at_start(experiment, numbers, references, soft, of_motors - asked)
-    holding = load + of_motors - experiment.after_limit[:, 0]
+    holding = load + of_motors - experiment.sampled.post[:, 0]
     return RobotStart(places, speeds, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True)))
 
 

@@ -25,10 +25,11 @@ from jointid.models.linear import SNAP
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Timing
 from jointid.simulation.closed_loop import first_state
-from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.robot_loop import Clock, Controllers, Driven, RobotTape, Seen
+from jointid.simulation.kernels.drive import Feedback, IntArray, SampledLoop
+from jointid.simulation.kernels.engine import CUBIC, DAMPING, FREE, SLIDING, SLIPS, STATE, STIFFNESS
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
-from jointid.simulation.robot_numbers import Bools, MassNumbers, RobotNumbers
+from jointid.simulation.plant import integrate, motion_of
+from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
 from jointid.simulation.simulated import FINISHED, TORQUE_OF
 
@@ -37,7 +38,6 @@ FINE, COARSE = 0.5, 1.0
 
 _STEPS = 64  # per part of a period, at most that are chosen
 _POSES = 5  # along the reference, at which the fastest motion is searched for
-_MORE = 2  # pieces per step and part, at most, beside a thousand
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
 
 
@@ -104,9 +104,7 @@ class RobotInput:
         tree: parents, kinds, axes, rotations, origins, gravity, and joints from shafts (`models.robots.equations`).
         experiments: of each joint alone.
         clock: that their controllers share.
-        laws: the controllers.
-        feedforward: (n, elements, periods) their answers to everything but the positions, each of its own periods.
-        after_limit: (n, clock) what is added to the torques behind the limits.
+        sampled: controllers and inputs as the kernels read them.
         speeds, accelerations: (n,) of the shafts at the first sample.
         payload: (10,) inertial parameters of what the last link carries beside the candidate, or ().
     """
@@ -114,9 +112,7 @@ class RobotInput:
     tree: Tree
     experiments: tuple[LoopInput, ...]
     clock: RobotClock
-    laws: Controllers
-    feedforward: FloatArray
-    after_limit: FloatArray
+    sampled: SampledLoop
     speeds: FloatArray
     accelerations: FloatArray
     payload: tuple[float, ...] = ()
@@ -134,7 +130,9 @@ class RobotInput:
         if not numbers.delays.size:
             return self
         each = [one.delayed(float(late)) for one, (late,) in zip(self.experiments, numbers.delays, strict=True)]
-        return replace(self, experiments=tuple(each), clock=common_clock(each, [""] * len(each)))
+        clock = common_clock(each, [""] * len(each))
+        sampled = self.sampled._replace(lengths=clock.lengths, lags=clock.lags, every=clock.every)
+        return replace(self, experiments=tuple(each), clock=clock, sampled=sampled)
 
     @property
     def references(self) -> FloatArray:
@@ -167,9 +165,10 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
     clock = common_clock(alone, robot.names)
     after_limit = np.stack([clock.repeat(j, each.after_limit) for j, each in enumerate(alone)])
     laws, feedforward = pack_laws(alone)
+    sampled = SampledLoop(clock.lengths, clock.lags, clock.every, laws, feedforward, after_limit)
     motion = np.array([reference_motion(each) if loop.in_motion else (0.0, 0.0) for each in alone]).T.copy()
     payload = records[-1].payload
-    return RobotInput(robot.tree, tuple(alone), clock, laws, feedforward, after_limit, motion[0], motion[1], payload)
+    return RobotInput(robot.tree, tuple(alone), clock, sampled, motion[0], motion[1], payload)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,9 +178,10 @@ class RobotRun:
     Attributes:
         experiment: it was driven with. numbers: of the candidate.
         outcome: how it ended. finished: share of the experiment that was simulated. events: that were located.
-        command: (n, clock) the torque that acts.
+        before: (n,) torques that acted before the first period. command: (n, clock) those that act.
         start: (masses,) positions at the beginning.
-        cuts: (n, periods, elements) where limits and gates act; tape: its pieces. Both are empty unless they were kept.
+        excess: (n, periods, elements) what limits and gates take away; tape: its steps. Both are empty unless they were
+            kept.
     """
 
     experiment: RobotInput
@@ -189,10 +189,11 @@ class RobotRun:
     outcome: RobotOutcome
     finished: float
     events: int
+    before: FloatArray
     command: FloatArray
     start: FloatArray
-    cuts: Bools
-    tape: RobotTape
+    excess: FloatArray
+    tape: FloatArray
 
     @property
     def torque(self) -> FloatArray:
@@ -268,17 +269,12 @@ def run_robot(
 
     Without steps they are as many as keep the fastest motion within a stride, rad, each.
     """
-    from jointid.simulation.kernels import robot_loop
-
     possible = numbers.possible(experiment.clock.steps * float(np.sum(experiment.clock.lengths)))
     experiment = experiment.delayed(numbers) if possible else experiment
     clock, n, masses = experiment.clock, len(experiment.experiments), len(numbers.masses)
-    carried = experiment.carrying(numbers)
-    parts, (_, elements, periods) = clock.lengths.size, experiment.feedforward.shape
-    laws, states = experiment.laws, experiment.laws.A.shape[-1]
-    command, counts = np.zeros((n, clock.steps)), np.zeros(3, dtype=np.int64)
-    cuts = np.zeros((n, periods if keep else 0, elements if keep else 0), dtype=np.bool_)
-    start, outcome = np.zeros(masses), RobotOutcome.INVALID
+    carried, sampled = experiment.carrying(numbers), experiment.sampled
+    states, elements = sampled.feedback.A.shape[-1], sampled.w.shape[1]
+    start, before, outcome = np.zeros(masses), np.zeros(n), RobotOutcome.INVALID
     taken = 1 if steps is None else steps
     if possible:
         outcome = RobotOutcome.FINISHED
@@ -287,28 +283,25 @@ def run_robot(
             # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
             outcome = outcome if taken <= _STEPS else RobotOutcome.TOO_STIFF
             taken = math.ceil(taken * FINE / stride)
-    rows = (_MORE * clock.steps * parts * taken + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
-    bodies = carried.bodies
-    tape = RobotTape.empty(clock.steps * parts, rows, bodies)
-    if outcome is RobotOutcome.FINISHED:
-        began = begin(experiment, carried)
-        start, state, before = began.places, np.zeros((n, states)), np.empty(n)
-        for j, each in enumerate(experiment.experiments):
-            motor = numbers.rotors[j]
-            own, torque = first_state(each, start[motor], began.speeds[motor], began.torques[j])
-            state[j, : own.size], before[j] = own, torque + each.after_limit[0]
-        far = np.array([each.far for each in experiment.experiments]) + np.abs(start[numbers.rotors])
-        driven = Driven(experiment.feedforward, experiment.after_limit, before, far)
-        status = robot_loop.run(
-            experiment.tree, bodies, clock.timing, taken, laws, driven, state, start.copy(), began.speeds,
-            Seen(command, cuts), tape, counts,
-        )  # fmt: skip
-        outcome = outcome_of(status)
-    done = int(counts[2])
-    command[:, done:] = command[:, done - 1 : done] if done else 0.0
-    np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    kept = tape.until(done * parts, int(counts[1]))
-    return RobotRun(experiment, numbers, outcome, done / clock.steps, int(counts[0]), command, start, cuts, kept)
+    if outcome is not RobotOutcome.FINISHED:
+        nothing = np.zeros((n, clock.steps)), start, np.zeros((n, 0, elements)), np.zeros((0, STATE))
+        return RobotRun(experiment, numbers, outcome, 0.0, 0, before, *nothing)
+    began = begin(experiment, carried)
+    start, state = began.places, np.zeros((n, states))
+    for j, each in enumerate(experiment.experiments):
+        motor = numbers.rotors[j]
+        own, torque = first_state(each, start[motor], began.speeds[motor], began.torques[j])
+        state[j, : own.size], before[j] = own, torque + each.after_limit[0]
+    far = np.array([each.far for each in experiment.experiments]) + np.abs(start[numbers.rotors])
+    found = integrate(
+        carried.plant, experiment.tree, carried.inertials, sampled, before, far, state, start, began.speeds,
+        np.sign(began.speeds), keep=keep, steps=taken,
+    )  # fmt: skip
+    finished = int(found.counts[2]) / clock.steps
+    return RobotRun(
+        experiment, numbers, outcome_of(found.status), finished, int(found.counts[0]), before, found.command, start,
+        found.excess, found.tape,
+    )  # fmt: skip
 
 
 def simulation_of(run: RobotRun) -> RobotSimulation:
@@ -325,14 +318,14 @@ def simulation_of(run: RobotRun) -> RobotSimulation:
 
 def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
     """Return the motion as these parts of the clock's steps begin; the tape must have been kept."""
-    tape = run.tape
-    if not tape.first.size:
+    clock, masses = run.experiment.clock, len(run.start)
+    done = round(run.finished * clock.steps) * clock.lengths.size
+    if not done or not len(run.tape):
         held = np.tile(run.start, (parts.size, 1))
         return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
-    at = tape.first[np.minimum(parts, tape.first.size - 1)]
-    velocity, sliding = tape.speeds[at], run.numbers.sliding
-    direction = np.where(sliding, tape.directions[at], np.sign(velocity))
-    found = MassMotion(tape.places[at], velocity, tape.initial_acceleration[at], direction)
+    at = np.minimum(parts, done - 1)
+    position, velocity, acceleration, modes = (values[at] for values in motion_of(run.tape, masses, done))
+    found = MassMotion(position, velocity, acceleration, np.where(modes == FREE, np.sign(velocity), modes))
     for values in (found.position, found.velocity, found.acceleration):
         np.nan_to_num(values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return found
@@ -358,14 +351,15 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, numbers: Rob
     winding = np.where(over > 0.0, 2.0 * numbers.masses[:, MassNumbers.COULOMB] / np.where(over > 0.0, over, 1.0), 0.0)
     springs = np.diag(winding)
     dampers = np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:6], axis=1) + steep)
-    bodies = numbers.bodies
+    plant = numbers.plant
     for i in np.flatnonzero(numbers.flexible):
         both = np.zeros(size)
         both[i], both[rotors[i]] = 1.0, -1.0
         # A cubic spring is four times as stiff where the cube carries as much as the line.
-        stiffness = float(np.max(bodies.pieces[i, :, 2])) * (4.0 if bodies.bends[i, 0] > 0.0 else 1.0)
-        springs += (stiffness + 2.0 * bodies.bends[i, 1]) * np.outer(both, both)
-        dampers += float(np.max(bodies.pieces[i, :, 3])) * np.outer(both, both)
+        stiffest = np.max(plant.springs[rotors[i] - n], axis=0)
+        stiffness = stiffest[STIFFNESS] * (4.0 if stiffest[CUBIC] > 0.0 else 1.0)
+        springs += (stiffness + 2.0 * stiffest[SLIPS] * stiffest[SLIDING]) * np.outer(both, both)
+        dampers += stiffest[DAMPING] * np.outer(both, both)
     for pose in references[:: max(len(references) // _POSES, 1)]:
         M = np.zeros((size, size))
         links = np.empty((n, n))
@@ -467,11 +461,6 @@ class RobotClock:
     torque_index: IntArray
 
     @property
-    def timing(self) -> Clock:
-        """Clock of the kernels."""
-        return Clock(self.lengths, self.lags, self.every)
-
-    @property
     def samples(self) -> int:
         """Of the log."""
         return self.log_index.size
@@ -539,35 +528,36 @@ def common_clock(alone: Sequence[LoopInput], names: Sequence[str]) -> RobotClock
     return RobotClock(steps, lengths, lags, every, sample_time, at * parts, np.array(started))
 
 
-def pack_laws(alone: Sequence[LoopInput]) -> tuple[Controllers, FloatArray]:
+def pack_laws(alone: Sequence[LoopInput]) -> tuple[Feedback, FloatArray]:
     """Return the controllers filled up to equal sizes, and their answers to everything but the positions.
 
     States that are filled up stay 0, as elements do; the answers are (n, elements, periods), each of its own periods.
     """
     kernels = [each.kernel for each in alone]
-    phases = math.lcm(*(len(kernel.A) for kernel in kernels))
-    states, elements = max(k.A.shape[1] for k in kernels), max(k.limits.size for k in kernels)
-    sizes = {"z": states, "e": elements}
-
-    def pack(name: str, axes: str) -> FloatArray:
-        out = np.zeros((len(kernels), phases, *(sizes[axis] for axis in axes)))
-        for j, kernel in enumerate(kernels):
-            values = getattr(kernel, name)
-            values = np.tile(values, (phases // len(values), *(1,) * len(axes)))
-            inside: tuple[int | slice, ...] = (j, slice(None), *(slice(size) for size in values.shape[1:]))
-            out[inside] = values
-        return out
-
+    phases = math.lcm(*(kernel.A.shape[1] for kernel in kernels))
+    states, elements = (max(kernel.C.shape[axis] for kernel in kernels) for axis in (3, 2))
     periods, driven = max(each.periods for each in alone), any(kernel.driven.size for kernel in kernels)
-    into = np.zeros((len(kernels), periods if driven else 0, states))
-    limits, gates = np.full((len(kernels), elements), np.inf), np.full((len(kernels), elements), -1)
+    sizes = {"p": phases, "z": states, "e": elements, "t": periods if driven else 0}
+    axes = {
+        "A": "pzz",
+        "Bq": "pz",
+        "F": "pze",
+        "C": "pez",
+        "D": "pe",
+        "E": "pee",
+        "limits": "e",
+        "gates": "e",
+        "driven": "tz",
+    }
+    filled: dict[str, FloatArray] = {}
+    for name, shape in axes.items():
+        given = [getattr(kernel, name)[0] for kernel in kernels]
+        beyond = {"limits": math.inf, "gates": -1}.get(name, 0)
+        filled[name] = np.full((len(kernels), *(sizes[axis] for axis in shape)), beyond, dtype=given[0].dtype)
+        for whole, own in zip(filled[name], given, strict=True):
+            repeated = np.concatenate([own] * (phases // len(own))) if shape[0] == "p" else own
+            whole[tuple(slice(size) for size in repeated.shape)] = repeated
     feedforward = np.zeros((len(kernels), elements, periods))
-    for j, (kernel, each) in enumerate(zip(kernels, alone, strict=True)):
-        limits[j, : kernel.limits.size], gates[j, : kernel.limits.size] = kernel.limits, kernel.gates
-        feedforward[j, : kernel.limits.size, : each.periods] = each.feedforward
-        if kernel.driven.size:
-            into[j, : each.periods, : kernel.driven.shape[1]] = kernel.driven
-    shapes = {"A": "zz", "Bq": "z", "F": "ze", "C": "ez", "D": "e", "E": "ee"}
-    A, Bq, F, C, D, E = (pack(name, axes) for name, axes in shapes.items())
-    outputs = np.array([kernel.output for kernel in kernels])
-    return Controllers(A, Bq, F, C, D, E, limits, gates, into, outputs), feedforward
+    for whole, each in zip(feedforward, alone, strict=True):
+        whole[: len(each.feedforward), : each.periods] = each.feedforward
+    return Feedback(**filled, output=np.concatenate([kernel.output for kernel in kernels])), feedforward  # type: ignore[arg-type]

@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import (
     ClosedLoopRun,
@@ -29,11 +28,9 @@ from jointid.simulation.closed_loop import (
     run,
 )
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
-from jointid.simulation.plant import Plant, seeds_of
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
-_IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
@@ -109,10 +106,8 @@ def _run_with_tape(
         if _is_of_law(own, name):
             number(loop.controller, name)
     rows = taped_rows(experiment.periods)
-    if loop.joint.stepped:
-        rows += experiment.periods * experiment.lengths.size
     out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
-    if out.counts[1] > rows:  # a joint that turns round and sticks all the time
+    if out.plant is None and out.counts[1] > rows:  # a joint that turns round and sticks all the time
         out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
     return out
 
@@ -165,28 +160,19 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
 
     Shapes: (periods, lanes) and (periods * parts, 4, lanes).
     """
-    from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
+    from jointid.simulation.plant import follow_plant, plant_of, plant_seeds
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
-    segments = out.segments
-    pieces = np.zeros((*(kernels.NO_SEGMENTS if segments is None else segments).shape, width))
-    seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
+    seeds, start = np.zeros((14, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
-    in_pieces = _in_pieces(joint)
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
-            if segments is not None and name in in_pieces:
-                pieces[:, :, j] = segment_seeds(joint, out.values, name)
-            elif segments is not None:  # the same in every segment
-                pieces[:, :14, j] = by_name[name]
-            if out.gravity is not None:
-                weights[:, j] = gravity_slope(joint, name)
             # At rest it else begins where the motor is, whatever it is like.
-            if out.velocity != 0.0 or out.gravity is not None or out.plant is not None:
+            if out.velocity != 0.0 or out.plant is not None:
                 start[:, j] = start_slope(lambda at: out.start(at, out.position, out.velocity), out.values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
@@ -205,30 +191,15 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     slopes, rows = sensitivity_kernels.Slopes(command, states), int(out.counts[1])
     if out.plant is None:
         sensitivity_kernels.follow(
-            experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes,
-            kernels.NO_GRAVITY if out.gravity is None else out.gravity, weights,
-            kernels.NO_SEGMENTS if segments is None else segments, pieces,
+            experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes
         )  # fmt: skip
     else:
-        from jointid.simulation.kernels import variation
-
-        trace = out.trace._replace(tape=out.tape[:rows])
-        variation.follow(*out.plant, _plant_seeds(out, names), experiment.sampled, out.before, trace, columns, slopes)
+        make = partial(plant_of, joint)
+        follow_plant(
+            out.plant, [plant_seeds(make, out.values, name) if name in by_name else None for name in names],
+            experiment.sampled, out.before, out.command, out.excess, out.tape, columns, slopes,
+        )  # fmt: skip
     return command.T, states
-
-
-def _plant_seeds(out: ClosedLoopRun, names: Sequence[str]) -> Plant:
-    """Derivatives of the numbers of a plant by the parameters of its joint among some names."""
-    from jointid.simulation.kernels.drive_sensitivities import LANES
-
-    assert out.plant is not None
-    rows = 3, 2, len(out.plant.places)
-    seeds = Plant(*(np.zeros((n, one.shape[1], LANES)) for n, one in zip(rows, out.plant, strict=True)))
-    for j, name in enumerate(names):
-        if name in out.values:
-            for seed, moved in zip(seeds, seeds_of(out.loop.joint, out.values, name), strict=True):
-                seed[: len(moved), :, j] = moved
-    return seeds
 
 
 def taped_rows(samples: int) -> int:
@@ -254,29 +225,6 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     return found
 
 
-def _in_pieces(joint: Joint) -> set[str]:
-    """Parameters on which the segments depend."""
-    found = {p.name for p in joint.spring.parameters} if isinstance(joint, FlexibleJoint) else set[str]()
-    if not joint.friction.linear:
-        prefixes = ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",)
-        found |= {p.name for prefix in prefixes for p in joint.friction.parameters(prefix)}
-    return found
-
-
-def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> FloatArray:
-    """Derivatives of the segments by a parameter, (segments, 23), by a complex step."""
-    moved: dict[str, Any] = {**values, name: complex(values[name], _IMAGINARY)}
-    found = joint.segments(moved)
-    assert found is not None
-    return np.asarray(np.imag(found) / _IMAGINARY)
-
-
-def gravity_slope(joint: Joint, name: str) -> FloatArray:
-    """Constant derivatives of the gravity factors by a parameter, (3,)."""
-    one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
-    return np.zeros(3) if one is None else one[:3]
-
-
 def start_slope(
     start: Callable[[Mapping[str, float]], FloatArray], values: Mapping[str, float], name: str
 ) -> FloatArray:
@@ -289,12 +237,11 @@ def start_slope(
 def _start_slope(out: ClosedLoopRun, position: float, velocity: float) -> FloatArray:
     """Derivative of the first state by motor position (1, 0) or velocity (0, 1).
 
-    It is affine on one side of 0, up to gravity and piecewise laws.
+    It is affine on one side of 0 where all laws are lines.
     """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
-    bends = any(one is not None for one in (out.gravity, out.segments, out.plant))
-    step = _SMALL if bends else 1.0
+    step = 1.0 if out.plant is None else _SMALL
     by = (step * position, step * velocity * 0.5 * out.velocity)
     moved = out.start(out.values, out.position + by[0], out.velocity + by[1])
     return np.asarray((moved - out.start(out.values, out.position, out.velocity)) / (by[0] + by[1]))
@@ -342,7 +289,7 @@ def require_same_structure(low: SampledLaw, high: SampledLaw, name: str) -> None
 def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
     """Return the excess over limits and gates, (periods, elements)."""
     law = out.experiment.law
-    if law.limits.size > 1 or law.phases > 1 or len(out.experiment.kernel.driven):
+    if law.limits.size > 1 or law.phases > 1 or out.experiment.kernel.driven.shape[1]:
         return out.excess
     if not np.any(law.F):
         return np.zeros_like(out.excess)

@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -15,19 +13,17 @@ from jointid.common.compiled import has_cache
 from jointid.common.parallel import Aside
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import PreslidingFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 
-_SAMPLES = 10
-
 
 def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
     """Compile the simulation of a joint of straight lines, or load it from the cache.
 
-    Kernels of smooth laws are compiled by the first joint that has one.
+    Kernels of other laws are compiled by the first joint that has one.
 
     Args:
         derivatives: also compile the derivatives, in another process if there is a second core.
@@ -43,38 +39,29 @@ def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
 
 
 def compile_drive() -> None:
-    """Compile the simulation of piecewise linear drives."""
-    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=1.0, velocity_gain=1.0))
-    simulate_torque(loop, prepare(loop, _at_rest()), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0))
+    """Compile the simulation of a joint of straight lines."""
+    loop, values = _loop(RigidJoint("prismatic"))
+    simulate_torque(loop, prepare(loop, _at_rest()), values)
 
 
 def compile_derivatives() -> None:
     """Compile their derivatives by a call without a period."""
     from jointid.simulation.kernels import drive, drive_sensitivities
+    from jointid.simulation.prescribed import pass_on
 
-    lanes = drive_sensitivities.LANES
-    none, law = np.zeros(0), drive.NO_FEEDBACK
-    counts = np.zeros(4, dtype=np.int64)
-    loop = drive.SampledLoop(np.ones(1), counts[:1], law, np.zeros((1, 0)), none)
-    trace = drive.Trace(
-        none, np.zeros((0, 1)), np.zeros((0, 4)), np.zeros(0, dtype=np.int16), np.zeros((0, 2)),
-        np.zeros((0, drive.TAPE)), counts,
-    )  # fmt: skip
-    columns = drive_sensitivities.Columns(
-        np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes))
-    )
+    lanes, none = drive_sensitivities.LANES, np.zeros(0)
+    counts, modes = np.zeros(4, dtype=np.int64), np.zeros(0, dtype=np.int16)
+    trace = drive.Trace(none, np.zeros((0, 1)), np.zeros((0, 4)), modes, np.zeros((0, drive.TAPE)), counts)
+    start, law = np.zeros((4, lanes)), np.zeros((0, lanes))
+    columns = drive_sensitivities.Columns(np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), start, law)
     slopes = drive_sensitivities.Slopes(np.zeros((lanes, 0)), np.zeros((0, 4, lanes)))
-    drive_sensitivities.follow(
-        loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), columns, slopes, drive.NO_GRAVITY,
-        np.zeros((3, lanes)), drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),
-    )  # fmt: skip
+    loop = pass_on(np.zeros((1, 1, 0)), 1.0)
+    drive_sensitivities.follow(loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), columns, slopes)
 
 
 def compile_smooth_laws() -> None:
-    """Compile the simulation and the derivatives of smooth laws."""
-    joint = FlexibleJoint("prismatic", friction=PreslidingFriction())
-    loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
-    values = dict.fromkeys((parameter.name for parameter in joint.parameters), 1.0)
+    """Compile the simulation and the derivatives of other laws."""
+    loop, values = _loop(FlexibleJoint("prismatic", friction=PreslidingFriction()))
     values["offset"] = 0.0  # else it would leave the range of its reference, and there would be no derivatives
     simulate_sensitivities(loop, prepare(loop, _at_rest(sample_time=1e-3)), values, ["motor_inertia"])
 
@@ -97,26 +84,20 @@ def compile_robot() -> None:
     base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
 
 
-PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
-    {
-        "drive": compile_drive,
-        "derivatives": compile_derivatives,
-        "smooth laws": compile_smooth_laws,
-        "robot": compile_robot,
-    }
-)
-"""What compiles independently of each other."""
+def _loop(joint: Joint) -> tuple[ClosedLoop, dict[str, float]]:
+    values = dict.fromkeys((parameter.name for parameter in joint.parameters), 1.0)
+    return ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0)), values
 
 
 def _at_rest(unit: str = "m", sample_time: float = 1.0) -> Record:
-    return Record(reference=Channel(np.zeros(_SAMPLES), unit, sample_time))
+    return Record(reference=Channel(np.zeros(10), unit, sample_time))
 
 
 def main() -> None:
     """Compile all kernels."""
     beside = Aside(compile_robot)
-    for part in ("drive", "derivatives", "smooth laws"):
-        PARTS[part]()
+    for compile_part in (compile_drive, compile_derivatives, compile_smooth_laws):
+        compile_part()
     beside.result()
 
 

@@ -190,11 +190,7 @@ def _from_rest(motion: PrescribedMotion) -> PrescribedMotion:
 
     The rounding of an encoder would have a load that moves steadily begin where its Coulomb force drags it.
     """
-    if weights_of(motion)[0]:
-        return motion
-    velocity = motion.velocity.copy()
-    velocity[0] = 0.0
-    return replace(motion, velocity=velocity)
+    return motion if weights_of(motion)[0] else motion.from_rest()
 
 
 def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]:

@@ -12,18 +12,6 @@ exact to rounding; each sliding, sticking and direction mode of the two masses h
 
 A rigid joint is the same drive with no spring and a load that nothing pushes: the load sticks for ever.
 
-A spring in pieces is affine in each segment of its deflection, and a friction in pieces in each band of a speed. So a
-segment, a box of deflection and both speeds, is a drive of its own, with what its lines have at no deflection and no
-speed among the constant forces. Segments are modes like those of friction: each has its maps, the proofs have a chord
-more for each side of the box, and reaching one is one event more; the force goes on there where it was.
-
-One compiled form serves all drives, since compiling takes seconds: a drive without segments or gravity has arrays of no
-length for them.
-
-Gravity depends on the position, but slowly: over a part of a period it is held, as the torque is, at what it is in
-mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
-second order in the period, the only one here.
-
 State ``x`` = motor position, motor velocity, load position, load velocity. Functions pass numbers and tuples rather
 than arrays: Numba counts references to an array at each call, with an atomic operation as dear as thirty others.
 """
@@ -56,13 +44,8 @@ _PIECES = 4096  # Taylor steps per period at most: a drive faster than that is n
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
 
 # One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
-# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in, or _EDGE and the
-# mode of both masses, as `modes` has it, with the segment that began there; last the segment of the piece.
-TAPE = 11
-_EDGE = 2  # of a segment, where the index of a mass may stand
-# Of a segment: the drive's numbers, where it begins and ends in each of the three, and the steps to others.
-SEGMENT = 23
-_BOX, _STEPS = 14, 20
+# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
+TAPE = 10
 
 _SPRING = 4  # row of the event solver's scratch after the states: the spring's force
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
@@ -87,27 +70,6 @@ class Drive(NamedTuple):
     offset2: float
 
 
-class _Segment(NamedTuple):
-    """Bounds of one segment: deflection, and speeds of motor and load."""
-
-    low: float
-    high: float
-    slowest1: float
-    fastest1: float
-    slowest2: float
-    fastest2: float
-
-
-class _Gravity(NamedTuple):
-    """Gravity coefficients, as `run` takes them."""
-
-    cos: float
-    sin: float
-    rate: float
-    angle: float
-    of_load: bool
-
-
 class _Motion(NamedTuple):
     """The drive in one mode, where it is linear; a mass at rest is one that no force can move."""
 
@@ -119,34 +81,32 @@ class _Motion(NamedTuple):
     force2: float
 
 
-class _Law(NamedTuple):
-    """The controller, if its feedback has at most two states: numbers, which stay in registers."""
+class SmallLaw(NamedTuple):
+    """A feedback of two states at most, in its observer form: its output is its first state, and what it sees at once.
 
-    c0: float
-    c1: float
-    a00: float
-    a01: float
-    a10: float
-    a11: float
+    Numbers, which stay in registers; and few: of the states, z0' = own z0 + z1 and z1' = other z0.
+    """
+
+    own: float
+    other: float
     b0: float
     b1: float
     e0: float
     e1: float
     d: float
-    two: bool  # states of the feedback; else one or none
     limit: float
     lag: int
     before: float
 
 
 class Feedback(NamedTuple):
-    """A sampled law with what does not depend on the motion taken out (`jointid.models.controllers.SampledLaw`).
+    """Sampled laws with what does not depend on the motion taken out (`jointid.models.controllers.SampledLaw`).
 
-    The arrays come by the phase of the law's cycle: A (phases, nz, nz), Bq (phases, nz) from the position, F (phases,
-    nz, elements) from what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the
-    position, E (phases, elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is
-    what else goes into the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts,
-    the torque's limit.
+    The first axis of all arrays is that of the joints, which are filled up with zeros to equal sizes. Then they come by
+    the phase of the law's cycle: A (phases, nz, nz), Bq (phases, nz) from the position, F (phases, nz, elements) from
+    what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the position, E (phases,
+    elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is what else goes into
+    the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts, the torque's limit.
     """
 
     A: FloatArray
@@ -158,32 +118,38 @@ class Feedback(NamedTuple):
     limits: FloatArray
     gates: IntArray
     driven: FloatArray
-    output: int
-
-
-NO_FEEDBACK = Feedback(
-    np.zeros((1, 0, 0)), np.zeros((1, 0)), np.zeros((1, 0, 1)), np.zeros((1, 1, 0)), np.zeros((1, 1)),
-    np.zeros((1, 1, 1)), np.full(1, np.inf), np.full(1, -1, dtype=np.int64), np.zeros((0, 0)), 0,
-)  # fmt: skip
-"""That of a torque which is prescribed: its response is all there is."""
+    output: IntArray
 
 
 class SampledLoop(NamedTuple):
-    """Sampled controller and inputs, independent of the joint.
+    """Sampled controllers and inputs, independent of the joints; the first axis of arrays is theirs.
 
     Attributes:
-        lengths: (parts,) seconds of each part of a controller period, first to last.
-        lags: (parts,) how many periods ago the torque that acts in each part was computed.
-        feedback: the controller.
-        w: (elements, periods) response of its elements to its reference and to what is added before the limit.
-        post: (periods,) what is added after the limit.
+        lengths: (parts,) seconds of each part of a step of the controllers' clock, first to last.
+        lags: (joints, parts) how many steps ago the torque that acts in each part was put out.
+        every: (joints,) the period of each controller, in steps of the clock.
+        feedback: the controllers.
+        w: (joints, elements, periods) response of their elements to the references and to what is added before the
+            limits, each of its own periods.
+        post: (joints, clock) what is added after the limits.
     """
 
     lengths: FloatArray
     lags: IntArray
+    every: IntArray
     feedback: Feedback
     w: FloatArray
     post: FloatArray
+
+
+def passing(joints: int) -> Feedback:
+    """Return laws of torques that are prescribed: their responses are all there is."""
+    square, row, none = np.zeros((joints, 1, 1, 1)), np.zeros((joints, 1, 1)), np.zeros((joints, 1, 0))
+    gates, first = np.full((joints, 1), -1, dtype=np.int64), np.zeros(joints, dtype=np.int64)
+    return Feedback(
+        np.zeros((joints, 1, 0, 0)), none, np.zeros((joints, 1, 0, 1)), np.zeros((joints, 1, 1, 0)), row, square,
+        np.full((joints, 1), np.inf), gates, np.zeros((joints, 0, 0)), first,
+    )  # fmt: skip
 
 
 class Trace(NamedTuple):
@@ -194,10 +160,7 @@ class Trace(NamedTuple):
         excess: (periods, elements) what limits and gates took away; or (0, elements). Not of a law of one limit, at
             most two states and one phase, where `u` says it.
         states: (periods * parts, 4) states at the start of every part; or (0, 4).
-        modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in, and 9 for each segment below the
-            one it began in; empty when `states` is, and of smooth laws.
-        accelerations: (periods * parts, 2) of smooth laws, those of motor and load just after the torque of each part
-            begins to act; or (0, 2).
+        modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
         tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted above the rows, too.
         counts: (4,) events, Taylor steps, periods simulated, periods at the limit.
     """
@@ -206,13 +169,8 @@ class Trace(NamedTuple):
     excess: FloatArray
     states: FloatArray
     modes: NDArray[np.int16]
-    accelerations: FloatArray
     tape: FloatArray
     counts: IntArray
-
-
-NO_GRAVITY = np.zeros(0)
-NO_SEGMENTS = np.zeros((0, SEGMENT))
 
 
 @inline_kernel
@@ -238,56 +196,6 @@ def drive_of(d: FloatArray) -> Drive:
 
 
 @inline_kernel
-def _drive_of(segments: FloatArray, i: int) -> tuple[Drive, _Segment]:
-    """Return the drive in one segment, and that segment."""
-    d = segments[i]
-    return drive_of(d), _Segment(d[14], d[15], d[16], d[17], d[18], d[19])
-
-
-@inline_kernel
-def _segment_of(segments: FloatArray, x: FloatArray) -> int:
-    """Return the segment that a state is in."""
-    found = 0
-    for i in range(segments.shape[0]):
-        e, v1, v2 = x[2] - x[0], abs(x[1]), abs(x[3])
-        d = segments[i]
-        if d[14] <= e <= d[15] and d[16] <= v1 <= d[17] and d[18] <= v2 <= d[19]:
-            found = i
-    return found
-
-
-@inline_kernel
-def _reach(segments: FloatArray, h: float) -> float:
-    """Return how far a deflection can bend from its chord in `h` seconds, per root energy (see `_margins`)."""
-    lowest = 0.0
-    for segment in range(segments.shape[0]):
-        for i in (4, 5):
-            one, two = segments[segment, i] / segments[0, 0], segments[segment, i + 4] / segments[0, 1]
-            lowest = min(lowest, one, two)
-    together = math.sqrt(1.0 / segments[0, 0] + 1.0 / segments[0, 1])
-    return h * h / 8.0 * together / math.sqrt(segments[0, 0]) * math.exp(min(-lowest * h, 50.0))
-
-
-@inline_kernel
-def _inside(low: float, high: float, start: float, end: float, margin: float) -> bool:
-    """Prove that a function stays between two edges, from its values at both ends of a period, within a margin."""
-    return min(min(start, end) - low, high - max(start, end)) > margin
-
-
-@inline_kernel
-def _within(
-    edges: _Segment, start: State, end: State, deflections: float, m1: int, m2: int, bend1: float, bend2: float
-) -> bool:
-    """Prove that a period stays inside its segment, from both its ends and how far it can bend from its chords."""
-    inside = _inside(edges.low, edges.high, start[2] - start[0], end[2] - end[0], deflections)
-    if inside and m1 != 0:  # a mass at rest is in the slowest band
-        inside = _inside(edges.slowest1, edges.fastest1, m1 * start[1], m1 * end[1], bend1)
-    if inside and m2 != 0:
-        inside = _inside(edges.slowest2, edges.fastest2, m2 * start[3], m2 * end[3], bend2)
-    return inside
-
-
-@inline_kernel
 def _settle(p: Drive, x: State, s: float, mass: int) -> int:
     """Return the mode of a mass at rest: 0 while its Coulomb force can hold the push, else the push's direction."""
     spring = p.stiffness * (x[2] - x[0]) + p.damping * (x[3] - x[1])
@@ -300,18 +208,6 @@ def _settle(p: Drive, x: State, s: float, mass: int) -> int:
     elif push < -backwards:
         mode = -1
     return mode
-
-
-@inline_kernel
-def _gravity(g: _Gravity, q: float, v: float, slid: float, h: float, since: float) -> float:
-    """Return gravity's force where its mass will be in the middle of a part of `h` seconds.
-
-    The acceleration is that since the last part began, `since` seconds ago, with the velocity `slid`. A mass at rest
-    may stay, so its force is what it is now, to the last bit.
-    """
-    ahead = 0.5 * h * (v + 0.25 * h / since * (v - slid)) if v != 0.0 else 0.0
-    phase = g.angle * (q + ahead)
-    return g.cos * math.cos(phase) + g.sin * math.sin(phase) + g.rate * (q + ahead)
 
 
 @inline_kernel
@@ -521,18 +417,18 @@ def _locate_first(
 @inline_kernel
 def _travel(
     c: FloatArray, p: Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
-    tape: FloatArray, row: int, part: int, segments: FloatArray, segment: int,
-) -> tuple[State, int, int, int, int, int]:  # fmt: skip
+    tape: FloatArray, row: int, part: int,
+) -> tuple[State, int, int, int, int]:  # fmt: skip
     """Move `x` over `h` seconds under a held torque `s` with every event located.
 
-    Return modes, events, Taylor steps and the segment of the spring. The number of events is negative when there are
+    Return modes, events and Taylor steps. The number of events is negative when there are
     more than a physical drive can have. Each step is a row of the tape, from `row` on, as far as it goes.
     """
     x0, x1, x2, x3 = x
     known1 = 1 if m1 != 0 and x1 == 0.0 else 0
     known2 = 1 if m2 != 0 and x3 == 0.0 else 0
     events, steps = 0, 0
-    done, crossed = 0.0, 0  # the side of the segment that the motion has just come in over: see `_first_edge`
+    done = 0.0
     while done < h and events >= 0:
         remaining = h - done
         pieces = 1 if remaining <= longest else math.ceil(remaining / longest)
@@ -541,36 +437,19 @@ def _travel(
         loose1, loose2 = m1 != 0 and known1 == 2, m2 != 0 and known2 == 2
         _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
         first, mass, loose = _locate_first(c, p, s, m1, m2, known1, known2)
-        if segments.shape[0] > 0:
-            first, mass, loose = _first_edge(c, segments[segment], m1, m2, crossed, first, mass, loose)
         t = min(first, 1.0)
         taped = row + steps - 1
         if taped < tape.shape[0]:
             tape[taped, 0], tape[taped, 1], tape[taped, 2], tape[taped, 3] = part, t * step, m1, m2
             tape[taped, 4], tape[taped, 5], tape[taped, 6], tape[taped, 7] = x0, x1, x2, x3
-            tape[taped, 8], tape[taped, 9], tape[taped, 10] = -1.0, 0.0, segment
+            tape[taped, 8], tape[taped, 9] = -1.0, 0.0
         back1, back2 = loose1, loose2  # came loose, and is pushed back at once
         if t > 0.0:
             x0, x1, x2, x3 = value_at(c, 0, t), value_at(c, 1, t), value_at(c, 2, t), value_at(c, 3, t)
             done = h if pieces == 1 and t == 1.0 else done + t * step
             known1, known2 = 0, 0
             back1, back2 = False, False
-            crossed = 0
-        if first <= 1.0 and mass == _EDGE:
-            further = int(segments[segment, _STEPS + abs(loose) - 1])
-            segment, crossed = segment + (further if loose > 0 else -further), -loose
-            p, _ = _drive_of(segments, segment)
-            # The damper may act in one of both segments only, and its push begins at once.
-            if m1 == 0 and abs(loose) == 1:
-                m1 = _settle(p, (x0, x1, x2, x3), s, 0)
-                known1 = 1 if m1 != 0 else known1
-            if m2 == 0 and abs(loose) == 1:
-                m2 = _settle(p, (x0, x1, x2, x3), s, 1)
-                known2 = 1 if m2 != 0 else known2
-            if taped < tape.shape[0]:
-                tape[taped, 8], tape[taped, 9] = _EDGE, 9 * segment + 3 * m1 + m2 + 4
-            events = events + 1 if events < _EVENTS else -1
-        elif first <= 1.0:
+        if first <= 1.0:
             stopped = (m1 != 0 and not back1) if mass == 0 else (m2 != 0 and not back2)
             if mass == 0:
                 if stopped:
@@ -583,38 +462,7 @@ def _travel(
             if stopped and taped < tape.shape[0]:
                 tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
             events = events + 1 if events < _EVENTS else -1
-    return (x0, x1, x2, x3), m1, m2, events, steps, segment
-
-
-@inline_kernel
-def _first_edge(
-    c: FloatArray, segment: FloatArray, m1: int, m2: int, crossed: int, first: float, mass: int, loose: int
-) -> tuple[float, int, int]:
-    """Return the first event as `_locate_first` does, where the motion may come to a side of its segment before it.
-
-    The sides are 1 of the deflection, 2 of the motor's speed, 3 of the load's; negative where it is the low one. Where
-    the motion came in over a side a moment ago (`crossed`), that root is divided out.
-    """
-    for side in (-1, 1, -2, 2, -3, 3):
-        what = abs(side)
-        edge = segment[_BOX + 2 * what - (2 if side < 0 else 1)]
-        mode = m1 if what == 2 else m2
-        if abs(edge) == math.inf or (what > 1 and (mode == 0 or edge == 0.0)):
-            continue
-        sign = -1.0 if side > 0 else 1.0
-        if what > 1:
-            sign *= mode
-        for i in range(ORDER + 1):
-            c[SOUGHT, i] = sign * (c[2, i] - c[0, i] if what == 1 else c[2 * what - 3, i])
-        c[SOUGHT, 0] += edge if side > 0 else -edge
-        if crossed == side:
-            for i in range(ORDER):
-                c[SOUGHT, i] = c[SOUGHT, i + 1]
-            c[SOUGHT, ORDER] = 0.0
-        moment = first_root(c)
-        if moment < first:
-            first, mass, loose = moment, _EDGE, side
-    return first, mass, loose
+    return (x0, x1, x2, x3), m1, m2, events, steps
 
 
 @inline_kernel
@@ -629,66 +477,67 @@ def mode_after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, in
 
 
 @inline_kernel
-def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
-    """Return the coefficients of a feedback of at most two states, one limit and one phase."""
-    A, C, b, e = feedback.A, feedback.C, feedback.Bq, feedback.F
-    law = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if nz == 1:
-        law = C[0, 0, 0], 0.0, A[0, 0, 0], 0.0, 0.0, 0.0, b[0, 0], 0.0, e[0, 0, 0], 0.0
-    if nz == 2:
-        law = (
-            C[0, 0, 0], C[0, 0, 1], A[0, 0, 0], A[0, 0, 1], A[0, 1, 0], A[0, 1, 1], b[0, 0], b[0, 1],
-            e[0, 0, 0], e[0, 1, 0],
-        )  # fmt: skip
-    return law
+def observe(feedback: Feedback, nz: int, lag: int, before: float) -> tuple[SmallLaw, FloatArray]:
+    """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
+    A, C, d = feedback.A[0], feedback.C[0], feedback.D[0, 0, 0]
+    seen, trace = np.zeros((2, nz)), 0.0
+    for i in range(nz):
+        trace += A[0, i, i]
+    for i in range(nz):
+        seen[0, i] = C[0, 0, i]
+        seen[1, i] = -trace * C[0, 0, i]
+        for other in range(nz):
+            seen[1, i] += C[0, 0, other] * A[0, other, i]
+    b0, b1, e0, e1 = 0.0, 0.0, 0.0, 0.0
+    for i in range(nz):
+        b0, b1 = b0 + seen[0, i] * feedback.Bq[0, 0, i], b1 + seen[1, i] * feedback.Bq[0, 0, i]
+        e0, e1 = e0 + seen[0, i] * feedback.F[0, 0, i, 0], e1 + seen[1, i] * feedback.F[0, 0, i, 0]
+    determinant = A[0, 0, 0] * A[0, 1, 1] - A[0, 0, 1] * A[0, 1, 0] if nz == 2 else 0.0
+    limit = feedback.limits[0, 0]
+    return SmallLaw(trace, -determinant, b0, b1, e0, e1, d, limit, lag, before), seen
 
 
 @inline_kernel
 def control_any(
-    feedback: Feedback, w: FloatArray, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray,
+    feedback: Feedback, joint: int, w: FloatArray, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray,
     cut: FloatArray,
 ) -> None:  # fmt: skip
-    """Evaluate any law: write what its elements put out and what their limits and gates took; move its states.
+    """Evaluate a joint's law: write what its elements put out and what limits and gates took; move its states.
 
     At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
     """
-    phase, nz = k % feedback.A.shape[0], z.size
+    phase, nz = k % feedback.A.shape[1], z.shape[1]
     for i in range(cut.size):
-        value = w[i, k] + feedback.D[phase, i] * q
+        value = w[joint, i, k] + feedback.D[joint, phase, i] * q
         for j in range(nz):
-            value += feedback.C[phase, i, j] * z[j]
+            value += feedback.C[joint, phase, i, j] * z[joint, j]
         for j in range(i):
-            value += feedback.E[phase, i, j] * cut[j]
+            value += feedback.E[joint, phase, i, j] * cut[j]
         out[i], cut[i] = value, 0.0
-        if feedback.gates[i] >= 0:
-            if value * cut[feedback.gates[i]] < 0.0:
+        if feedback.gates[joint, i] >= 0:
+            if value * cut[feedback.gates[joint, i]] < 0.0:
                 out[i], cut[i] = 0.0, -value
-        elif abs(value) > feedback.limits[i]:
-            out[i] = math.copysign(feedback.limits[i], value)
+        elif abs(value) > feedback.limits[joint, i]:
+            out[i] = math.copysign(feedback.limits[joint, i], value)
             cut[i] = out[i] - value
     for i in range(nz):
-        value = feedback.Bq[phase, i] * q
-        if feedback.driven.shape[0] > 0:
-            value += feedback.driven[k, i]
+        value = feedback.Bq[joint, phase, i] * q
+        if feedback.driven.shape[1] > 0:
+            value += feedback.driven[joint, k, i]
         for j in range(nz):
-            value += feedback.A[phase, i, j] * z[j]
+            value += feedback.A[joint, phase, i, j] * z[joint, j]
         for j in range(cut.size):
-            value += feedback.F[phase, i, j] * cut[j]
+            value += feedback.F[joint, phase, i, j] * cut[j]
         new[i] = value
     for i in range(nz):
-        z[i] = new[i]
+        z[joint, i] = new[i]
 
 
 @inline_kernel
-def _control(law: _Law, w: float, q: float, z: tuple[float, float]) -> tuple[float, int, tuple[float, float]]:
+def _control(law: SmallLaw, w: float, q: float, z: tuple[float, float]) -> tuple[float, int, tuple[float, float]]:
     """Return the controller's output, whether it is at its limit, and the next state of its feedback."""
-    z0, z1 = z
-    if law.two:
-        raw = (w + (law.c0 * z0 + law.c1 * z1)) + law.d * q
-        z0, z1 = (law.a00 * z0 + law.a01 * z1) + law.b0 * q, (law.a10 * z0 + law.a11 * z1) + law.b1 * q
-    else:
-        raw = (w + law.c0 * z0) + law.d * q
-        z0 = law.a00 * z0 + law.b0 * q
+    raw = (w + z[0]) + law.d * q
+    z0, z1 = law.b0 * q + (law.own * z[0] + z[1]), law.b1 * q + law.other * z[0]
     command, clipped = raw, 0
     if not abs(raw) <= law.limit:  # a branch: the limit stays out of the chain of operations from state to state
         command, clipped = min(max(raw, -law.limit), law.limit), 1
@@ -699,7 +548,7 @@ def _control(law: _Law, w: float, q: float, z: tuple[float, float]) -> tuple[flo
 
 @inline_kernel
 def _rest(
-    p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
+    p: Drive, law: SmallLaw, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     z: tuple[float, float], x: State, k: int,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while both masses stand still; return as `_glide`."""
@@ -725,9 +574,8 @@ def _rest(
 
 @inline_kernel
 def _glide(
-    resting: bool, p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
+    resting: bool, p: Drive, law: SmallLaw, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
-    pieces: bool, edges: _Segment, reach: float,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while a chord shows that nothing happens; `resting` if one mass stands still.
 
@@ -780,10 +628,6 @@ def _glide(
                 room2 = 1e-300 + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
         if not (room1 > chord1 * bound and room2 > chord2 * bound):
             break
-        if pieces:
-            here, there = (x0, d1 * x1, x2, d2 * x3), (y0, d1 * y1, y2, d2 * y3)
-            if not _within(edges, here, there, reach * bound, m1, m2, chord1 * bound, chord2 * bound):
-                break
         x0, x1, x2, x3 = y0, y1, y2, y3
         stretch = y2 - y0
         k += 1
@@ -799,74 +643,53 @@ def run(
     x: FloatArray,
     far: float,
     trace: Trace,
-    gravity: FloatArray,
-    segments: FloatArray,
 ) -> int:
     """Simulate one loop; fill the trace and return how it ended.
 
     Args:
         drive: (14,) coefficients: inertias, stiffness, damping; viscous forwards, backwards, Coulomb forwards,
             backwards of the motor, then of the load; constant force the motor works against, and the load.
-        loop: what drives it.
+        loop: what drives it, the one joint.
         before: torque that acted before the first period.
-        z: (nz,) state of the controller's feedback; may be overwritten.
+        z: (1, nz) state of the controller's feedback; may be overwritten.
         x: (4,) initial state, overwritten.
         far: a motor position above which the loop counts as diverged.
         trace: out.
-        gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
-            it is the load's, whose spring then holds it, and 0 if it is the motor's; or (0,) where there is none.
-        segments: (segments, SEGMENT) of a spring or a friction in pieces: the coefficients of the drive in each; where
-            it begins and ends in the deflection and in the speeds of motor and load; and how many rows further the
-            next one of each of the three is. `drive` is not read then. (0, SEGMENT) of a drive in one piece, and
-            beside gravity.
     """
-    w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
+    w, post, lengths, lags, feedback = loop.w, loop.post[0], loop.lengths, loop.lags[0], loop.feedback
     u, excess, counts = trace.u, trace.excess, trace.counts
     states, modes, tape = trace.states, trace.modes, trace.tape
-    n, parts, nz = w.shape[1], lengths.size, z.size
+    n, parts, nz = w.shape[2], lengths.size, z.shape[1]
     p = drive_of(drive)
     part_length = 0.0
     for part in range(parts):
         part_length = max(part_length, lengths[part])
-    hanging, pieces = gravity.size > 0, segments.shape[0] > 0
-    fastest, count, segment, reach = _fastest_rate(p), 1, 0, 0.0
-    edges = _Segment(-np.inf, np.inf, 0.0, np.inf, 0.0, np.inf)
-    if pieces:
-        count, reach = segments.shape[0], _reach(segments, part_length)
-        for i in range(count):
-            fastest = max(fastest, _fastest_rate(_drive_of(segments, i)[0]))
-        segment = _segment_of(segments, x)
-        p, edges = _drive_of(segments, segment)
+    fastest = _fastest_rate(p)
     longest = _STEP / fastest
     if part_length > _PIECES * longest:
         return TOO_STIFF
-    maps = np.empty(parts * 9 * count * _MAP)
-    filled = np.zeros(9 * count, dtype=np.bool_)
+    maps = np.empty(parts * 9 * _MAP)
+    filled = np.zeros(9, dtype=np.bool_)
     c = np.empty(ROOM)
-    new, out, cut = np.empty(nz), np.zeros(w.shape[0]), np.zeros(w.shape[0])
+    new, out, cut = np.empty(nz), np.zeros(w.shape[1]), np.zeros(w.shape[1])
     x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
     m1 = 0 if x1 == 0.0 else (1 if x1 > 0.0 else -1)
     m2 = 0 if x3 == 0.0 else (1 if x3 > 0.0 else -1)
     keep = states.shape[0] > 0
     events, steps, clipped = 0, 0, 0
     status = FINISHED
-    alone = feedback.D.size == 1 and feedback.driven.shape[0] == 0  # one phase, one element
-    simple = parts == 1 and nz <= 2 and alone and not hanging
-    a = _small(feedback, nz if simple else 0)
-    direct, limit, sole = feedback.D[0, 0], feedback.limits[0], w[0]
-    law = _Law(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], a[9], direct, nz == 2, limit, lags[0], before)
-    memory = z[0] if simple and nz > 0 else 0.0, z[1] if simple and nz > 1 else 0.0
+    alone = feedback.D.size == 1 and feedback.driven.shape[1] == 0  # one phase, one element
+    simple = parts == 1 and nz <= 2 and alone
+    (law, seen), sole, first, second = observe(feedback, nz if simple else 0, lags[0], before), w[0, 0], 0.0, 0.0
+    for i in range(seen.shape[1]):
+        first, second = first + seen[0, i] * z[0, i], second + seen[1, i] * z[0, i]
+    memory = first, second
     bound, last = np.inf, 0.0
-    g, slid, since = _Gravity(0.0, 0.0, 0.0, 0.0, False), 0.0, lengths[0]
-    if hanging:
-        g = _Gravity(gravity[0], gravity[1], gravity[2], gravity[3], gravity[4] > 0.0)
-        slid = x3 if g.of_load else x1
-    stood, hung = 0.0, 0.0
     k = 0
     while k < n and status == FINISHED:
         if simple:
             start, started = (x0, x1, x2, x3), k
-            mode = 9 * segment + 3 * m1 + m2 + 4
+            mode = 3 * m1 + m2 + 4
             b = mode * _MAP
             if not filled[mode]:
                 filled[mode] = True
@@ -874,12 +697,10 @@ def run(
             if m1 != 0 and m2 != 0:
                 k, limited, start, memory = _glide(
                     False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
-                    pieces, edges, reach,
                 )  # fmt: skip
             elif m1 != 0 or m2 != 0:
                 k, limited, start, memory = _glide(
                     True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
-                    pieces, edges, reach,
                 )  # fmt: skip
             else:
                 k, limited, start, memory = _rest(p, law, sole, post, u, states, memory, start, k)
@@ -890,11 +711,11 @@ def run(
             if k == n:
                 break
         else:
-            control_any(feedback, w, k, x0, z, new, out, cut)
-            u[k] = out[feedback.output]
+            control_any(feedback, 0, w, k, x0, z, new, out, cut)
+            u[k] = out[feedback.output[0]]
             if excess.shape[0] > 0:
                 assign(excess[k], cut)
-            if cut[feedback.output] != 0.0:
+            if cut[feedback.output[0]] != 0.0:
                 clipped += 1
         if not (abs(x0) <= far and abs(u[k]) < np.inf):
             status = DIVERGED
@@ -905,28 +726,18 @@ def run(
                 states[row, 0], states[row, 1], states[row, 2], states[row, 3] = x0, x1, x2, x3
             source = k - lags[part]
             s = u[source] + post[source] if source >= 0 else before
-            if hanging:
-                q, v = (x2, x3) if g.of_load else (x0, x1)
-                force = _gravity(g, q, v, slid, lengths[part], since)
-                slid, since = v, lengths[part]
-                # A load that a constant force pulls moves as one that hangs lower by what this stretches the spring,
-                # behind a motor that has so much less torque: then both see what they see without it.
-                shift = force / p.stiffness if g.of_load else 0.0
-                s -= force
-                stood, hung = x2, x2 + shift
-                x2 = hung
             if x1 == 0.0:
                 m1 = _settle(p, (x0, x1, x2, x3), s, 0)
             if x3 == 0.0:
                 m2 = _settle(p, (x0, x1, x2, x3), s, 1)
-            mode = 9 * segment + 3 * m1 + m2 + 4
+            mode = 3 * m1 + m2 + 4
             if keep:
                 modes[k * parts + part] = mode
             if not filled[mode]:
                 filled[mode] = True
                 for other in range(parts):
-                    _fill_map(maps, (9 * count * other + mode) * _MAP, p, m1, m2, lengths[other])
-            b = (9 * count * part + mode) * _MAP
+                    _fill_map(maps, (9 * other + mode) * _MAP, p, m1, m2, lengths[other])
+            b = (9 * part + mode) * _MAP
             y0, y1, y2, y3 = x0, 0.0, x2, 0.0
             for column, size in enumerate((x1, x2 - x0, x3, s, 1.0)):
                 at = b + 4 * column
@@ -937,29 +748,19 @@ def run(
             calm, bound = _calm(
                 p, f, maps[b + 20], maps[b + 21], (x0, x1, x2, x3), (y0, y1, y2, y3), s, m1, m2, lengths[part]
             )
-            if pieces and calm:
-                calm = _within(
-                    edges, (x0, x1, x2, x3), (y0, y1, y2, y3), reach * bound, m1, m2,
-                    maps[b + 20] * bound, maps[b + 21] * bound,
-                )  # fmt: skip
             if calm:
                 x0, x1, x2, x3 = y0, y1, y2, y3
             else:
                 bound = np.inf
-                (x0, x1, x2, x3), m1, m2, found, used, segment = _travel(
-                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part,
-                    segments, segment,
-                )  # fmt: skip
-                if pieces:
-                    p, edges = _drive_of(segments, segment)
+                (x0, x1, x2, x3), m1, m2, found, used = _travel(
+                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part
+                )
                 events += max(found, 0)
                 steps += used
                 if found < 0:
                     status = CHATTERING
                 elif steps > _WORK * n + 10_000:
                     status = TOO_STIFF
-            if hanging:
-                x2 = stood + (x2 - hung)  # exactly where it stood, if it did
         k += 1
     x[0], x[1], x[2], x[3] = x0, x1, x2, x3
     counts[0], counts[1], counts[2], counts[3] = events, steps, k, min(clipped, k)

@@ -9,10 +9,7 @@ by Taylor series). At an event:
   where the mass turns round, 0 where it sticks (the time of the event moves, and the slopes differ on its two sides);
 - where a mass comes loose nothing changes, since its acceleration begins at zero; where a step of the torque tears it
   loose, the time is the controller's and does not move;
-- a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations;
-- where the motion comes over an edge of a spring or a friction in pieces the force goes on where it was, and nothing
-  changes, but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the
-  event moves.
+- a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations.
 
 All that the loop over the periods goes on from is one array, with rows of a constant
 length: only then the compiler knows that nothing overlaps, and keeps to vector instructions.
@@ -28,7 +25,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.drive import Feedback, SampledLoop, Trace
+from jointid.simulation.kernels.drive import Feedback, SampledLoop, SmallLaw, Trace, observe
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
 
@@ -74,35 +71,18 @@ _AT_REST = 4  # the mode of both masses
 _LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
 NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
-_EDGE = 2  # on the tape, of the spring's segment, where the index of a mass may stand
 OFTEN = 64  # periods after which that is checked
 _WIDE = 4 * LANES  # of the derivatives of a state
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
 # torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
-# change in the output; then, in gravity, the derivatives of the velocity of its mass at the last part, of how far its
-# force hangs the load, and of its factors; last those of stiffness and damping, of the inertias, and of viscous
-# coefficient and constant force of the motor and of the load in the modes they are in: beside what is written, where
-# the compiler sees that nothing overlaps.
+# change in the output; last those of stiffness and damping, of the inertias, and of viscous coefficient and constant
+# force of the motor and of the load in the modes they are in: beside what is written, where the compiler sees that
+# nothing overlaps.
 _S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
 POSITION, MEMORY = _S, _Z  # of the motor, the first of the state; of a law of two states
-_SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, SCRATCH = (LANES * row for row in (17, 18, 19, 22, 24, 26, 30))
-
-
-class _Law(NamedTuple):
-    """A feedback of two states at most, in its observer form: its output is its first state, and what it sees at once.
-
-    Numbers, which stay in registers; and few: of the states, z0' = own z0 + z1 and z1' = other z0.
-    """
-
-    own: float
-    other: float
-    b0: float
-    b1: float
-    e0: float
-    e1: float
-    d: float
+_SPRING, _INERTIA, _SIDE, SCRATCH = (LANES * row for row in (17, 19, 21, 25))
 
 
 @compile_kernel
@@ -223,7 +203,7 @@ def _write_output(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
 
 @inline_kernel
 def _glide(
-    q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
+    q: FloatArray, law: SmallLaw, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
     states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
     first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
@@ -261,7 +241,7 @@ def _glide(
 
 @inline_kernel
 def _rest(
-    q: FloatArray, law: _Law, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int16], u: FloatArray,
+    q: FloatArray, law: SmallLaw, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int16], u: FloatArray,
     explicit: FloatArray, first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
     """Do what `_glide` does while both masses are at rest: the law alone goes on."""
@@ -289,22 +269,17 @@ def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -
 
 @compile_kernel
 def _through_events(
-    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, drives: FloatArray, seeds: FloatArray,
-    sides: FloatArray, dsides: FloatArray,
+    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, spring: FloatArray, side: FloatArray,
+    dside: FloatArray,
 ) -> int:  # fmt: skip
     """Move the derivatives through the pieces of a part with events, from a row of the tape; return the next row."""
     while row < rows and tape[row, 0] == part:
-        now = int(tape[row, 10])
-        spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
-        _take(q, seeds, now)
         one, two = int(tape[row, 2]) + 1, int(tape[row, 3]) + 1
         motion = tape[row, 4], tape[row, 5], tape[row, 6] - tape[row, 4], tape[row, 6], tape[row, 7]
         if tape[row, 1] > 0.0:
             motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dside)
         mass = int(tape[row, 8])
-        if mass == _EDGE:
-            _over_edge(q, drives, seeds, side, sides, now, int(tape[row, 9]), one, two, s, motion)
-        elif mass >= 0:
+        if mass >= 0:
             _, v1, stretch, _, v2 = motion
             force = spring[0] * stretch + spring[1] * (v2 - v1)
             push, v, m = (s + force, v1, one) if mass == 0 else (-force, v2, two)
@@ -320,68 +295,9 @@ def _through_events(
 
 
 @inline_kernel
-def _take(q: FloatArray, seeds: FloatArray, segment: int) -> None:
-    """Write the derivatives of stiffness and damping in a segment of the spring where the maps are made."""
-    for i in range(2):
-        for j in range(LANES):
-            q[_SPRING + i * LANES + j] = seeds[segment, 2 + i, j]
-
-
-@inline_kernel
-def _over_edge(
-    q: FloatArray, drives: FloatArray, seeds: FloatArray, side: FloatArray, sides: FloatArray, now: int, code: int,
-    one: int, two: int, s: float, motion: Motion,
-) -> None:  # fmt: skip
-    """Kick the velocities' derivatives at an edge of the deflection with another damping.
-
-    The event comes later by what the deflection lacks, over its rate; until then the accelerations are those before.
-    """
-    then, mode = code // 9, code % 9
-    edge = 15 if then > now else 14
-    _, v1, stretch, _, v2 = motion
-    apart, change = v2 - v1, drives[then, 3] - drives[now, 3]
-    kicks = change * side[0, 0, one], -change * side[1, 0, two]  # of the acceleration, over the deflection's rate
-    if apart != 0.0 and mode != 3 * one + two:  # what was held comes loose under the damper's push
-        force = drives[then, 2] * stretch + drives[then, 3] * apart
-        if mode // 3 != one:
-            kicks = _acceleration(sides[then], 0, mode // 3, s + force, v1) / apart, kicks[1]
-        if mode % 3 != two:
-            kicks = kicks[0], _acceleration(sides[then], 1, mode % 3, -force, v2) / apart
-    for j in range(LANES):
-        lead = (q[_S + 2 * LANES + j] - q[_S + j]) - seeds[now, edge, j]
-        q[_S + LANES + j] += kicks[0] * lead
-        q[_S + 3 * LANES + j] += kicks[1] * lead
-
-
-@inline_kernel
-def _hang(
-    q: FloatArray, gravity: FloatArray, stiffness: float, x: float, v: float, slid: float, h: float, since: float
-) -> tuple[float, float]:
-    """Return gravity's force in a part, and how far it hangs the load; move the derivatives to what `kernels` sees."""
-    of_load = gravity[4] > 0.0
-    at = _S + (2 * LANES if of_load else 0)
-    ahead, bend = (0.5 * h, 0.25 * h / since) if v != 0.0 else (0.0, 0.0)
-    middle = x + ahead * (v + bend * (v - slid))
-    cos, sin = math.cos(gravity[3] * middle), math.sin(gravity[3] * middle)
-    force = gravity[0] * cos + gravity[1] * sin + gravity[2] * middle
-    slope = gravity[3] * (gravity[1] * cos - gravity[0] * sin) + gravity[2]
-    compliance = 1.0 / stiffness if of_load else 0.0
-    for j in range(LANES):
-        dx, dv = q[at + j], q[at + LANES + j]
-        by_factors = (q[_WEIGHT + j] * cos + q[_WEIGHT + LANES + j] * sin) + q[_WEIGHT + 2 * LANES + j] * middle
-        dforce = slope * (dx + ahead * (dv + bend * (dv - q[_SLID + j]))) + by_factors
-        dhung = compliance * (dforce - compliance * force * q[_SPRING + j])
-        q[_SLID + j] = dv
-        q[_DS + j] -= dforce
-        q[_HUNG + j] = dhung
-        q[_S + 2 * LANES + j] += dhung
-    return force, compliance * force
-
-
-@inline_kernel
-def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimits: FloatArray) -> _Law:
+def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimits: FloatArray) -> SmallLaw:
     """Write the first derivatives of the states of a law of two at most and of its limit; return that law."""
-    law, seen = _law(feedback, nz)
+    law, seen = observe(feedback, nz, 0, 0.0)
     for i in range(seen.shape[1]):
         for j in range(LANES):
             q[_Z + j] += seen[0, i] * Z[i, j]
@@ -392,7 +308,7 @@ def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimi
 
 @inline_kernel
 def control_small(
-    q: FloatArray, law: _Law, u: float, limit: float, explicit: FloatArray, first_explicit: int, at: int,
+    q: FloatArray, law: SmallLaw, u: float, limit: float, explicit: FloatArray, first_explicit: int, at: int,
     du: FloatArray,
 ) -> None:  # fmt: skip
     """Write the derivatives of the output u of a law of two states at most, and move those of its states."""
@@ -427,57 +343,37 @@ def control_slopes(
 
     Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes.
     """
-    phase, nz, elements = at % feedback.A.shape[0], feedback.A.shape[1], e.shape[0]
+    phase, nz, elements = at % feedback.A.shape[1], feedback.A.shape[2], e.shape[0]
     for i in range(elements):
         for j in range(LANES):
-            q[_W + j] = feedback.D[phase, i] * q[_S + j]
+            q[_W + j] = feedback.D[0, phase, i] * q[_S + j]
         for j in range(explicit.shape[2]):
             q[_W + first_explicit + j] += explicit[at, i, j]
         for other in range(nz):
             for j in range(LANES):
-                q[_W + j] += feedback.C[phase, i, other] * z[other, j]
+                q[_W + j] += feedback.C[0, phase, i, other] * z[other, j]
         for other in range(i):
             for j in range(LANES):
-                q[_W + j] += feedback.E[phase, i, other] * e[other, j]
+                q[_W + j] += feedback.E[0, phase, i, other] * e[other, j]
         cut = excess[at, i]
         acts = 0.0 if cut == 0.0 else 1.0
-        sign = -math.copysign(1.0, cut) if feedback.gates[i] < 0 else 0.0
+        sign = -math.copysign(1.0, cut) if feedback.gates[0, i] < 0 else 0.0
         for j in range(LANES):
             e[i, j] = acts * (sign * dlimits[i, j] - q[_W + j])
             q[_OUT + j] = q[_W + j] + e[i, j]
-        if i == feedback.output:
+        if i == feedback.output[0]:
             assign(du[:, at], q[_OUT : _OUT + LANES])
     for i in range(nz):
         for j in range(LANES):
-            z[nz + i, j] = feedback.Bq[phase, i] * q[_S + j]
+            z[nz + i, j] = feedback.Bq[0, phase, i] * q[_S + j]
         for other in range(nz):
             for j in range(LANES):
-                z[nz + i, j] += feedback.A[phase, i, other] * z[other, j]
+                z[nz + i, j] += feedback.A[0, phase, i, other] * z[other, j]
         for other in range(elements):
             for j in range(LANES):
-                z[nz + i, j] += feedback.F[phase, i, other] * e[other, j]
+                z[nz + i, j] += feedback.F[0, phase, i, other] * e[other, j]
     for i in range(nz):
         assign(z[i], z[nz + i])
-
-
-@inline_kernel
-def _law(feedback: Feedback, nz: int) -> tuple[_Law, FloatArray]:
-    """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
-    A, C, d = feedback.A, feedback.C, feedback.D[0, 0]
-    seen, trace = np.zeros((2, nz)), 0.0
-    for i in range(nz):
-        trace += A[0, i, i]
-    for i in range(nz):
-        seen[0, i] = C[0, 0, i]
-        seen[1, i] = -trace * C[0, 0, i]
-        for other in range(nz):
-            seen[1, i] += C[0, 0, other] * A[0, other, i]
-    b0, b1, e0, e1 = 0.0, 0.0, 0.0, 0.0
-    for i in range(nz):
-        b0, b1 = b0 + seen[0, i] * feedback.Bq[0, i], b1 + seen[1, i] * feedback.Bq[0, i]
-        e0, e1 = e0 + seen[0, i] * feedback.F[0, i, 0], e1 + seen[1, i] * feedback.F[0, i, 0]
-    determinant = A[0, 0, 0] * A[0, 1, 1] - A[0, 0, 1] * A[0, 1, 0] if nz == 2 else 0.0
-    return _Law(trace, -determinant, b0, b1, e0, e1, d), seen
 
 
 @inline_kernel
@@ -525,10 +421,6 @@ def follow(
     seeds: FloatArray,
     columns: Columns,
     slopes: Slopes,
-    gravity: FloatArray,
-    dgravity: FloatArray,
-    segments: FloatArray,
-    dsegments: FloatArray,
 ) -> None:
     """Fill LANES columns of derivatives of a finished run.
 
@@ -541,55 +433,36 @@ def follow(
         seeds: (14, columns) derivatives of the drive's coefficients.
         columns: of what else depends on the parameters.
         slopes: out.
-        gravity: of `kernels.drive.run`.
-        dgravity: (3, columns) derivatives of its first numbers.
-        segments: of `kernels.drive.run`; `drive` and `seeds` are not read where there are any.
-        dsegments: (segments, SEGMENT, columns) their derivatives.
     """
-    lengths, lags, feedback, post = loop.lengths, loop.lags, loop.feedback, loop.post
+    lengths, lags, feedback, post = loop.lengths, loop.lags[0], loop.feedback, loop.post[0]
     u, excess, states, modes, tape = trace.u, trace.excess, trace.states, trace.modes, trace.tape
     explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
     S, Z, du, dstates = columns.start, columns.memory, slopes.u, slopes.states
-    n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
-    hanging, pieces = gravity.size > 0, segments.shape[0] > 0
-    drives, dseeds = drive.reshape((1, drive.size)), seeds.reshape((1, drive.size, LANES))
-    if pieces:
-        drives, dseeds = segments, dsegments
-    count, now = drives.shape[0], 0
-    sides, dsides = np.zeros((count, 2, 3, 3)), np.zeros((count, 2, 2, 3, LANES))
-    rate = 0.0
-    for i in range(count):
-        _fill_modes(drives[i], dseeds[i], sides[i], dsides[i])
-        rate = max(rate, _rate(drives[i], sides[i]))
-    spring, side, dside = drives[0, 2:4], sides[0], dsides[0]
-    phi = np.empty((9 * count * parts, 4 * _INPUTS))
-    M = aligned_zeros(9 * count * parts * _INPUTS * _WIDE).reshape((9 * count * parts, _INPUTS * _WIDE))
-    filled = np.zeros(9 * count * parts, dtype=np.bool_)
+    n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[2], feedback.limits.size
+    side, dside, spring = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, LANES)), drive[2:4]
+    _fill_modes(drive, seeds, side, dside)
+    rate = _rate(drive, side)
+    phi = np.empty((9 * parts, 4 * _INPUTS))
+    M = aligned_zeros(9 * parts * _INPUTS * _WIDE).reshape((9 * parts, _INPUTS * _WIDE))
+    filled = np.zeros(9 * parts, dtype=np.bool_)
     q, scratch, z = aligned_zeros(SCRATCH), aligned_zeros(SCRATCH), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
     for one in (q, scratch):
-        _take(one, dseeds, 0)
-        for j in range(LANES):
-            for i in range(2):
-                one[_INERTIA + i * LANES + j] = dseeds[0, i, j] / drives[0, i]
+        for i in range(2):
+            for j in range(LANES):
+                one[_INERTIA + i * LANES + j] = seeds[i, j] / drive[i]
+                one[_SPRING + i * LANES + j] = seeds[2 + i, j]
     for i in range(4):
         assign(q[_S + i * LANES : _S + (i + 1) * LANES], S[i])
     for i in range(nz):
         assign(z[i], Z[i])
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
-    law, limit = begin_small(q, feedback, nz if small else 0, Z, dlimits), feedback.limits[0]
+    law, limit = begin_small(q, feedback, nz if small else 0, Z, dlimits), feedback.limits[0, 0]
     delayed = False
     for j in range(LANES):
         delayed = delayed or ddelay[j] != 0.0
-    slid, since, hung = 0.0, lengths[0], 0.0
-    if hanging:
-        at = 3 if gravity[4] > 0.0 else 1
-        slid = states[0, at]
-        assign(q[_SLID : _SLID + LANES], S[at])
-        for i in range(3):
-            assign(q[_WEIGHT + i * LANES : _WEIGHT + (i + 1) * LANES], dgravity[i])
     keep = dstates.shape[0] > 0
-    plain = small and parts == 1 and lags[0] == 0 and not hanging and not keep and not delayed
+    plain = small and parts == 1 and lags[0] == 0 and not keep and not delayed
     row, last = 0, before
     k = 0
     while k < n:
@@ -600,19 +473,15 @@ def follow(
                 q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
-            if pieces and mode // 9 != now:
-                now = mode // 9
-                spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
             end = min(k - k % OFTEN + OFTEN, n)
             if row < rows:
                 end = min(end, int(tape[row, 0]))
-            if mode - 9 * now == _AT_REST:
+            if mode == _AT_REST:
                 k = _rest(q, law, mode, k, end, limit, modes, u, explicit, first_explicit, du)
                 continue
             if not filled[mode]:
                 filled[mode] = True
-                _take(scratch, dseeds, now)
-                _fill(scratch, lengths[0], rate, mode - 9 * now, mode, phi, M, spring, side, dside)
+                _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
             k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
         if small:
@@ -623,9 +492,6 @@ def follow(
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
             mode = int(modes[at])
-            if pieces and mode // 9 != now:
-                now = mode // 9
-                spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
             source = k - lags[part]
             s = u[source] + post[source] if source >= 0 else before
             origin = np.uint64(max(source, 0))
@@ -635,32 +501,20 @@ def follow(
                 for i in range(4):
                     for j in range(LANES):
                         dstates[at, i, j] = q[_S + i * LANES + j]
-            acting, pull = s, 0.0
-            if hanging:
-                y, v = (x2, x3) if gravity[4] > 0.0 else (x0, x1)
-                pull, hung = _hang(q, gravity, spring[0], y, v, slid, lengths[part], since)
-                slid, since = v, lengths[part]
-                s -= pull
-                x2 += hung
-            if delayed and acting != last:
-                # What hangs the load, or pulls a rigid joint, acts on both sides of an edge of the torque.
-                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1) - pull
+            if delayed and s != last:
+                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1)
                 was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
                 kick = _acceleration(side, 0, was, last + force, x1)
-                kick -= _acceleration(side, 0, (mode - 9 * now) // 3, acting + force, x1)
+                kick -= _acceleration(side, 0, mode // 3, s + force, x1)
                 for j in range(LANES):
                     q[_S + LANES + j] += kick * ddelay[j]
-            last = acting
+            last = s
             if row < rows and tape[row, 0] == at:
-                row = _through_events(q, at, row, s, tape, rows, drives, dseeds, sides, dsides)
+                row = _through_events(q, at, row, s, tape, rows, spring, side, dside)
             else:
-                b = 9 * count * part + mode
+                b = 9 * part + mode
                 if not filled[b]:
                     filled[b] = True
-                    _take(scratch, dseeds, now)
-                    _fill(scratch, lengths[part], rate, mode - 9 * now, b, phi, M, spring, side, dside)
+                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dside)
                 _step(q, phi, M, b, x1, x2 - x0, x3, s)
-            if hanging:
-                for j in range(LANES):
-                    q[_S + 2 * LANES + j] -= q[_HUNG + j]
         k += 1

@@ -1,14 +1,18 @@
-"""The simulation of masses in a chain under any law of friction and spring, by a Runge-Kutta method, compiled.
+"""The simulation of masses under any law of friction and spring, by a Runge-Kutta method, compiled.
 
-A joint whose laws are lines has affine maps (`kernels.drive`). All others are integrated here: the motor, the load, and
-of an elastic load the part that swings, each tied to the next by a spring::
+A joint whose laws are lines has affine maps (`kernels.drive`). All others are integrated here, and robots. The masses
+of a joint are its motor, its load, and of an elastic load the part that swings; those of a robot its links, in a tree,
+then the rotors of its flexible joints. A spring ties two of them, and each motor drives one::
 
-    J1 a1 = torque - offset1 - friction1 - places1 + T12
-    J2 a2 = -offset2 - friction2 - places2 - T12 + T23
-    J3 a3 = -T23
+    M(q) a + h(q, v) = drive - offset - friction - places + springs
+
+Without a tree M is a diagonal and h is 0. Of a rigid joint of a robot the rotor's inertia is on the diagonal of M; of a
+flexible one the rotor is a mass that only its spring ties to the links (M. W. Spong: Modeling and control of elastic
+joint robots, Journal of Dynamic Systems, Measurement, and Control 109, 1987). Where motors are coupled the position of
+a link is that of the shaft that its motor turns, so that friction and springs are each one shaft's.
 
 Between two events this is smooth, and integrated by the classical method of order 4. A step is a share of the time in
-which the fastest part of the motion turns by one radian, so that the torque is within some 1e-5 of its peak.
+which the fastest part of the motion turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
 
 What winds up over a displacement is a state w of its own, by the law of P. R. Dahl (Solid friction damping of
 mechanical vibrations, AIAA Journal 14, 1976). With the direction d of the motion, and the displacement x since the
@@ -16,63 +20,95 @@ step began, it has a closed form, and is as exact as the motion::
 
     w' = (v - d v w) / s                w = d - (d - w0) exp(-d x / s)
 
-The events are a mass that stops, one that comes loose, and a deflection that reverses where the spring has a slider.
-The integrator locates them itself, so they do not lower its order.
+The events are a mass that stops, one that comes loose, a deflection that reverses where the spring has a slider, and
+the edges of a friction's bands and of a spring's pieces. The integrator locates them itself, so they do not lower its
+order. Masses that stand still are decided together: the accelerations minimise ``a' M a / 2 - f' a + sum Fc |a_i|``
+over them, and least-index pivoting finds their modes (K. G. Murty: Note on a Bard-type scheme for solving the
+complementarity problem, Opsearch 11, 1974), which ends for every positive definite M.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
+from jointid.models.robots.equations import ROOM, equations_of_motion
+from jointid.models.robots.robot import Tree
 from jointid.simulation.kernels.drive import (
     CHATTERING,
     DIVERGED,
     FINISHED,
     TOO_STIFF,
+    IntArray,
     SampledLoop,
-    Trace,
     control_any,
 )
 
-# Columns of a mass: inertia, constant friction, viscous coefficients and Coulomb forces of both directions, the inverse
-# of the displacement over which the latter wind up (0 of one that sticks), what both grow by per second, and what the
-# second grow by per torque through the spring, of the motor per its own torque.
+IndexArray: TypeAlias = NDArray[np.uint64]
+NOT_POSITIVE = 4
+"""How a run ended beside the ways of `kernels.drive`: the mass matrix is not positive definite in a pose."""
+
+# Columns of a mass in a band of its speed: inertia, constant friction, viscous coefficients and Coulomb forces of both
+# directions, the inverse of the displacement over which the latter wind up (0 of one that sticks), what both grow by
+# per second, what the second grows by per torque that the mass carries, and the speed at which the band ends.
 INERTIA, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, WINDING, VISCOUS_DRIFT, COULOMB_DRIFT, PER_TORQUE = (
     range(10)
 )
-MASS = 10
-# Columns of a spring: stiffness, damping, cubic stiffness, limit of its slider, and the stiffness of that over it.
-STIFFNESS, DAMPING, CUBIC, SLIPS, SLIDING = range(5)
-SPRING = 5
+MASS, HIGH = 10, 10
+# Columns of a spring in a piece of its deflection, of either sign: stiffness, damping, cubic stiffness, limit of its
+# slider, the stiffness of that over it, the torque of the piece's line at no deflection, and where the piece begins.
+STIFFNESS, DAMPING, CUBIC, SLIPS, SLIDING, HELD, BEGIN = range(7)
+SPRING = 7
 # Columns of a force that follows a position: of its cosine, of its sine, of the position, phase per position, mass.
 COS, SIN, RATE, WAVE, WHERE = range(5)
 
-_MASSES = 3
-_HELD = 2  # masses with friction: what swings has none
-# Columns of the tape, a row for each step: its part and length, the kick of the motor by the torque's edge before it,
-# the mass that stops at its end (or -1) with the acceleration then over that before; of the masses the mean positions,
-# velocities, accelerations and rates of these, their modes, and what is wound up at the beginning; of the springs what
-# is, and the directions in which they deflect.
-PART, LENGTH, KICK, STOPPED, RATIO = range(5)
-PLACE, SPEED, CHANGE, JERK, MODE, WOUND = (5 + _MASSES * i for i in range(6))
-STRETCHED, WAY = WOUND + _MASSES, WOUND + 2 * _MASSES - 1
-STEP_TAPE = WAY + _MASSES - 1
+# The tape has a row for each step: the part of a period (-1 before the first), the length, the guard whose event ended
+# it (or -1); of the masses positions, velocities and accelerations as it begins, and accelerations as it ends; then of
+# masses and springs the modes, the bands and pieces, and what is wound up as it begins.
+PART, LENGTH, EVENT, STATE = range(4)
 
-REACH = 0.3  # rad: how far the fastest part of the motion may turn in a step
+FREE = 2.0  # the mode of a mass that no friction holds
+REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
 _MANY = 4096.0  # steps of a part that show a drive that is too stiff
 _WORK = 30.0  # rad that a simulation may take, per part: bounds the time an absurd candidate can cost
 _EVENTS = 1000  # per period; a physical drive has a handful
 _HOLD = 1.0 + 1e-9  # of the Coulomb force: what holds a mass, so that one at its limit is not decided by rounding
-_AGAIN = 3  # times that the masses at rest are asked: what one does may move the other
+_PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
 _ROOT = 1e-12  # of a step: where an event is located to
 _CLOSER = 80  # steps at most to locate it
 _WOUND_UP = 1e-8  # of a limit: what is nearer to it than that is at it
 _WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: above it cannot be told from Coulomb's
+
+
+class Plant(NamedTuple):
+    """The numbers of a joint, or of what a robot has beside its links.
+
+    Attributes:
+        masses: (masses, bands, MASS + 1) in each band of the speed; a band that is not there ends where the last does.
+        springs: (springs, pieces, SPRING) in each piece; one that is not there begins at infinity.
+        places: (forces, 5) that follow a position.
+        pairs: (springs, 2) the masses that each ties.
+        motors: (axes,) the mass that each motor drives.
+        carriers: (masses,) the spring whose torque a mass's friction grows with; -1 of its own motor's.
+    """
+
+    masses: FloatArray
+    springs: FloatArray
+    places: FloatArray
+    pairs: IndexArray
+    motors: IndexArray
+    carriers: IntArray
+
+
+def tape_width(masses: int, springs: int) -> int:
+    """Return the columns of a tape."""
+    return STATE + 4 * masses + 3 * (masses + springs)
 
 
 @inline_kernel
@@ -84,93 +120,170 @@ def winding(w: float, way: float, x: float, rate: float) -> float:
 
 
 @inline_kernel
-def _accelerate(
-    masses: FloatArray, springs: FloatArray, places: FloatArray, mobility: FloatArray, modes: FloatArray,
-    torque: float, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, push: FloatArray,
-    grip: FloatArray,
-) -> None:  # fmt: skip
-    """Fill the accelerations, the push on each mass beside its Coulomb force, and the most that this force can be."""
-    n, carried, spring = masses.shape[0], -torque, 0.0
-    for i in range(n):
-        force = -masses[i, OFFSET] - carried
-        for j in range(places.shape[0]):
-            if places[j, WHERE] == i:
-                phase = places[j, WAVE] * q[i]
-                force -= places[j, COS] * math.cos(phase) + places[j, SIN] * math.sin(phase) + places[j, RATE] * q[i]
-        if i + 1 < n:
-            e = q[i + 1] - q[i]
-            spring = (springs[i, STIFFNESS] + springs[i, CUBIC] * e * e) * e + springs[i, DAMPING] * (v[i + 1] - v[i])
-            spring += springs[i, SLIPS] * w[n + i]
-            force += spring
-        mode = modes[i]
-        back = mode < 0.0 or (mode == 0.0 and force < 0.0)
-        most = (
-            (masses[i, COULOMB_BACK] if back else masses[i, COULOMB])
-            + masses[i, COULOMB_DRIFT] * time
-            + masses[i, PER_TORQUE] * abs(carried)
-        )
-        viscous = (masses[i, VISCOUS_BACK] if back else masses[i, VISCOUS]) + masses[i, VISCOUS_DRIFT] * time
-        held = most * (w[i] if masses[i, WINDING] > 0.0 else mode)
-        push[i], grip[i], carried = force, most, spring
-        a[i] = (force - viscous * v[i] - held) * mobility[i] if mode != 0.0 else 0.0
+def spring_torque(
+    stiffness: float, cubic: float, damping: float, slips: float, e: float, rate: float, w: float
+) -> float:
+    """Return the torque of a spring, without what the line of its piece has at no deflection."""
+    return (stiffness + cubic * e * e) * e + damping * rate + slips * w
 
 
 @inline_kernel
-def _settle(
-    masses: FloatArray, modes: FloatArray, v: FloatArray, w: FloatArray, push: FloatArray, grip: FloatArray, loose: int
-) -> bool:
-    """Let masses at rest begin to move, or stay; return whether a mode has changed.
+def place_force(cosine: float, sine: float, rate: float, wave: float, q: float) -> tuple[float, float]:
+    """Return a force that follows a position, and its slope."""
+    cos, sin = math.cos(wave * q), math.sin(wave * q)
+    return cosine * cos + sine * sin + rate * q, wave * (sine * cos - cosine * sin) + rate
 
-    One that has just come loose, `loose`, moves the way it is pushed.
+
+@inline_kernel
+def accelerate(
+    mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
+    M: FloatArray, L: FloatArray, order: IntArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
+    drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
+    grip: FloatArray, pull: FloatArray,
+) -> bool:  # fmt: skip
+    """Fill the accelerations, what friction holds in masses at rest, and the most that it can; False if M is no mass.
+
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, L and order are scratch
+    of its root, and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes
+    are the directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are
+    those of their bands and pieces.
     """
+    nd = q.size
+    for i in range(nd):
+        held[i] = drive[i]
+    if tree is not None:
+        for i in range(bias.size):
+            held[i] -= bias[i]
+    for j in range(places.shape[0]):
+        i = int(places[j, WHERE])
+        held[i] -= place_force(places[j, COS], places[j, SIN], places[j, RATE], places[j, WAVE], q[i])[0]
+    for s in range(pairs.shape[0]):
+        one, two = pairs[s, 0], pairs[s, 1]
+        torque = spring[s, HELD] + spring_torque(
+            spring[s, STIFFNESS], spring[s, CUBIC], spring[s, DAMPING], spring[s, SLIPS], q[two] - q[one],
+            v[two] - v[one], w[nd + s],
+        )  # fmt: skip
+        held[one] += torque
+        held[two] -= torque
+        pull[s] = torque
+    for i in range(nd):
+        mode, speed = modes[i], v[i]
+        push = held[i] - mass[i, OFFSET]
+        way = speed if mode == FREE else mode
+        back = way < 0.0 or (way == 0.0 and push < 0.0)
+        coulomb, viscous = mass[i, COULOMB], mass[i, VISCOUS]
+        if back:
+            coulomb, viscous = mass[i, COULOMB_BACK], mass[i, VISCOUS_BACK]
+        coulomb += mass[i, COULOMB_DRIFT] * time
+        if mass[i, PER_TORQUE] != 0.0:
+            carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
+            coulomb += mass[i, PER_TORQUE] * abs(carried)
+        push -= (viscous + mass[i, VISCOUS_DRIFT] * time) * speed
+        push -= coulomb * (w[i] if mass[i, WINDING] > 0.0 else mode)
+        grip[i], held[i] = coulomb, push
+        a[i] = push * mobility[i] if mode != 0.0 else 0.0
+    positive = True
+    if tree is not None:
+        positive = _solve_links(bias.size, M, L, order, modes, held, a)
+    return positive
+
+
+@inline_kernel
+def _solve_links(
+    links: int, M: FloatArray, L: FloatArray, order: IntArray, modes: FloatArray, held: FloatArray, a: FloatArray
+) -> bool:
+    """Fill the accelerations of links that move, and take what these need from what holds the others."""
+    free, positive = 0, True
+    for i in range(links):
+        if modes[i] != 0.0:
+            order[0, free], order[1, free] = i, 0
+            free += 1
+    for x in range(free):
+        i = order[0, x]
+        total, begin = held[i], 0
+        while begin < x and M[i, order[0, begin]] == 0.0:  # as of two arms on one base
+            begin += 1
+        order[1, x] = begin
+        for y in range(begin, x):
+            cell = M[i, order[0, y]]
+            for k in range(max(begin, order[1, y]), y):
+                cell -= L[x, k] * L[y, k]
+            L[x, y] = cell * L[y, y]
+            total -= L[x, y] * a[order[0, y]]
+        pivot = M[i, i]
+        for k in range(begin, x):
+            pivot -= L[x, k] * L[x, k]
+        if not pivot > 0.0:
+            positive = False
+            break
+        L[x, x] = 1.0 / math.sqrt(pivot)
+        a[i] = total * L[x, x]
+    for x in range(free - 1 if positive else -1, -1, -1):
+        total = a[order[0, x]] * L[x, x]
+        a[order[0, x]] = total
+        for y in range(order[1, x], x):
+            a[order[0, y]] -= L[x, y] * total
+    for i in range(links if free < links else 0):
+        if modes[i] == 0.0:
+            for j in range(links):
+                held[i] -= M[i, j] * a[j]
+    return positive
+
+
+@inline_kernel
+def settle(
+    mass: FloatArray, modes: FloatArray, v: FloatArray, a: FloatArray, held: FloatArray, grip: FloatArray, turns: bool
+) -> bool:
+    """Let a mass at rest begin to move, or stay; return whether a mode has changed. `turns` lets what winds up turn."""
     changed = False
-    for i in range(min(masses.shape[0], _HELD)):
+    for i in range(v.size):
         mode = modes[i]
-        if v[i] != 0.0:
+        if v[i] != 0.0 or mode == FREE:
             continue
-        if masses[i, WINDING] > 0.0:
-            rest = push[i] - w[i] * grip[i]
-            mode = math.copysign(1.0, rest) if rest != 0.0 else mode
-        elif abs(push[i]) > _HOLD * grip[i] or i == loose:
-            mode = math.copysign(1.0, push[i])
-        else:
+        if mass[i, WINDING] > 0.0:
+            mode = -mode if turns and mode * a[i] < 0.0 else mode
+        elif mode == 0.0 and abs(held[i]) >= _HOLD * grip[i] and held[i] != 0.0:
+            mode = math.copysign(1.0, held[i])
+        elif mode != 0.0 and mode * a[i] <= 0.0:
             mode = 0.0
-        changed = changed or mode != modes[i]
-        modes[i] = mode
+        if mode != modes[i]:
+            modes[i], changed = mode, True
+            break
     return changed
 
 
 @inline_kernel
-def _turn_sliders(springs: FloatArray, modes: FloatArray, v: FloatArray, a: FloatArray) -> None:
+def _turn_sliders(spring: FloatArray, pairs: IndexArray, modes: FloatArray, v: FloatArray, a: FloatArray) -> None:
     """Set the directions of deflections at rest by their accelerations."""
-    n = v.size
-    for i in range(n - 1):
-        if springs[i, SLIDING] > 0.0 and v[i + 1] == v[i] and modes[n + i] * (a[i + 1] - a[i]) < 0.0:
-            modes[n + i] = -modes[n + i]
+    for s in range(pairs.shape[0]):
+        one, two = pairs[s, 0], pairs[s, 1]
+        if spring[s, SLIDING] > 0.0 and v[two] == v[one] and modes[v.size + s] * (a[two] - a[one]) < 0.0:
+            modes[v.size + s] = -modes[v.size + s]
 
 
 @inline_kernel
 def _fastest_rate(
-    masses: FloatArray, springs: FloatArray, places: FloatArray, mobility: FloatArray, modes: FloatArray,
-    q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
+    mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, mobility: FloatArray,
+    modes: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
 ) -> float:  # fmt: skip
     """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
-    n, square, rate = masses.shape[0], 0.0, 0.0
-    for i in range(n):
-        rate += max(masses[i, VISCOUS], masses[i, VISCOUS_BACK], 0.0) * mobility[i]
+    nd, square, rate = q.size, 0.0, 0.0
+    for i in range(nd):
+        rate += max(abs(mass[i, VISCOUS]), abs(mass[i, VISCOUS_BACK])) * mobility[i]
         left = abs(modes[i] - w[i])
-        if masses[i, WINDING] > 0.0 and left > _WINDS:
-            square += grip[i] * left * masses[i, WINDING] * mobility[i]
-            rate += abs(v[i]) * masses[i, WINDING]
-        if i + 1 < n:
-            e, both = q[i + 1] - q[i], mobility[i] + mobility[i + 1]
-            stiffness = springs[i, STIFFNESS] + max(3.0 * springs[i, CUBIC] * e * e, 0.0)
-            left = abs(modes[n + i] - w[n + i])
-            if springs[i, SLIDING] > 0.0 and left > _WINDS:
-                stiffness += springs[i, SLIPS] * springs[i, SLIDING] * left
-                rate += abs(v[i + 1] - v[i]) * springs[i, SLIDING]
-            square += stiffness * both
-            rate += springs[i, DAMPING] * both
+        if mass[i, WINDING] > 0.0 and left > _WINDS:
+            square += grip[i] * left * mass[i, WINDING] * mobility[i]
+            rate += abs(v[i]) * mass[i, WINDING]
+    for s in range(pairs.shape[0]):
+        one, two = pairs[s, 0], pairs[s, 1]
+        e, both = q[two] - q[one], mobility[one] + mobility[two]
+        stiffness = spring[s, STIFFNESS] + max(3.0 * spring[s, CUBIC] * e * e, 0.0)
+        left = abs(modes[nd + s] - w[nd + s])
+        if spring[s, SLIDING] > 0.0 and left > _WINDS:
+            stiffness += spring[s, SLIPS] * spring[s, SLIDING] * left
+            rate += abs(v[two] - v[one]) * spring[s, SLIDING]
+        square += stiffness * both
+        rate += spring[s, DAMPING] * both
     for j in range(places.shape[0]):
         i = int(places[j, WHERE])
         slope = abs(places[j, WAVE]) * (abs(places[j, COS]) + abs(places[j, SIN])) + abs(places[j, RATE])
@@ -180,35 +293,67 @@ def _fastest_rate(
 
 
 @inline_kernel
-def _guard(which: int, modes: FloatArray, v: FloatArray, push: FloatArray, grip: FloatArray) -> float:
-    """Return a guard, positive until an event: a mass's speed, or what can hold it beyond its push; a spring's rate."""
-    n = v.size
-    if which >= n:
-        return float(modes[which] * (v[which - n + 1] - v[which - n]))
-    if modes[which] != 0.0:
-        return float(modes[which] * v[which])
-    return float(_HOLD * grip[which] - abs(push[which]))
+def _enter(
+    i: int, masses: FloatArray, springs: FloatArray, at: IntArray, mass: FloatArray, spring: FloatArray,
+    bounds: FloatArray,
+) -> None:  # fmt: skip
+    """Take the numbers and the bounds of the band that a mass's speed is in, or of the piece of a spring."""
+    nd = masses.shape[0]
+    if i < nd:
+        band = at[i]
+        assign(mass[i], masses[i, band])
+        bounds[i, 0], bounds[i, 1] = masses[i, band - 1, HIGH] if band > 0 else -np.inf, masses[i, band, HIGH]
+    else:
+        s, p = i - nd, abs(at[i])
+        assign(spring[s], springs[s, p])
+        spring[s, HELD] *= -1.0 if at[i] < 0 else 1.0
+        low, high = springs[s, p, BEGIN], springs[s, p + 1, BEGIN] if p + 1 < springs.shape[1] else np.inf
+        bounds[i, 0], bounds[i, 1] = (low, high) if at[i] > 0 else (-high, high if at[i] == 0 else -low)
+
+
+@inline_kernel
+def _watch(
+    watched: IntArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray, v: FloatArray,
+    held: FloatArray, grip: FloatArray, guards: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the watched guards, each positive until its event.
+
+    First those of masses, a speed or what can hold one beyond its push; of springs, the rates of deflections; then as
+    many for the bounds of bands and pieces.
+    """
+    nd, every = v.size, modes.size
+    for k in range(watched.size):
+        which = watched[k]
+        i = which if which < every else which - every
+        mode, value = modes[i], 0.0
+        if i < nd:
+            value = mode * v[i] if mode != 0.0 or which >= every else _HOLD * grip[i] - abs(held[i])
+        else:
+            one, two = pairs[i - nd, 0], pairs[i - nd, 1]
+            value = mode * (v[two] - v[one]) if which < every else q[two] - q[one]
+        guards[k] = value if which < every else min(value - bounds[i, 0], bounds[i, 1] - value)
 
 
 @inline_kernel
 def _find_first(
-    springs: FloatArray, modes: FloatArray, h: float, v: FloatArray, a: FloatArray, push: FloatArray, grip: FloatArray,
-    v1: FloatArray, a1: FloatArray, push1: FloatArray, grip1: FloatArray,
+    watched: IntArray, modes: FloatArray, h: float, guards: FloatArray, ends: FloatArray, a: FloatArray,
+    a1: FloatArray, known: int, dips: bool,
 ) -> tuple[int, float]:  # fmt: skip
-    """Return the guard of the apparently first event in a step, and where: 1 if it shows at the end.
+    """Return the place of the apparently first event's guard, and where: 1 if it shows at the end.
 
-    Less than 1 is the bottom of a dip of a speed that is positive at both ends. No guard, -1, if there is no event.
+    Less than 1 is the bottom of a dip, on demand, of a speed that is positive at both ends. No guard, -1, if there is
+    no event but a known one.
     """
-    n, first, found, at = v.size, 2.0, -1, 1.0
-    for i in range(modes.size):
-        if _HELD <= i < n or (i >= n and springs[i - n, SLIDING] == 0.0):
+    first, found, where = 2.0, -1, 1.0
+    for k in range(watched.size):
+        i, start, end = watched[k], guards[k], ends[k]
+        if k == known:
             continue
-        start, end = _guard(i, modes, v, push, grip), _guard(i, modes, v1, push1, grip1)
         if end < 0.0 or (end == 0.0 and start > 0.0):
             place = start / (start - end)
             if place < first:
-                first, found, at = place, i, 1.0
-        elif i < n and modes[i] != 0.0 and start > 0.0:
+                first, found, where = place, k, 1.0
+        elif dips and i < a.size and modes[i] != 0.0 and start > 0.0:
             down, up = modes[i] * a[i] * h, modes[i] * a1[i] * h
             if down < 0.0 < up and min(start, end) < 0.15 * (up - down):
                 # The cubic through both ends: where it is lowest, and how low.
@@ -216,168 +361,262 @@ def _find_first(
                 place = -down / (c2 + math.sqrt(max(c2 * c2 - 3.0 * c3 * down, 0.0)))
                 lowest = start + place * (down + place * (c2 + place * c3))
                 if 0.0 < place < 1.0 and lowest < 0.0 and place < first:
-                    first, found, at = place, i, place
-    return found, at
+                    first, found, where = place, k, place
+    return found, where
 
 
 @inline_kernel
-def _step(
-    masses: FloatArray, springs: FloatArray, places: FloatArray, mobility: FloatArray, modes: FloatArray,
-    torque: float, time: float, d: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray,
-    q1: FloatArray, v1: FloatArray, w1: FloatArray, a1: FloatArray, push1: FloatArray, grip1: FloatArray,
-    second: FloatArray, third: FloatArray,
+def _begin(
+    masses: FloatArray, springs: FloatArray, pairs: IndexArray, links: int, mobility: FloatArray, longest: float,
+    q: FloatArray, v: FloatArray, w: FloatArray, modes: FloatArray, at: IntArray,
+) -> IntArray:  # fmt: skip
+    """Fill modes, bands and pieces at the first sample; return the guards that are to be watched."""
+    nd, count, watched = v.size, 0, np.empty(2 * modes.size, dtype=np.int64)
+    for i in range(nd):
+        largest, modes[i] = max(masses[i, 0, COULOMB], masses[i, 0, COULOMB_BACK]), FREE
+        sticks = math.sqrt(largest * masses[i, 0, WINDING] * mobility[i]) * longest
+        if links == 0 and not sticks < _STICKS:
+            masses[i, 0, WINDING] = 0.0
+        for band in range(masses.shape[1]):
+            grows = masses[i, band, COULOMB_DRIFT] != 0.0 or masses[i, band, PER_TORQUE] > 0.0
+            if grows or max(masses[i, band, COULOMB], masses[i, band, COULOMB_BACK]) > 0.0:
+                modes[i] = 0.0
+        if masses[i, 0, WINDING] > 0.0:
+            modes[i] = math.copysign(1.0, v[i])
+        else:
+            w[i] = 0.0
+            modes[i] = math.copysign(1.0, v[i]) if modes[i] == 0.0 and v[i] != 0.0 else modes[i]
+            while modes[i] != FREE and abs(v[i]) > masses[i, at[i], HIGH]:
+                at[i] += 1
+        if modes[i] != FREE:
+            watched[count] = i
+            count += 1
+        if modes[i] != FREE and masses[i, 0, WINDING] == 0.0 and masses.shape[1] > 1:
+            watched[count] = modes.size + i
+            count += 1
+    for s in range(pairs.shape[0]):
+        e, rate = q[pairs[s, 1]] - q[pairs[s, 0]], v[pairs[s, 1]] - v[pairs[s, 0]]
+        modes[nd + s] = math.copysign(1.0, rate)
+        for p in range(1, springs.shape[1]):
+            if abs(e) > springs[s, p, BEGIN]:
+                at[nd + s] = p if e > 0.0 else -p
+        if springs[s, 0, SLIDING] > 0.0:
+            watched[count] = nd + s
+            count += 1
+        if springs.shape[1] > 1:
+            watched[count] = modes.size + nd + s
+            count += 1
+    return watched[:count]
+
+
+@inline_kernel
+def _go_on(
+    event: int, mass: FloatArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, at: IntArray,
+    q: FloatArray, v: FloatArray, held: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill where a step of `d` seconds leads, and the accelerations and forces there, in the modes of its beginning."""
-    n = v.size
-    for stage in range(4):
-        for i in range(n):
-            if stage == 0:
-                q1[i], v1[i] = q[i] + 0.5 * d * v[i], v[i] + 0.5 * d * a[i]
-            elif stage == 1:
-                second[i] = a1[i]
-                q1[i], v1[i] = q[i] + 0.5 * d * (v[i] + 0.5 * d * a[i]), v[i] + 0.5 * d * a1[i]
-            elif stage == 2:
-                third[i] = a1[i]
-                q1[i], v1[i] = q[i] + d * (v[i] + 0.5 * d * second[i]), v[i] + d * a1[i]
-            else:
-                between = second[i] + third[i]
-                q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
-                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
-        for i in range(n):
-            w1[i] = winding(w[i], modes[i], q1[i] - q[i], masses[i, WINDING])
-            if i + 1 < n:
-                e = (q1[i + 1] - q1[i]) - (q[i + 1] - q[i])
-                w1[n + i] = winding(w[n + i], modes[n + i], e, springs[i, SLIDING])
-        then = time + (0.5 * d if stage < 2 else d)
-        _accelerate(masses, springs, places, mobility, modes, torque, then, q1, v1, w1, a1, push1, grip1)
+    """Change what an event changes: a mass stops, turns or comes loose, a slider turns, a law goes over an edge."""
+    nd = v.size
+    if event >= modes.size:
+        i = event - modes.size
+        value = modes[i] * v[i] if i < nd else q[pairs[i - nd, 1]] - q[pairs[i - nd, 0]]
+        at[i] += 1 if bounds[i, 1] - value < value - bounds[i, 0] else -1
+    elif event >= nd:
+        modes[event] = -modes[event]
+    elif modes[event] == 0.0:
+        modes[event] = math.copysign(1.0, held[event])
+    else:
+        v[event] = 0.0
+        modes[event] = -modes[event] if mass[event, WINDING] > 0.0 else 0.0
 
 
 @inline_kernel
 def _write_row(
-    row: FloatArray, modes: FloatArray, d: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray,
-    q1: FloatArray, v1: FloatArray, a1: FloatArray,
+    row: FloatArray, part: int, d: float, event: int, modes: FloatArray, at: IntArray, q: FloatArray, v: FloatArray,
+    w: FloatArray, a: FloatArray, a1: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the motion of a step into its row of the tape."""
-    n = v.size
-    for i in range(n):
-        middle = 0.5 * (q[i] + q1[i]) + 0.125 * d * (v[i] - v1[i])
-        row[PLACE + i] = (q[i] + 4.0 * middle + q1[i]) / 6.0
-        row[SPEED + i] = (q1[i] - q[i]) / d if d > 0.0 else v[i]
-        row[CHANGE + i] = (v1[i] - v[i]) / d if d > 0.0 else a[i]
-        row[JERK + i] = (a1[i] - a[i]) / d if d > 0.0 else 0.0
-        row[MODE + i], row[WOUND + i] = modes[i], w[i]
-        if i + 1 < n:
-            row[STRETCHED + i], row[WAY + i] = w[n + i], modes[n + i]
+    """Write a step into its row of the tape."""
+    nd, every = q.size, modes.size
+    row[PART], row[LENGTH], row[EVENT] = part, d, event
+    for i in range(nd):
+        row[STATE + i], row[STATE + nd + i] = q[i], v[i]
+        row[STATE + 2 * nd + i], row[STATE + 3 * nd + i] = a[i], a1[i]
+    begin = STATE + 4 * nd
+    for i in range(every):
+        row[begin + i], row[begin + every + i], row[begin + 2 * every + i] = modes[i], at[i], w[i]
 
 
 @compile_kernel
 def run(
-    masses: FloatArray, springs: FloatArray, places: FloatArray, loop: SampledLoop, before: float, z: FloatArray,
-    x: FloatArray, sliding: float, far: float, reach: float, trace: Trace,
+    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
+    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, rate: float, reach: float,
+    command: FloatArray, excess: FloatArray, tape: FloatArray, counts: IntArray,
 ) -> int:  # fmt: skip
-    """Simulate one loop; fill the trace and return how it ended.
+    """Simulate one candidate; fill what is out and return how it ended.
 
     Args:
-        masses: (n, MASS) motor first; what winds up too fast to be told from Coulomb friction is made that.
-        springs: (n - 1, SPRING) each between a mass and the next.
-        places: (forces, 5) that follow a position.
+        plant: its numbers; what of a joint winds up too fast to be told from Coulomb friction is made that.
+        tree: of the first masses; None of a joint.
+        inertials: (links, 10) of the tree, or (0, 10).
         loop: what drives it.
-        before: torque that acted before the first period.
-        z: state of the feedback, overwritten.
-        x: (4,) initial position and velocity of motor and load.
-        sliding: 1 or -1 where friction is wound up at the first sample, the direction of the motion; else 0.
-        far: a motor position above which the loop counts as diverged.
-        reach: how far the fastest part of the motion may turn in a step, rad; `REACH` unless a test asks for less.
-        trace: out; its tape is (rows, STEP_TAPE), of as many steps as it holds.
+        before: (axes,) torques that acted before the first period.
+        far: (axes,) motor positions above which a loop counts as diverged.
+        z: (axes, states) of the controllers, overwritten.
+        place: (masses,) initial positions.
+        speed: (masses,) initial velocities.
+        wound: (masses,) initially wound-up shares of friction.
+        rate: how fast the fastest part of the motion turns, rad/s; 0 to ask that of the masses alone in each step.
+        reach: how far it may turn in a step, rad.
+        command: (axes, clock) out: torques that act, held between periods.
+        excess: (axes, periods, elements) out: what limits and gates took away; or (axes, 0, elements).
+        tape: (rows, columns) out, of as many steps as it holds.
+        counts: (4,) out: events, rows of the tape, steps of the clock that were simulated, those at a limit.
     """
-    w_in, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
-    u, excess, counts = trace.u, trace.excess, trace.counts
-    states, accelerations, tape = trace.states, trace.accelerations, trace.tape
-    n, parts, periods = masses.shape[0], lengths.size, w_in.shape[1]
-    q, v, a, push, grip = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    q1, v1, a1, push1, grip1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    w, w1, modes = np.zeros(2 * n - 1), np.zeros(2 * n - 1), np.ones(2 * n - 1)
-    second, third, mobility = np.zeros(n), np.zeros(n), np.zeros(n)
-    fresh, out, cut = np.empty(z.size), np.zeros(w_in.shape[0]), np.zeros(w_in.shape[0])
+    masses, springs, places, pairs, motors, carriers = plant
+    w_in, post, lengths, lags, feedback, every = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback, loop.every
+    nd, ns, links, parts, clock = masses.shape[0], pairs.shape[0], inertials.shape[0], lengths.size, command.shape[1]
+    axes, outputs = motors.size, feedback.output
+    # Each has an array of its own: of rows of one Numba counts the references in every step.
+    q, v, a, held, grip, drive = np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd)
+    q1, v1, a1, held1, grip1, mobility = (
+        np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd)
+    )  # fmt: skip
+    second, third, pull, pull1 = np.zeros(nd), np.zeros(nd), np.zeros(ns), np.zeros(ns)
+    w, w1, modes = np.zeros(nd + ns), np.zeros(nd + ns), np.zeros(nd + ns)
+    at, order = np.zeros(nd + ns, dtype=np.int64), np.zeros((2, links), dtype=np.int64)
+    mass, spring, bounds = np.zeros((nd, MASS + 1)), np.zeros((ns, SPRING)), np.zeros((nd + ns, 2))
+    M, L, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
+    link_room = np.zeros((links, ROOM))
+    fresh, out, cut = np.empty(z.shape[1]), np.zeros(w_in.shape[1]), np.zeros(w_in.shape[1])
     period, longest = 0.0, 0.0
     for part in range(parts):
         period += lengths[part]
         longest = max(longest, lengths[part])
-    for i in range(n):
-        side = min(i, 1)  # what swings begins with the load
-        q[i], v[i], mobility[i] = x[2 * side], x[2 * side + 1], 1.0 / masses[i, INERTIA]
-        largest = max(masses[i, COULOMB], masses[i, COULOMB_BACK])
-        if not math.sqrt(largest * masses[i, WINDING] * mobility[i]) * longest < _STICKS:
-            masses[i, WINDING] = 0.0
-        if masses[i, WINDING] > 0.0:
-            w[i], modes[i] = sliding, (1.0 if v[i] >= 0.0 else -1.0)
-        elif i < _HELD:
-            modes[i] = 0.0 if v[i] == 0.0 else math.copysign(1.0, v[i])
-    events, steps, clipped, status, k = 0, 0, 0, FINISHED, 0
-    keep, loose, stopped, stopping = states.shape[0] > 0, -1, -1, 0.0
-    _accelerate(masses, springs, places, mobility, modes, before, 0.0, q, v, w, a, push, grip)
-    while k < periods and status == FINISHED:
-        control_any(feedback, w_in, k, q[0], z, fresh, out, cut)
-        u[k] = out[feedback.output]
-        if excess.shape[0] > 0:
-            assign(excess[k], cut)
-        if cut[feedback.output] != 0.0:
-            clipped += 1
-        if not (abs(q[0]) <= far and abs(u[k]) < np.inf):
-            status = DIVERGED
+    for i in range(nd):
+        q[i], v[i], w[i] = place[i], speed[i], wound[i]
+        mobility[i] = 1.0 / masses[i, 0, INERTIA] if i >= links else 0.0
+    for j in range(axes):
+        drive[motors[j]] = before[j]
+    watched = _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
+    guards, ends = np.zeros(watched.size), np.zeros(watched.size)
+    for i in range(nd + ns):
+        _enter(i, masses, springs, at, mass, spring, bounds)
+    if tree is not None:
+        equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
+        for i in range(links):
+            M[i, i] += mass[i, INERTIA]
+    if not accelerate(
+        mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive, 0.0, q, v, w, a, held,
+        grip, pull,
+    ):  # fmt: skip
+        return NOT_POSITIVE
+    events, steps, rows, status, k = 0, 0, 1, FINISHED, 0
+    if tape.shape[0] > 0:
+        _write_row(tape[0], -1, 0.0, -1, modes, at, q, v, w, a, a)
+    while k < clock and status == FINISHED:
+        limited = False
+        for j in range(axes):
+            if k % every[j] != 0:  # this controller holds
+                command[j, k] = command[j, k - 1]
+                continue
+            own, position = k // every[j], q[motors[j]]
+            control_any(feedback, j, w_in, own, position, z, fresh, out, cut)
+            command[j, k] = out[outputs[j]]
+            if excess.shape[1] > 0:
+                assign(excess[j, own], cut)
+            limited = limited or cut[outputs[j]] != 0.0
+            if not (abs(position) <= far[j] and abs(command[j, k]) < np.inf):
+                status = DIVERGED
+        if status != FINISHED:
             break
+        counts[3] += 1 if limited else 0
         time, before_period = k * period, events
         for part in range(parts):
-            source = k - lags[part]
-            torque = u[source] + post[source] if source >= 0 else before
-            left, begins, settles, last = lengths[part], True, True, a[0]
+            for j in range(axes):
+                source = k - lags[j, part]
+                drive[motors[j]] = command[j, source] + post[j, source] if source >= 0 else before[j]
+            left, settles = lengths[part], True
             while left > 0.0 and status == FINISHED:
-                for _ in range(_AGAIN if settles else 0):
-                    _accelerate(masses, springs, places, mobility, modes, torque, time, q, v, w, a, push, grip)
-                    if not _settle(masses, modes, v, w, push, grip, loose):
+                for turn in range(_PIVOTS * nd if settles else 0):
+                    if not accelerate(
+                        mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive, time,
+                        q, v, w, a, held, grip, pull,
+                    ):  # fmt: skip
+                        status = NOT_POSITIVE
+                        break
+                    if not settle(mass, modes, v, a, held, grip, turn <= nd):
                         break
                 if settles:
-                    _turn_sliders(springs, modes, v, a)
-                if stopped >= 0 and counts[1] <= tape.shape[0]:
-                    # Friction grows where a mass turns round, so the ratio is between 0 and 1; grazing leaves 0/0.
-                    ratio = min(max(a[stopped] / stopping, 0.0), 1.0) if stopping != 0.0 else 0.0
-                    tape[counts[1] - 1, STOPPED], tape[counts[1] - 1, RATIO] = stopped, ratio
-                if begins and keep:
-                    row = k * parts + part
-                    for i in range(min(n, 2)):
-                        states[row, 2 * i], states[row, 2 * i + 1], accelerations[row, i] = q[i], v[i], a[i]
-                steps_left = left * _fastest_rate(masses, springs, places, mobility, modes, q, v, w, grip) / reach
-                if not steps_left <= _MANY or steps * reach > _WORK * (periods * parts + 100):
+                    _turn_sliders(spring, pairs, modes, v, a)
+                fastest = rate
+                if rate == 0.0:
+                    fastest = _fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
+                steps_left = left * fastest / reach
+                if not steps_left <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
                     status = TOO_STIFF
+                if status != FINISHED:
                     break
-                h = left / max(math.ceil(steps_left), 1.0)
-                settles, loose, stopped, event, dips, tries = False, -1, -1, -1, False, 0
+                h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)
+                settles, known, dips, begins, looks, tries = False, -1, False, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
+                _watch(watched, pairs, modes, bounds, q, v, held, grip, guards)
                 while True:
                     d = share * h
-                    _step(
-                        masses, springs, places, mobility, modes, torque, time, d, q, v, w, a, q1, v1, w1, a1, push1,
-                        grip1, second, third,
-                    )  # fmt: skip
+                    for stage in range(4):
+                        for i in range(nd):
+                            if stage == 0:
+                                q1[i], v1[i] = q[i] + 0.5 * d * v[i], v[i] + 0.5 * d * a[i]
+                            elif stage == 1:
+                                second[i] = a1[i]
+                                q1[i], v1[i] = q[i] + 0.5 * d * (v[i] + 0.5 * d * a[i]), v[i] + 0.5 * d * a1[i]
+                            elif stage == 2:
+                                third[i] = a1[i]
+                                q1[i], v1[i] = q[i] + d * (v[i] + 0.5 * d * second[i]), v[i] + d * a1[i]
+                            else:
+                                between = second[i] + third[i]
+                                q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
+                                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
+                        for i in range(nd):
+                            w1[i] = winding(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
+                        for s in range(ns):
+                            one, two = pairs[s, 0], pairs[s, 1]
+                            e = (q1[two] - q1[one]) - (q[two] - q[one])
+                            w1[nd + s] = winding(w[nd + s], modes[nd + s], e, spring[s, SLIDING])
+                        if tree is not None:
+                            equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
+                            for i in range(links):
+                                M[i, i] += mass[i, INERTIA]
+                        then = time + (0.5 * d if stage < 2 else d)
+                        if not accelerate(
+                            mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive,
+                            then, q1, v1, w1, a1, held1, grip1, pull1,
+                        ):  # fmt: skip
+                            status = NOT_POSITIVE
+                            break
+                    if status != FINISHED:
+                        break
                     steps += 1
                     tries += 1
-                    if tries == 1:
-                        event, place = _find_first(springs, modes, h, v, a, push, grip, v1, a1, push1, grip1)
-                        if event < 0:
+                    _watch(watched, pairs, modes, bounds, q1, v1, held1, grip1, ends)
+                    if looks:  # at first, and where an event is located, since another may come before
+                        found, where = _find_first(watched, modes, d, guards, ends, a, a1, known, tries == 1)
+                        if found < 0 or tries > _CLOSER:
                             break
-                        above, below = _guard(event, modes, v, push, grip), _guard(event, modes, v1, push1, grip1)
-                        begins_at = not above > 0.0  # a guard that begins at 0 is divided by the time since
-                        if begins_at and event < n:
-                            above = modes[event] * a[event] * h
-                        if place < 1.0:
-                            share, dips = place, True
+                        known, looks, low, high, kept = found, False, 0.0, share, 0
+                        above, below = guards[known], ends[known]
+                        begins = not above > 0.0  # a guard that begins at 0 is divided by the time since
+                        if begins:
+                            i = watched[known]
+                            below /= share
+                            above = modes[i] * a[i] * h if i < nd else above
+                        if where < 1.0:
+                            share, dips = where, True
                             continue
                     else:
-                        value = _guard(event, modes, v1, push1, grip1)
+                        value = ends[known]
                         if dips and value > 0.0:  # a dip that the cubic has, but not the motion
-                            event = -1
-                            break
-                        value = value / share if begins_at else value
+                            known, looks, dips = -1, True, False
+                            continue
+                        value = value / share if begins else value
                         if value > 0.0:
                             low, above = share, value
                             below = 0.5 * below if kept > 0 else below
@@ -388,39 +627,30 @@ def run(
                             kept = 0 if dips else -1
                         dips = False
                     if high - low <= _ROOT or below == 0.0 or tries > _CLOSER:
-                        if share == high:
-                            break
-                        share = high
+                        share, looks = high, True
                         continue
                     # Between a guard that is positive and one that is not: the secant, its idle end halved (Illinois).
                     share = (low * below - high * above) / (below - above) if above > 0.0 else 0.5 * (low + high)
                     share = min(max(share, low + 0.3 * _ROOT), high - 0.3 * _ROOT)
-                d, row = share * h, counts[1]
-                if row < tape.shape[0]:
-                    tape[row, PART], tape[row, LENGTH], tape[row, STOPPED] = k * parts + part, d, -1.0
-                    tape[row, KICK] = last - a[0] if begins else 0.0
-                    _write_row(tape[row], modes, d, q, v, w, a, q1, v1, a1)
-                counts[1] += 1
-                begins = False
-                for i in range(n):
-                    q[i], v[i], a[i], push[i], grip[i] = q1[i], v1[i], a1[i], push1[i], grip1[i]
-                for i in range(modes.size):
+                if status != FINISHED:
+                    break
+                d, event = share * h, watched[known] if known >= 0 else -1
+                if rows < tape.shape[0]:
+                    _write_row(tape[rows], k * parts + part, d, event, modes, at, q, v, w, a, a1)
+                rows += 1
+                for i in range(nd):
+                    q[i], v[i], a[i], held[i], grip[i] = q1[i], v1[i], a1[i], held1[i], grip1[i]
+                for i in range(nd + ns):
                     w[i] = modes[i] if abs(modes[i] - w1[i]) < _WOUND_UP else w1[i]
                 time += d
                 left = 0.0 if share == 1.0 and h == left else left - d
-                if event < 0:
-                    continue
-                events, settles = events + 1, True
-                if event >= n:
-                    modes[event] = -modes[event]
-                elif modes[event] == 0.0:
-                    loose = event
-                else:
-                    v[event] = 0.0
-                    if masses[event, WINDING] == 0.0:
-                        stopped, stopping, modes[event] = event, a[event], 0.0
-                if events - before_period > _EVENTS:
-                    status = CHATTERING
-        k += 1
-    counts[0], counts[2], counts[3] = events, k, min(clipped, k)
+                if event >= 0:
+                    events, settles = events + 1, True
+                    _go_on(event, mass, pairs, modes, bounds, at, q, v, held)
+                    if event >= nd + ns:
+                        _enter(event - nd - ns, masses, springs, at, mass, spring, bounds)
+                    if events - before_period > _EVENTS:
+                        status = CHATTERING
+        k += 1 if status == FINISHED else 0
+    counts[0], counts[1], counts[2] = events, rows, k
     return status
