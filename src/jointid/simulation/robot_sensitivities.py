@@ -145,8 +145,8 @@ def _follow(
 
 def rows_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> IntArray:
     """Return what each parameter is a number of, in which row of the kernels' arrays, and which column."""
-    n = numbers.rotors.size
-    found = [(p.of, numbers.rotors[p.row] - n if p.of is NumberOf.SPRING else p.row, p.column) for p in places]
+    spring = np.cumsum(numbers.flexible) - 1
+    found = [(p.of, spring[p.row] if p.of is NumberOf.SPRING else p.row, p.column) for p in places]
     return np.array(found, dtype=np.int64).reshape(-1, 3)
 
 

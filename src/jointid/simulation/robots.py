@@ -352,11 +352,11 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, numbers: Rob
     springs = np.diag(winding)
     dampers = np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:6], axis=1) + steep)
     plant = numbers.plant
-    for i in np.flatnonzero(numbers.flexible):
+    for spring, i in enumerate(np.flatnonzero(numbers.flexible)):
         both = np.zeros(size)
         both[i], both[rotors[i]] = 1.0, -1.0
         # A cubic spring is four times as stiff where the cube carries as much as the line.
-        stiffest = np.max(plant.springs[rotors[i] - n], axis=0)
+        stiffest = np.max(plant.springs[spring], axis=0)
         stiffness = stiffest[STIFFNESS] * (4.0 if stiffest[CUBIC] > 0.0 else 1.0)
         springs += (stiffness + 2.0 * stiffest[SLIPS] * stiffest[SLIDING]) * np.outer(both, both)
         dampers += stiffest[DAMPING] * np.outer(both, both)
