@@ -99,7 +99,7 @@ def flexible(twin: Twin, duration: float, *, searched: bool) -> None:
     found = identify_flexible_robot(twin.loop(), records, frequencies=given)
     print(
         f"flexible DIDIM, {len(twin.robot)} joints, {duration:g} s, modes {'looked for' if searched else 'given'}: "
-        f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), {len(found.fit.names)} parameters, {found.evaluations} runs "
+        f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), {len(found.names)} parameters, {found.iterations} runs "
         f"with derivatives, {sum(spring.shown for spring in found.springs)} springs shown",
         flush=True,
     )

@@ -60,7 +60,7 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", 
     x, J = end.x, -end.jacobian
     error, names = problem.residual(x), [p.name for p in problem.free]
     joint = names[: len(problem.free_joint)]
-    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)
+    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)))
     cutoff, step = problem.filtering.cutoff, problem.experiment.sample_time * (problem.filtering.decimation or 1)
     assert cutoff is not None
     found = whiteness(error, step, cutoff)

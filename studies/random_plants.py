@@ -56,12 +56,7 @@ def judge(seed: int, family: Literal["prismatic", "rotary"], spread: float = 0.0
         estimate = identify(record, case.loop, parameters=starts, checks=False)
     except JointidError as error:
         return PlantRun(math.inf, 0, repr(error))
-    return PlantRun(cost(case, record, estimate), search_of(estimate))
-
-
-def search_of(estimate: Estimate) -> int:
-    """Return the simulations of the search, up to its last step; the verdicts on its answer take some more."""
-    return estimate.fit.trace[-1].simulations if estimate.fit.trace else estimate.fit.simulations
+    return PlantRun(cost(case, record, estimate), estimate.fit.simulations)
 
 
 def cost(case: Case, record: Record, estimate: Estimate) -> float:

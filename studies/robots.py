@@ -263,11 +263,11 @@ def judge(seed: int, flexible: bool, estimator: str = "", drive_side: bool = Fal
     try:
         if flexible:
             if drive_side:
-                found = identify_flexible_drive_side(made.unknown.robot, made.records)
+                fit = identify_flexible_drive_side(made.unknown.robot, made.records)
             else:
-                found = identify_flexible_robot(made.unknown, made.records)
-            fit, shown = found.fit, sum(one.shown for one in found.springs)
-            refused = tuple(f"{one.joint}." for one in found.springs if not one.shown)
+                fit = identify_flexible_robot(made.unknown, made.records)
+            shown = sum(one.shown for one in fit.springs)
+            refused = tuple(f"{one.joint}." for one in fit.springs if not one.shown)
         else:
             fit = identify_rigid_robot(made.unknown, made.records)
     except JointidError as error:

@@ -136,7 +136,7 @@ def _predict(plant: BoundedPlant) -> float:
     error, J = problem.linearise(truth)
     names = [p.name for p in problem.free]
     at, cells = names.index("stiffness"), problem.cells(problem.simulate(truth))
-    return float(uncertainty(J, J, error, cells, names).robust.std[at] / truth[at])
+    return float(uncertainty(J, J, error, cells).robust.std[at] / truth[at])
 
 
 def random_plant(seed: int) -> BoundedPlant:

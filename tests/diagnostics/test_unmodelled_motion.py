@@ -15,7 +15,7 @@ from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import SearchState
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
 from jointid.estimation.identify import fit as fit_records
-from jointid.estimation.result.answer import Trust, spares_answer
+from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import assemble
 from jointid.models.springs import LinearSpring
 from jointid.records.record import Record
@@ -69,7 +69,6 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
     assert doubted.answer.trust.code == Trust.NOT_YET
     assert str(Reason.RESIDUAL_FOLLOWS_MOTION) in doubted.answer.trust.values["reasons"]
     assert "of the torque follows the motion and is not in the model" in doubted.sentence
-    assert not spares_answer(doubted, follows)
 
 
 def test_it_is_said_where_loop_and_log_pass(of_a_gap: PredictedResidual, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,6 @@ from jointid.records.checks import EncoderLag
 from jointid.uncertainty.identifiability import Identifiability, Known, physical
 from jointid.uncertainty.verdict import (
     AGAINST_EVERY_VALUE,
-    MOTION_MEASURED,
     Reason,
     Status,
     StiffnessBound,
@@ -55,7 +54,7 @@ def flexible(stiffness: float | None, stderr: float | None = None, **more: float
         parameter("stiffness", "K12", "N m/rad", stiffness, stderr, **more),
         parameter("load_inertia", "ZZ2", "kg m^2", 0.5, 0.001),
     )
-    found = replace(ESTIMATE, params=Params(rows, ("motor_inertia",), np.zeros((0, 0)), ""))
+    found = replace(ESTIMATE, params=Params(rows, ("motor_inertia",), np.zeros((0, 0))))
     joint = FlexibleJoint(kind="revolute")
     return amended(found, settings={"system": joint, "loop": ClosedLoop(joint, CONTROLLER)})
 
@@ -117,7 +116,7 @@ def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:
         dict.fromkeys((p.name for p in FlexibleJoint("prismatic").parameters), "kg"),
     )
     total = next(Known(one, 95.24, 0.455, 0.005) for one in whole if one.quantity == "inertia")
-    known = Identifiability((), (total,), (), 1.0, ())
+    known = Identifiability((total,), ())
     told = amended(
         judged(flexible(None)), checks={"bounds": bounds[:2], "known": known}, fit={"converged": False}
     ).answer
@@ -134,11 +133,17 @@ def test_a_value_at_its_bound_and_one_that_is_wide_are_not_relied_on() -> None:
     assert "known to 60 % only" in str(judged(flexible(1000.0, 300.0)).answer.trust)
 
 
-def test_a_motion_measured_under_control_is_in_the_answer() -> None:
-    answer = amended(RIGID, checks={"warnings": (MOTION_MEASURED,)}).answer
-    assert "what disturbs it biases these values; identify by DIDIM" in str(answer.trust)
-    assert answer.trust.values["reasons"] == ["motion_measured"]
-    assert "another record" not in str(answer.trust)
+@pytest.mark.parametrize(
+    ("method", "simulations", "measured"), [("idim", 0, True), ("drive_side", 9, True), ("idim", 3, False)]
+)
+@pytest.mark.parametrize("warning", ["", "a motion that a loop controls biases what is found along it"])
+def test_a_motion_measured_under_control_is_in_the_answer_however_it_is_worded(
+    method: str, simulations: int, measured: bool, warning: str
+) -> None:
+    fit, settings = {"simulations": simulations}, {"method": method, "loop": None}
+    answer = amended(RIGID, checks={"warnings": (warning,)}, fit=fit, settings=settings).answer
+    assert answer.trust.code is Trust.NOT_CHECKED
+    assert answer.trust.values["reasons"] == ["motion_measured"] * measured
 
 
 def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:

@@ -12,7 +12,7 @@ import pytest
 from jointid.common.errors import RecordError, UnknownName
 from jointid.common.text import interval
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
@@ -42,7 +42,6 @@ ESTIMATE = Estimate(
         ),
         ("inertia", "viscous"),
         np.zeros((0, 0)),
-        "for a white residual",
     ),
     fit=Fit(
         measured=TORQUE,
@@ -53,10 +52,6 @@ ESTIMATE = Estimate(
         rows=31,
         conditioning=None,
         initial=None,
-        trace=(
-            Iteration(0, {"inertia": 90.0}, 2.0, None, None, 1),
-            Iteration(1, {"inertia": 94.9}, 1.0, 0.5, 0.05, 4),
-        ),
         simulations=14,
         stop="converged: nothing changes any more",
         converged=True,
@@ -152,7 +147,6 @@ def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
         "name": "coulomb", "symbol": "Fc", "value": None, "stderr": None, "unit": "N", "free": False,
         "identifiable": False, "lower_bound": 12.5, "of_joint": True, "at_bound": None, "lack_of_fit": 0.0, "axis": "",
     }  # fmt: skip
-    assert [line["number"] for line in read["fit"]["trace"]] == [0, 1]
 
 
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:

@@ -58,29 +58,10 @@ def test_of_two_frictions_the_sum_is_to_be_used() -> None:
     assert f"apart they are known to ± {2 * covariance.std[0]:.0f} N s/m and " in found.limitations[0].words
 
 
-def test_the_directions_are_those_of_the_scaled_information() -> None:
-    """Their errors are uncorrelated for a white residual, with the initial position taken out."""
-    J = sensitivities(0.05)
-    covariance = white(J, residual())
-    found = identifiability(FRICTIONS, UNITS, X, J, covariance)
-    assert [known.relative for known in found.directions] == sorted(known.relative for known in found.directions)
-    assert found.directions[0].relative < found.parameters[0].relative / 5
-    best = found.directions[0].combination
-    assert set(best.weights) == {"motor_viscous", "load_viscous"}
-    assert best.weights["load_viscous"] == 1.0
-    assert best.weights["motor_viscous"] == pytest.approx(1.0, abs=0.2)
-    assert found.directions[0].value == pytest.approx(106.0 + best.weights["motor_viscous"] * 95.0)
-    scaled = covariance.matrix[:3, :3] / np.outer(np.abs(X[:3]), np.abs(X[:3]))
-    sizes = np.linalg.eigvalsh(scaled)
-    assert found.condition == pytest.approx(np.sqrt(sizes[-1] / sizes[0]), rel=1e-6)
-    assert "q(0)" not in "".join(known.combination.formula for known in found.directions)
-
-
 def test_what_is_well_known_apart_needs_no_sentence() -> None:
     J = sensitivities(2.0)
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
     assert not found.limitations
-    assert [known.verdict for known in found.parameters] == ["well", "well", "well"]
 
 
 def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
@@ -89,7 +70,6 @@ def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
     told = [one for one in found.limitations if one.code == "not_significant"]
     assert [one.values["parameter"] for one in told] == ["motor_viscous", "load_viscous"]
     assert told[0].words.startswith("Fv1 is not")
-    assert found.parameters[0].verdict == "not"
     free = tuple(replace(p, lower=-np.inf) for p in FRICTIONS)
     unbounded = identifiability(free, UNITS, X, J, white(J, residual()))
     assert not any(one.code == "not_significant" for one in unbounded.limitations)
@@ -118,10 +98,8 @@ def test_of_what_has_one_effect_only_the_combination_is_stated() -> None:
     J = sensitivities(0.0)
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
     assert found.undetermined == ("motor_viscous", "load_viscous")
-    assert [known.combination.name for known in found.parameters] == ["offset"]
     assert [known.combination.formula for known in found.physical] == ["Fv1 + Fv2"]
     assert found.physical[0].verdict == "well"
-    assert all(known.std > 0.0 for known in found.directions)
     (limitation,) = found.limitations
     said = "this record does not separate motor viscous and load viscous: their sum is 201.0 ± "
     assert limitation.words.startswith(said)

@@ -8,15 +8,14 @@ import tracemalloc
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.identify import _fit_single, memory_of, plan_windows
-from jointid.estimation.identify_log import StreamingGaussNewton
+from jointid.estimation.identify import plan_windows
+from jointid.estimation.identify_log import stream
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -44,7 +43,7 @@ from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 from jointid.uncertainty.resampling import Sums
 from jointid.uncertainty.verdict import Status, Subject
@@ -105,7 +104,8 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
 
 def windows_of(record: Record, window: ClosedLoopProblem) -> LogProblem:
     """Return the problem of windows of 5 s."""
-    member, places = Member.of([InMemory(record)], LoopWindow(window)), (Places.of(*motion(window)),)
+    size, places = len(window.free), (Places.of(*motion(window)),)
+    member = Member((InMemory(record),), LoopWindow(window), np.arange(size), np.zeros(size))
     return LogProblem((member,), window.free, 5000, 250, places, np.ones((1, 1)))
 
 
@@ -121,10 +121,11 @@ def test_a_log_is_a_problem_that_any_solver_solves() -> None:
     np.testing.assert_allclose(J.T @ J, sums.A, rtol=1e-9)
     np.testing.assert_allclose(J.T @ error, sums.b, rtol=1e-6)
     assert error @ error == pytest.approx(sums.square)
-    streamed, other = (solve(problem, solver, start) for solver in (StreamingGaussNewton(), TrustRegion(1e-8)))
+    before = problem.tally.evaluations
+    streamed = stream(problem, start)
     assert streamed.converged
-    np.testing.assert_allclose(streamed.x, other.x, rtol=1e-4)
-    assert streamed.evaluations == 3 * 6 + 1  # windows: of a sparse pass one, and of three whole ones all
+    assert problem.tally.evaluations == before + 3 * 6 + 1  # windows: of a sparse pass one, and of three whole ones all
+    np.testing.assert_allclose(streamed.x, solve(problem, LevenbergMarquardt(), start).x, rtol=1e-4)
 
 
 def test_where_nothing_is_left_nothing_repeats() -> None:
@@ -356,7 +357,7 @@ def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> No
 def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     record, said = rigid(40.0), list[str]()
     assert plan_windows(record, LOOP, None) is None
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) - 1)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     found = ji.identify(record, LOOP, progress=said.append)
     assert found.data.windows is not None
     assert found.data.windows.length == pytest.approx(40.0 / 3.0, rel=1e-3)
@@ -393,7 +394,7 @@ def test_the_part_that_is_checked_has_travel_enough(off: bool, monkeypatch: pyte
     if off:
         torque = np.where(np.arange(len(record.torque)) < 10_500, 0.0, record.torque.values)
         record = replace(record, torque=replace(record.torque, values=torque))
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) // 2)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.torque) // 2)
     found = ji.identify(record, LOOP)
     assert found.data.windows is not None
     (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
@@ -402,11 +403,11 @@ def test_the_part_that_is_checked_has_travel_enough(off: bool, monkeypatch: pyte
 
 def test_a_part_that_cannot_be_checked_ends_no_identification(monkeypatch: pytest.MonkeyPatch) -> None:
     record, first = rigid(40.0), list[ji.Estimate]()
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) - 1)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     for fails, said in ((True, "not checked: The torque"), (False, "not checked: no window has enough motion")):
         with monkeypatch.context() as broken:
             if fails:
-                broken.setattr("jointid.estimation.identify._fit_single", fit_in_windows_alone)
+                broken.setattr("jointid.estimation.identify.identify_record", refuse)
             else:
                 short = lambda one: None if len(one.reference) == 40_000 else "too short"  # noqa: E731
                 broken.setattr("jointid.diagnostics.identify.find_too_short", short)
@@ -421,32 +422,18 @@ def raise_(error: Exception) -> None:
     raise error
 
 
-def fit_in_windows_alone(*asked: Any, fit: Any = _fit_single) -> Any:
-    """Fit a record in windows; a part, which has none, is refused."""
-    if asked[5] is None:
-        raise RecordError("The torque is 0 N in every sample.")
-    return fit(*asked)
+def refuse(*_: object) -> None:
+    raise RecordError("The torque is 0 N in every sample.")
 
 
 def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
     record = rigid(20.0)
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) - 1)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     error = MethodError("A window does not tell motor_inertia; give a longer window.")
     monkeypatch.setattr("jointid.estimation.identify.identify_log", lambda *_: raise_(error))
     with pytest.raises(MethodError, match="does not tell"):
         ji.identify(record, LOOP)
     assert ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
-
-
-def test_what_has_no_two_windows_is_not_identified_in_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = rigid(40.0)
-    assert record.reference is not None
-    values = record.reference.values.copy()
-    values[10_000:] = values[10_000]
-    one = replace(record, reference=replace(record.reference, values=values))
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) - 1)
-    assert plan_windows(record, LOOP, None) is not None
-    assert plan_windows(one, LOOP, None) is None, "motion in one window"
 
 
 def test_an_interrupt_of_windows_by_themselves_checks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -458,7 +445,7 @@ def test_an_interrupt_of_windows_by_themselves_checks_nothing(monkeypatch: pytes
             said.append(said[0])
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", memory_of(record) // 8)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) // 8)
     found = ji.identify(record, LOOP, progress=interrupt)
     assert found.fit.interrupted
     (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)

@@ -142,15 +142,10 @@ def test_positions_are_of_several_records_and_of_windows() -> None:
         assert found.params["inertia"].stderr < 2e-3
 
 
-def test_a_log_of_positions_is_read_in_windows(folder: Path) -> None:
+def test_a_log_of_positions_alone_is_refused_in_windows(folder: Path) -> None:
     (folder / "joint.toml").write_text(FILE.format(record="", channels="", method=""))
-    file = ji.load(folder / "joint.toml")
-    found = file.identify_log(None, ji.Windowing(length=2.0))
-    assert max(map(abs, deviations(found))) < 4.0 and scale_status(found) == ["unknown"]
-    log, cascade = file.log(), ji.controller.Cascade(position_gain=15.0, velocity_gain=30.0, integral_gain=5.0)
-    windows, loop = ji.Windowing(length=2.0), ji.ClosedLoop(ji.RigidJoint("revolute"), cascade)
-    with pytest.raises(ji.MethodError, match="begins anew in each window of a log from positions alone"):
-        ji.identify(log, loop, windows=windows)
+    with pytest.raises(ji.JointidError, match="torque"):
+        ji.load(folder / "joint.toml").identify_log(None, ji.Windowing(length=2.0))
 
 
 def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
@@ -335,25 +330,6 @@ def test_a_robot_under_an_integral_settles_and_has_no_offsets() -> None:
     for name, joint in (("joint1", loop.robot.joints[0]), ("joint2", loop.robot.joints[1])):
         assert found.params[f"{name}.viscous"].value == pytest.approx(joint.viscous, rel=0.05)
         assert found.params[f"{name}.coulomb"].value == pytest.approx(joint.coulomb, rel=0.05)
-
-
-def in_degrees(record: ji.Record) -> ji.Record:
-    """Return a record whose positions are in degrees, and read as rad."""
-    return record.with_channels(
-        {name: replace(one, values=np.degrees(one.values)) for name, one in record.items() if name != "torque"}
-    )
-
-
-def test_a_position_of_many_turns_is_relied_on_only_if_it_is_in_rad() -> None:
-    found = identify(in_degrees(logged().without("torque")))
-    assert found.params["coulomb"].value == pytest.approx(np.degrees(1.5), rel=0.01)
-    assert (
-        "if the scale of the controller's gains is right, which positions do not show, and if its position is in rad"
-        in found.sentence
-    )
-    assert any(
-        re.search(r"travels 9\.\d turns: if it is in degrees, Coulomb friction", said) for said in found.checks.warnings
-    )
 
 
 def test_a_robot_without_torques_is_identified_from_its_positions(

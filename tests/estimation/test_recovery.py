@@ -224,8 +224,8 @@ def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
         Cascade(position_gain=16.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15),
     )
     estimate = identify(made, wrong)
-    assert any("of the filtered torque unexplained" in warning for warning in estimate.checks.warnings)
-    assert not any("unexplained" in warning for warning in identify(made, LOOP).checks.warnings)
+    assert "torque_unexplained" in estimate.answer.trust.values["reasons"]
+    assert "torque_unexplained" not in identify(made, LOOP).answer.trust.values["reasons"]
 
 
 def test_an_inertia_that_is_known_may_be_fixed() -> None:

@@ -66,7 +66,6 @@ def resting() -> None:
         (lambda: ji.DIDIM(tolerance=0.0), ji.MethodError),
         (lambda: ji.DIDIM(frequency=-3.0), ji.MethodError),
         (lambda: ji.IDIM("best"), ji.MethodError),  # type: ignore[arg-type]
-        (lambda: ji.identify(RECORD, RIGID, ji.IDIM("weighted")), ji.MethodError),
         (lambda: ji.identify(RECORD, RIGID, ji.IDIM("iv")), ji.MethodError),
         (run_away, ji.MethodError),
         # effects and forces

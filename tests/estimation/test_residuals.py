@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import compare_deviations, robust, white
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import residual_report, whiteness
 from jointid.uncertainty.verdict import residual_verdicts
@@ -30,21 +29,6 @@ def test_white_noise_through_the_filter_is_white(loud: bool) -> None:
     assert len(found) == 300
     assert np.mean(np.array(found) <= 0.05) == pytest.approx(0.05, abs=2.5 * np.sqrt(0.05 * 0.95 / 300))
     assert np.mean(found) == pytest.approx(0.5, abs=0.06)
-
-
-def test_white_in_the_band_and_robust_deviations_far_from_white_ones_are_two_answers() -> None:
-    """Rows four times as close as the pass band needs are correlated, of noise that is white in the band."""
-    close = Filtering(cutoff=60.0, decimation=2).resolve(1e-3)
-    error = close.decimate(np.random.default_rng(6).standard_normal(SAMPLES), 1e-3)
-    test = whiteness(error, 2e-3, 60.0)
-    level = np.ones((error.size, 1))
-    message = compare_deviations(("offset",), white(level, error), robust(level, level, error))
-    assert test is not None
-    assert test.white
-    assert message is not None
-    assert str(test).startswith("within the pass band the residual is white")
-    assert "which asks more than whiteness within the pass band" in message.words
-    assert "the residual is not white" not in message.words
 
 
 def test_the_usual_test_would_call_it_coloured() -> None:
@@ -74,12 +58,9 @@ def test_sizes_are_as_by_hand() -> None:
     random = np.random.default_rng(4)
     measured = 50.0 + 10.0 * random.standard_normal(4000)
     error = 2.0 + random.standard_normal(4000)
-    found = residual_report(error, measured, STEP, 60.0, rigid_error=4.0 * error)
+    found = residual_report(error, measured, STEP, 60.0)
     assert found.relative == pytest.approx(np.sqrt(5.0) / np.sqrt(2600.0), rel=0.03)
-    assert found.centred == pytest.approx(0.1, rel=0.04)
     assert found.rms == pytest.approx(np.sqrt(5.0), rel=0.03)
-    assert found.mean == pytest.approx(2.0, abs=0.05)
-    assert found.against_rigid == pytest.approx(0.25)
 
 
 def test_a_tone_is_in_its_band() -> None:
@@ -107,6 +88,6 @@ def test_the_bands_are_octaves_below_the_cutoff_and_hold_all_of_it() -> None:
 
 def test_what_repeats_is_reported_beside_it() -> None:
     e = np.random.default_rng(6).standard_normal(4000)
-    repeats = Repeatable(1.65, 0.47, 0.99, 0.001, "N")
+    repeats = Repeatable(1.65, 0.47, 0.001, "N")
     found = residual_report(e, e + 20.0, STEP, 60.0, repeatable=repeats)
     assert [verdict.said for verdict in residual_verdicts(found)] == [str(found.whiteness), str(repeats)]

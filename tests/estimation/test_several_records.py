@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify_several import starts
+from jointid.estimation.identify_several import fill_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
@@ -21,7 +21,7 @@ from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
-from tests.estimates import amended, identify
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
@@ -220,16 +220,10 @@ def test_a_record_that_is_much_noisier_does_no_harm() -> None:
 
 
 def test_what_one_record_refuses_another_may_tell() -> None:
-    truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
-    estimate = identify(logged(RIGID, truth), RIGID)
-    refusing = amended(
-        estimate,
-        params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params.rows)},
-    )
-    first, second = starts([refusing, estimate])
-    assert first == second
-    with pytest.raises(MethodError, match="No record by itself tells coulomb"):
-        starts([refusing, refusing])
+    first, second = fill_starts([{"inertia": 1.0}, {"inertia": 2.0, "coulomb": 3.0}], ["inertia", "coulomb"])
+    assert (first["coulomb"], first["inertia"], second["inertia"]) == (3.0, 1.0, 2.0)
+    with pytest.raises(MethodError):
+        fill_starts([{"inertia": 1.0}], ["inertia", "coulomb"])
 
 
 def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,7 +166,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     error, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
-    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)
+    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)))
     found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
     assert not found.shown
     assert "the load never moves" in found.verdict.said

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import cast
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from jointid.common.arrays import orthonormal_basis, triangle
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.identify_log import StreamingGaussNewton
-from jointid.estimation.problems.log_windows import LogProblem, Pass, Window
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, TrustRegion
-from jointid.solvers.solve import Counted, Multistart, Solution, Solver, Status, Step, Tally, solve
-from jointid.uncertainty.resampling import Sums
+from jointid.solvers.solve import Counted, Solution, Status, Step, solve
 from tests.solvers.nist import REGRESSIONS, Array, Certified
 
 TIGHT = 1e-13
-LEAST_SQUARES: dict[str, Solver] = {
-    "trust region": TrustRegion(TIGHT, 2000),
-    "trust region, in units of the start": TrustRegion(TIGHT, 2000, size=1.0),
-    "trust region, lazy": TrustRegion(TIGHT, 2000, eager=False),
+LEAST_SQUARES: dict[str, LevenbergMarquardt | TrustRegion] = {
+    "trust region": TrustRegion(TIGHT, 1.0, 2000),
     "Levenberg-Marquardt": LevenbergMarquardt(TIGHT, 2000),
 }
 DIGITS = 6.0  # of the worst parameter; the hardest, MGH09, gives 6.4
@@ -179,7 +173,7 @@ def test_a_cliff_is_no_minimum() -> None:
 
 
 @pytest.mark.parametrize("solver", LEAST_SQUARES.values(), ids=str)
-def test_nothing_leads_away_from_where_nothing_can_be_evaluated(solver: Solver) -> None:
+def test_nothing_leads_away_from_where_nothing_can_be_evaluated(solver: LevenbergMarquardt | TrustRegion) -> None:
     start = np.array([2.0, 1e-12])
     end = solve(Cliff(), solver, start)
     assert end.status is Status.NOT_EVALUABLE
@@ -187,43 +181,26 @@ def test_nothing_leads_away_from_where_nothing_can_be_evaluated(solver: Solver) 
 
 
 def test_several_starts_say_how_many_agree() -> None:
-    end = solve(Rosenbrock(), Multistart(LevenbergMarquardt(1e-10)), np.array([START, [2.0, 4e-12]]))
+    end = solve(Rosenbrock(), LevenbergMarquardt(1e-10), np.array([START, [2.0, 4e-12]]))
     assert end.starts == (2, 2)
     assert "(2 of 2 starts end there)" in end.message
-    apart = solve(Cliff(), Multistart(LevenbergMarquardt(1e-10)), np.array([START, [2.0, 4e-12]]))
+    apart = solve(Cliff(), LevenbergMarquardt(1e-10), np.array([START, [2.0, 4e-12]]))
     assert apart.starts == (1, 2)
     assert apart.x[0] <= 0.0
 
 
-@dataclass(frozen=True)
-class Interrupted(Rosenbrock):
-    """A log of which no pass over the whole is let to its end."""
-
-    tally: Tally = field(default_factory=Tally)
-
-    def pass_over(self, x: Array, every: int = 1) -> Pass:
-        error, J = self.linearise(x)
-        window = Window(0.0, 60.0, Sums.of(error, J, error), 0.0)
-        whole = every == 1
-        sizes, scores = np.ones((1, 1, 3)), np.zeros((1, J.shape[1]))
-        return Pass((window,) * 8 * whole, {}, 0, sizes, scores, 8 * whole, ended=not whole)
-
-
 PROVOKED: dict[Status, Callable[[], Solution]] = {
     Status.STEP: lambda: solve(REGRESSIONS[0], LevenbergMarquardt(1e-3), np.array(REGRESSIONS[0].starts[0])),
-    Status.COST: lambda: solve(Rosenbrock(), TrustRegion(), START),
-    Status.EVALUATION_LIMIT: lambda: solve(Rosenbrock(), TrustRegion(evaluations=3), START),
-    Status.INTERRUPTED: lambda: solve(cast(LogProblem, Interrupted()), StreamingGaussNewton(), START),
+    Status.COST: lambda: solve(Rosenbrock(), TrustRegion(1e-8, 1.0), START),
+    Status.EVALUATION_LIMIT: lambda: solve(Rosenbrock(), TrustRegion(1e-8, 1.0, 3), START),
     Status.NO_DESCENT: lambda: solve(Cliff(), LevenbergMarquardt(1e-10, 500), START),
-    Status.NOT_EVALUABLE: lambda: solve(Cliff(), TrustRegion(), np.array([2.0, 1e-12])),
+    Status.NOT_EVALUABLE: lambda: solve(Cliff(), TrustRegion(1e-8, 1.0), np.array([2.0, 1e-12])),
 }
 
 
 @pytest.mark.parametrize("status", PROVOKED)
-def test_a_status_is_met_and_says_what_to_do(status: Status) -> None:
+def test_a_status_is_met(status: Status) -> None:
     assert PROVOKED[status]().status is status
-    assert status.sentence
-    assert bool(status.advice) != status.converged
 
 
 def test_evaluations_are_those_counted_and_steps_are_told() -> None:
@@ -236,12 +213,12 @@ def test_evaluations_are_those_counted_and_steps_are_told() -> None:
             return super().linearise(x)
 
     told: list[Step] = []
-    end = solve(Watched(), TrustRegion(), START, told.append)
+    end = solve(Watched(), TrustRegion(1e-8, 1.0), START, told.append)
     assert end.evaluations == len(calls)
     assert tuple(told) == end.trace
     counted = Counted(Watched())
-    first = solve(counted, TrustRegion(evaluations=4), START)
-    second = solve(counted, TrustRegion(), first.x)
+    first = solve(counted, TrustRegion(1e-8, 1.0, 4), START)
+    second = solve(counted, TrustRegion(1e-8, 1.0), first.x)
     assert counted.evaluations == first.evaluations + second.evaluations
     assert end.trace[-1].evaluations <= end.evaluations
 

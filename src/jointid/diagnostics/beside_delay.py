@@ -87,7 +87,7 @@ def compare_with_delay(
     )
     words += ": declare the one that the drive has"
     by = {name: 0.5 * one for name, one in moved.items()}  # two deviations hold it
-    return [Widening(by, f"{why} in the place of the delay", words)], excluded
+    return [Widening(by, words)], excluded
 
 
 def _solve_others(

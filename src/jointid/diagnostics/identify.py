@@ -139,7 +139,7 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    planned = plan_windows(record, model, method, several) if windows is None else None
+    planned = plan_windows(record, model, method) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):
         raise MethodError(
             "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
@@ -176,7 +176,7 @@ def identify(
             f"The record is long and goes in windows, and {str(error).removesuffix('.')}: {remedy}."
         ) from error
     if said:
-        fit = replace(fit, after=(*fit.after, said))
+        fit = fit.warn(said)
     part_of_joint = isinstance(part, Record) and planned is not None and isinstance(model, ClosedLoop)
     of_joint = part_of_joint or (fit.record is not None and fit.problem is not None)
     if not (fit.robot is not None or of_joint) or (planned is not None and part is None):
@@ -195,7 +195,7 @@ def identify(
         if (freed := _free_unstated_delay(fit, method, found)) is not None:
             progress("the torque acts within a sample after its log: the delay is identified, too")
             wider = fit_one(record, model, freed)
-            wider = replace(wider, after=(*wider.after, *filter(None, (said, _DELAY_SAID))))
+            wider = wider.warn(*filter(None, (said, _DELAY_SAID)))
             fit, found = wider, run_checks(wider, progress, shown, screen)
     found = _with_failures(found, failures)
     return assemble(fit, found, torque_constant=torque_constant)
@@ -483,7 +483,7 @@ def widen_for_faults(check: AxisFaults, values: Mapping[str, float]) -> list[Wid
         for name, change in finding.changes.items():
             moved[name] = math.hypot(moved.get(name, 0.0), change.by)
     moved |= {name: 0.5 * by for name, by in check.lacking.items()}  # two deviations hold it
-    wider = [Widening(moved, "what the joint has and its model has not")] if moved else []
+    wider = [Widening(moved)] if moved else []
     slight: dict[str, float] = {}
     for finding in filter(None, (*check.findings, check.undecided)):
         for name, change in finding.changes.items():
@@ -491,7 +491,7 @@ def widen_for_faults(check: AxisFaults, values: Mapping[str, float]) -> list[Wid
             if out and abs(change.by) < SLIGHT * abs(values.get(name, 0.0)):
                 slight[name] = math.hypot(slight.get(name, 0.0), 0.5 * change.by)
     if slight:
-        wider.append(Widening(slight, "what is wrong with loop or log by less than a thousandth"))
+        wider.append(Widening(slight))
     if (suspect := check.suspected) is not None:
         title, shifts = suspect.test.title, {name: abs(one.by) for name, one in suspect.changes.items()}
         off = [
@@ -500,7 +500,7 @@ def widen_for_faults(check: AxisFaults, values: Mapping[str, float]) -> list[Wid
             if abs(one.sigmas) > _TOLD
         ]
         said = f"the record does not exclude this: {title} (p = {number(suspect.test.p_value, 2)}). It may move "
-        wider.append(Widening(shifts, f"a {title}", f"{said}{join(off)}, which the intervals hold" if off else ""))
+        wider.append(Widening(shifts, f"{said}{join(off)}, which the intervals hold" if off else ""))
     return wider
 
 
@@ -513,7 +513,7 @@ def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedRes
     """
     # The largest shift is two deviations.
     moved = worst_shift(problem, x, 0.5 * rest.share * problem.size)
-    return Widening(moved, "a part of the torque that follows the motion and is not in the model")
+    return Widening(moved)
 
 
 def worst_shift(problem: ClosedLoopProblem, x: FloatArray, size: float) -> dict[str, float]:

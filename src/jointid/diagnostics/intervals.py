@@ -98,7 +98,7 @@ def intervals(
     residual, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
-    spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
+    spread = uncertainty(J, J, residual, where, problem.torque_unit).covariance
     if quantities is None:
         quantities = ("stiffness",) if "stiffness" in names else names[:1]
     if "compliance" in quantities and "stiffness" not in names:

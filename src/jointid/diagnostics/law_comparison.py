@@ -282,7 +282,7 @@ def judge(
     problem, x = solved.problem, solved.solution.x
     error, slopes = problem.linearise(x)
     names = [p.name for p in problem.free]
-    known = uncertainty(-slopes, -slopes, error, problem.cells(problem.simulate(x)), names, problem.torque_unit)
+    known = uncertainty(-slopes, -slopes, error, problem.cells(problem.simulate(x)), problem.torque_unit)
     shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
     std = {n: float(sigma) for n, sigma, stated in zip(names, known.covariance.std, shown, strict=True) if stated}
     values, units = problem.values(x), problem.units
@@ -306,7 +306,7 @@ def judge(
             return replace(found, kept=simple[0].kept), simple[1]
     initial = {name: values[name] for name in INITIAL if name in values}
     started = problem.keeping(initial)  # only the first part shows it
-    solver = replace(least_squares(started, _ROUGHLY), evaluations=_EVALUATIONS)
+    solver = least_squares(started, _ROUGHLY, _EVALUATIONS)
 
     def predict(time: int) -> FloatArray:
         kept = parts % TIMES == time

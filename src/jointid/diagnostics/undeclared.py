@@ -94,7 +94,7 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[C
         shifts = [f"{known[name].symbol} by {number(moved[name], 2)} {known[name].unit}".rstrip() for name in far]
         said = f"{why} may move {join(shifts)}, which the intervals hold. Declare it, or set undeclared = "
         said += '"none" in [controller]'
-    return [Widening({name: 0.5 * by for name, by in moved.items()}, why, said)]  # half in two deviations
+    return [Widening({name: 0.5 * by for name, by in moved.items()}, said)]  # half in two deviations
 
 
 def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:

@@ -1,4 +1,4 @@
-"""Descents to the least torque error: one run of a solver each, counted, traced and reported."""
+"""Descents to the least torque error: one run of the solver each, counted and reported."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.parts import Iteration
 from jointid.solvers.bounded_least_squares import TrustRegion
-from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
+from jointid.solvers.solve import Counted, Solution, Step, Tally, solve
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
@@ -56,10 +55,10 @@ class Solved(NamedTuple):
 
 
 class History:
-    """The simulations and steps of a search that solves several problems, one after the other."""
+    """The simulations of a search that solves several problems, one after the other."""
 
     def __init__(self, progress: Progress) -> None:
-        self.progress, self.tally, self.trace = progress, Tally(), list[Iteration]()
+        self.progress, self.tally = progress, Tally()
         self._last: Counted | None = None
         self._starts, self._best = 0, math.inf
 
@@ -69,20 +68,17 @@ class History:
             self._last = Counted(problem, self.tally)
         return self._last
 
-    def solve(self, problem: ClosedLoopProblem, solver: Solver[Counted], start: FloatArray) -> Solved:
-        """Descend from a start and trace the steps."""
+    def solve(self, problem: ClosedLoopProblem, solver: TrustRegion, start: FloatArray) -> Solved:
+        """Descend from a start, and report the steps."""
         size = problem.size or 1.0
-        self.begin()
+        self._starts += 1
 
         def watch(step: Step) -> None:
-            change = largest = None
-            if self.trace:
-                last, before = self.trace[-1].residual_norm, problem.vector(self.trace[-1].values)
-                change = abs(step.norm - last) / last if last else 0.0
-                largest = float(np.max(np.abs(step.x - before) / np.where(step.x != 0.0, np.abs(step.x), 1.0)))
-            values, number = problem.values(step.x), len(self.trace)
-            self.trace.append(Iteration(number, values, step.norm, change, largest, self.tally.evaluations))
-            self.tell(number, step.norm / size)
+            error = step.norm / size
+            which = f"start {self._starts}, " if self._starts > 1 else ""
+            best = f" (best so far {100 * self._best:.4f} %)" if which and error > self._best else ""
+            self._best = min(self._best, error)
+            self.progress(Detail(f"{which}torque error {100 * error:.4f} %{best}"))
 
         return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
 
@@ -90,20 +86,9 @@ class History:
         """Descend from the end of a rough descent to the full tolerance."""
         return self.solve(rough.problem, least_squares(rough.problem, tolerance), rough.x)
 
-    def begin(self) -> None:
-        """Begin another descent: its error may be larger than the last one's."""
-        self._starts += 1
-
-    def tell(self, number: int, error: float) -> None:
-        """Report a step's relative torque error, and the best so far where another start has a larger one."""
-        which = f"start {self._starts}, " if self._starts > 1 else ""
-        best = f" (best so far {100 * self._best:.4f} %)" if which and error > self._best else ""
-        self._best = min(self._best, error)
-        self.progress(Detail(f"{which}iteration {number}: torque error {100 * error:.4f} %{best}"))
-
 
 def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
-    """Descend by least squares, neither traced nor counted."""
+    """Descend by least squares, neither reported nor counted."""
     return solve(problem, least_squares(problem, tolerance), start)
 
 
@@ -115,19 +100,19 @@ class Sized(Protocol):
         """Norm of the torque."""
 
 
-def least_squares(problem: Sized, tolerance: float) -> TrustRegion:
-    """Return the solver of a closed loop, in units of the torque and of the start."""
-    return TrustRegion(tolerance, size=problem.size)
+def least_squares(problem: Sized, tolerance: float, evaluations: int = 60) -> TrustRegion:
+    """Return the solver of a closed loop."""
+    return TrustRegion(tolerance, problem.size, evaluations)
 
 
 def roughly(problem: Sized) -> TrustRegion:
     """Return the solver of a rough descent."""
-    return replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
+    return least_squares(problem, _ROUGHLY, _FEW)
 
 
 def glancing(problem: Sized) -> TrustRegion:
     """Return the solver of a first look, which only tells good starts from bad ones."""
-    return replace(roughly(problem), evaluations=_GLANCES)
+    return least_squares(problem, _ROUGHLY, _GLANCES)
 
 
 def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history: History) -> Solved:
@@ -154,7 +139,7 @@ def begins_badly(solved: Solved) -> bool:
 
 
 def or_moving(
-    resting: Solved, problem: ClosedLoopProblem, values: Mapping[str, float], solver: Solver[Counted], history: History
+    resting: Solved, problem: ClosedLoopProblem, values: Mapping[str, float], tolerance: float, history: History
 ) -> Solved:
     """Descend with the motor moving at the first sample, and return the better of both answers.
 
@@ -166,10 +151,10 @@ def or_moving(
         resting: the end with the motor at rest.
         problem: the same with the motor moving.
         values: where its descent begins.
-        solver: of the descent.
+        tolerance: of the descent.
         history: of the search.
     """
-    moving = history.solve(problem, solver, problem.vector(values))
+    moving = history.solve(problem, least_squares(problem, tolerance), problem.vector(values))
     if not is_significant(resting, moving, history):
         return resting
     return moving.with_starts(resting.solution.starts)
@@ -189,6 +174,6 @@ def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     if "initial_velocity" not in names:
         return True
     history.tally.evaluations += 1
-    known = uncertainty(J, J, moving.solution.residual, problem.cells(problem.simulate(x)), names, problem.torque_unit)
+    known = uncertainty(J, J, moving.solution.residual, problem.cells(problem.simulate(x)), problem.torque_unit)
     at = names.index("initial_velocity")
     return bool(abs(x[at]) > _SURELY * known.covariance.std[at])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -11,24 +11,34 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.estimation.identify_log import LoopWindows, identify_log
+from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several, require_distinct
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.outputs import fit_log, fit_outputs, state_position, state_scale
-from jointid.estimation.problems.log_windows import Windowing, commanded, moves
+from jointid.estimation.outputs import fit_outputs, state_position, state_scale
+from jointid.estimation.problems.log_windows import Windowing, commanded
 from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
-from jointid.estimation.record_warnings import ask_about_gains, check_robot_records, robot_record_warnings
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
-from jointid.estimation.robots.regression import Records, each_log, in_logs
+from jointid.estimation.robots.regression import (
+    Records,
+    check_robot_records,
+    each_log,
+    in_logs,
+    robot_record_warnings,
+)
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
-from jointid.estimation.windowed import joint_in_windows, robot_in_windows
+from jointid.estimation.windowed import (
+    joint_in_windows,
+    loop_in_windows,
+    records_in_windows,
+    robot_in_windows,
+)
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import check_record
@@ -39,32 +49,16 @@ from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 
-LARGEST = 2**30
-"""Bytes that the identification of a record may take at once; a longer record goes in windows."""
+LARGEST = 600_000
+"""Samples of a joint's records that are identified at once, in about 1 GiB; of a robot's joints four times as many."""
 
-_OF_JOINT, _OF_ROBOT = 1700, 420  # bytes of a sample of a joint, and of a robot of one; checks take four times as much
 _PARTS, _CHECKED = 3, 0.375  # windows in what may be taken at once; of a window of a joint, which is checked
 _ROBOTS = Robot | RobotLoop | RobotDriveSide
 
 
-def memory_of(record: object, model: object = None) -> int:
-    """Return the bytes that the identification of a record, or of several, may take at once."""
-    samples = [max((len(channel) for _, channel in one.items()), default=0) for one in _flat(record)]
-    if isinstance(model, _ROBOTS):
-        return _OF_ROBOT * len(model if isinstance(model, Robot) else model.robot) * sum(samples)
-    return _OF_JOINT * sum(samples)
-
-
-def _flat(record: object) -> list[Record]:
-    """Return all records: of a joint, of several, of a robot's joints, or of these of several logs."""
-    if isinstance(record, Record):
-        return [record]
-    return [one for each in record for one in _flat(each)] if isinstance(record, list | tuple) else []
-
-
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """How a record that would take more than `LARGEST` is identified.
+    """How records of more than `LARGEST` samples are identified.
 
     Attributes:
         part: of it, to be checked; None of several records and of a joint by IDIM, whose fit is not checked.
@@ -76,68 +70,40 @@ class Planned:
     said: str
 
 
-def plan_windows(
-    record: object, model: object, method: Method | None, several: SeveralRecords | None = None
-) -> Planned | None:
-    """Return for a long record the part to check, the windows, and a sentence on them.
+def plan_windows(record: object, model: object, method: Method | None) -> Planned | None:
+    """Return for a long record the part to check, the windows, and a sentence on them; None of another.
 
-    The part is the first window with half the most travel or more. None of a record that is not long, of one that moves
-    in less than two windows, and of what is not identified in windows.
+    The part is the first with half the most travel or more.
     """
-    needed = memory_of(record, model)
-    if needed <= LARGEST or not _in_windows(record, model, method, several):
+    records, robot = _flat(record), isinstance(model, _ROBOTS)
+    samples = sum(max((len(channel) for _, channel in one.items()), default=0) for one in records)
+    share = samples / ((4 if robot else 1) * LARGEST)
+    if share <= 1.0:
         return None
-    robot = isinstance(model, _ROBOTS)
-    logs = [list(log) for log in each_log(cast("Records", record))] if robot else [[one] for one in _flat(record)]
-    samples = sum(max(len(channel) for one in log for _, channel in one.items()) for log in logs)
-    step = InMemory(logs[0][0]).sample_time
-    windows = Windowing(min(Windowing().length, step * samples * LARGEST / (_PARTS * needed)))
-
-    length = windows.length if robot else _CHECKED * windows.length
-
-    def divide(log: Sequence[Record], seconds: float) -> Iterator[tuple[Record, ...]]:
-        chunks = (InMemory(one).chunks(round(seconds / step), 0) for one in log)
-        return (tuple(one.record for one in piece) for piece in zip(*chunks, strict=False))
-
-    if sum(any(map(moves, piece)) for log in logs for piece in divide(log, windows.length)) < 2:
-        return None
+    step = InMemory(records[0]).sample_time
+    logs = [list(log) for log in each_log(cast("Records", record))] if robot else [[one] for one in records]
+    samples //= len(logs[0])
+    windows = Windowing(min(Windowing().length, step * samples / (_PARTS * share)))
     part: Record | tuple[Record, ...] | None = None
     checks = ""
-    if len(logs) == 1 and (robot or _is_simulated(model, method)):
-        enough = 0.5 * max(map(_travel, divide(logs[0], length)))
-        first = next(one for one in divide(logs[0], length) if _travel(one) >= enough)
-        checks = f", and checked in {length:.3g} s from {first[0].begin:.3g} s on"
+    if len(logs) == 1 and (robot or (isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None))):
+        length = round((1.0 if robot else _CHECKED) * windows.length / step)
+        chunks = (InMemory(one).chunks(length, 0) for one in logs[0])
+        pieces = [tuple(one.record for one in piece) for piece in zip(*chunks, strict=False)]
+        enough = 0.5 * max(map(_travel, pieces))
+        first = next(one for one in pieces if _travel(one) >= enough)
+        checks = f", and checked in {length * step:.3g} s from {first[0].begin:.3g} s on"
         part = first if robot else first[0]
     whole = "record" if len(logs) == 1 else "records"
     said = f"the {samples} samples of the {whole} are identified in windows of {windows.length:.3g} s{checks}"
     return Planned(part, windows, said)
 
 
-def _is_simulated(model: object, method: Method | None) -> bool:
-    return isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None)
-
-
-def _in_windows(record: object, model: object, method: Method | None, several: SeveralRecords | None) -> bool:
-    """Test whether these records, model and method can be identified in windows."""
-    records = _flat(record)
-    clocks = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
-    sizes = [{len(channel) for _, channel in one.items()} for one in records]
-    if len(clocks) != 1 or any(len(size) != 1 for size in sizes):
-        return False
-    robot = isinstance(model, _ROBOTS)
-    if isinstance(method, IDIM) and (method.effects or method.estimator not in (None, "weighted" if robot else "ols")):
-        return False  # which needs all rows at once
-    if (several and several.free) or (isinstance(method, DIDIM) and method.free and not isinstance(record, Record)):
-        return False
-    if robot:
-        return not isinstance(record, Record)
-    if isinstance(record, Record) and (isinstance(method, IDIM) or (method is None and isinstance(model, Joint))):
-        return isinstance(model, ClosedLoop | Joint)
-    each = model if isinstance(model, Sequence) else [model]
-    loops = [one for one in each if isinstance(one, ClosedLoop)]
-    simulated = len(loops) == len(each) and all(_is_simulated(one, method) for one in loops)
-    asked = all(one.reference is not None for one in records)
-    return simulated and asked and not any(one.joint.friction.follows_time for one in loops)
+def _flat(record: object) -> list[Record]:
+    """Return all records: of a joint, of several, of a robot's joints, or these of several logs."""
+    if isinstance(record, Record):
+        return [record]
+    return [one for each in record for one in _flat(each)] if isinstance(record, list | tuple) else []
 
 
 def _travel(records: Sequence[Record]) -> float:
@@ -157,11 +123,8 @@ def fit(
     progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
+    filtering, parameters = filtering or Filtering(), parameters or {}
     if isinstance(model, _ROBOTS):
-        if isinstance(record, Record):
-            raise MethodError(
-                "A robot is identified from the record of each of its joints; received one: give them all."
-            )
         if not isinstance(record, Sequence) or several:
             raise MethodError(
                 "A robot is identified from the records of its joints, without SeveralRecords; give the records alone."
@@ -169,76 +132,50 @@ def fit(
         found = fit_robot(
             record, model, method, filtering=filtering, parameters=parameters, windows=windows, progress=progress
         )
-        robot = model if isinstance(model, Robot) else model.robot
-        return replace(found, after=robot_record_warnings(record, robot))
+        return found.warn(*robot_record_warnings(record, model if isinstance(model, Robot) else model.robot))
     outputs = method.outputs if isinstance(method, DIDIM) else ()
     if isinstance(record, Sequence):
         if not all(isinstance(one, Record) for one in record):
             raise MethodError("Several records of a joint are a list of records; received something else in it.")
         record = cast("Sequence[Record]", record)
-        if not isinstance(model, ClosedLoop | Sequence):
-            raise MethodError(
-                "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
-            )
+        if not isinstance(model, ClosedLoop | Sequence) or isinstance(method, IDIM | DriveSideFit):
+            raise MethodError("Several records are identified by simulating their loop; give a ClosedLoop and DIDIM.")
         settings = several or SeveralRecords()
         if windows is None and isinstance(method, DIDIM):
             settings = replace(settings, free=tuple(dict.fromkeys((*settings.free, *method.free))))
         layout = RecordLayout.of(len(record), model, settings)
 
         def fit_together(each: Sequence[Record]) -> FitResult:
+            require_distinct(each)
             if windows is not None:
-                require_distinct(each)
-                windowed = LoopWindows.of_several(layout, settings.own, method, filtering, parameters)
-                return state_scale(identify_log([[InMemory(one)] for one in each], windowed, windows, progress), each)
-            return state_scale(identify_several(each, model, settings, method, filtering, parameters, progress), each)
+                windowed = records_in_windows(layout, settings.own, method, filtering, parameters)
+                return identify_log([[InMemory(one)] for one in each], windowed, windows, progress)
+            return identify_several(each, layout, settings.own, method, filtering, parameters, progress)
 
-        return fit_outputs(record, layout.loops, outputs, fit_together)
-    if several is not None:
-        raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
-    if isinstance(record, Record):
-        if isinstance(model, Sequence):
-            raise MethodError("One record has one loop; received a list: give the loop, or a list of records.")
-        return _fit_single(record, model, method, filtering, parameters, windows, progress)
-    if not isinstance(model, ClosedLoop):
-        raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
-    windowed = LoopWindows.of(model, method, filtering, parameters)
-    return fit_log(
-        record, model, outputs, lambda log: identify_log([[log]], [windowed], windows or Windowing(), progress)
-    )
-
-
-def _fit_single(
-    record: Record,
-    model: ClosedLoop | DriveSide | Joint,
-    method: Method | None,
-    filtering: Filtering | None,
-    parameters: Mapping[str, Parameter] | None,
-    windows: Windowing | None,
-    progress: Progress,
-) -> FitResult:
-    """Return the fit of one record, at once or in windows."""
-    asked = ask_about_gains(model.controller, record.reference) if isinstance(model, ClosedLoop) else None
-    if asked is not None:
-        progress(asked)
+        return fit_outputs(record, layout.loops, outputs, lambda each: state_scale(fit_together(each), each))
+    if several is not None or isinstance(model, Sequence):
+        raise MethodError("SeveralRecords and several loops are of a list of records; received one: give them all.")
+    if not isinstance(record, Record):
+        if not isinstance(model, ClosedLoop):
+            raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop.")
+        long = loop_in_windows(model, method, filtering, parameters)
+        return identify_log([[record]], [long], windows or Windowing(), progress)
 
     def fit_single(records: Sequence[Record]) -> FitResult:
         if windows is None:
-            return identify_record(
-                records[0], model, method, filtering=filtering, parameters=parameters, progress=progress
-            )
-        windowed = joint_in_windows(model, method, filtering, parameters)
+            return identify_record(records[0], model, method, filtering, parameters, progress)
+        each = joint_in_windows(model, method, filtering, parameters)
         check_record(records[0])
-        return identify_log([[InMemory(records[0])]], [windowed], windows, progress)
-
-    def fit_timed(records: Sequence[Record]) -> FitResult:
-        return state_scale(fit_unstated_timing(records, fit_single), records)
+        return identify_log([[InMemory(records[0])]], [each], windows, progress)
 
     if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
-        outputs = () if method is None else method.outputs
-        found = state_position(fit_outputs([record], [model], outputs, fit_timed))
-    else:
-        found = fit_timed([record])
-    return found if asked is None else replace(found, before=(asked, *found.before))
+        return state_position(fit_outputs([record], [model], outputs, _in_time(fit_single)))
+    return _in_time(fit_single)([record])
+
+
+def _in_time(fit: Callable[[Sequence[Record]], FitResult]) -> Callable[[Sequence[Record]], FitResult]:
+    """Return the fit of records whose torques may have no stated timing, or may be computed."""
+    return lambda records: state_scale(fit_unstated_timing(records, fit), records)
 
 
 def fit_robot(
@@ -263,6 +200,7 @@ def fit_robot(
         method.require_settings_of("robot")
     if isinstance(method, IDIM) and method.effects:
         raise MethodError("IDIM.effects are of a joint, and this is a robot; leave them out.")
+    every = [record for log in each_log(records) for record in log]
 
     def of_logs(read: Sequence[Record]) -> FitResult:
         logs = in_logs(read, records) if len(read) == len(every) else read
@@ -270,9 +208,8 @@ def fit_robot(
             sources = [[InMemory(one) for one in log] for log in each_log(logs)]
             windowed = robot_in_windows(model, method, filtering or Filtering(), known)
             return identify_log(sources, [windowed] * len(sources), windows, progress)
-        if isinstance(model, RobotDriveSide) and isinstance(method, DriveSideFit | None):
-            return identify_simulated_robot(model, logs, method, filtering=filtering, known=known, progress=progress)
-        if isinstance(model, RobotLoop) and isinstance(method, DIDIM | None):
+        simulated = DriveSideFit if isinstance(model, RobotDriveSide) else DIDIM
+        if isinstance(model, RobotLoop | RobotDriveSide) and (method is None or isinstance(method, simulated)):
             return identify_simulated_robot(model, logs, method, filtering=filtering, known=known, progress=progress)
         if isinstance(model, Robot | RobotLoop) and isinstance(method, IDIM | None):
             return identify_robot(model, logs, method, filtering=filtering, known=known)
@@ -281,13 +218,8 @@ def fit_robot(
             "RobotLoop, or DriveSideFit for a RobotDriveSide."
         )
 
-    every = [record for log in each_log(records) for record in log]
-
-    def fit_timed(read: Sequence[Record]) -> FitResult:
-        return state_scale(fit_unstated_timing(read, of_logs), read)
-
+    fit_timed = _in_time(of_logs)
     if not isinstance(model, RobotLoop) or not isinstance(method, DIDIM | None):
         return fit_timed(every)
     loops = model.loops * (len(every) // len(robot.links))
-    outputs = () if method is None else method.outputs
-    return fit_outputs(every, loops, outputs, fit_timed)
+    return fit_outputs(every, loops, () if method is None else method.outputs, fit_timed)

@@ -9,7 +9,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.estimation.methods.registry import Method, Task, default_method
-from jointid.estimation.record_warnings import record_warnings
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings
@@ -22,14 +21,14 @@ def identify_record(
     record: Record,
     model: ClosedLoop | DriveSide | Joint,
     method: Method | None = None,
-    *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a joint to one record; see `jointid.identify`.
 
-    A parameter outside its bounds is fixed at the bound, with a warning, and the others are identified again.
+    Raises:
+        MethodError: the method does not fit the model, or an inertia is not positive.
     """
     loop = model if isinstance(model, ClosedLoop) else None
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
@@ -37,30 +36,18 @@ def identify_record(
     wanted = adjust_parameters(joint.parameters, parameters or {})
     check_record(record)
     _require_fit(chosen, joint, loop)
-    bounds: dict[str, float] = {}
-    excess: list[str] = []
-    earlier = 0
-    while True:
-        fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress))
-        p = _find_beyond(record, fit, wanted)
-        if p is None:
-            break
-        earlier += fit.simulations
-        value = fit.values[p.name]
-        excess.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
-        progress(excess[-1])
-        bounds[p.name] = p.lower if value < p.lower else p.upper
-        wanted = tuple(p.fix(bounds[p.name]) if q.name == p.name else q for q in wanted)
-    both_encoders = {"motor_position", "load_position"} <= set(fit.data.channels)
-    return replace(
-        fit,
-        record=record,
-        at_bounds=bounds,
-        before=tuple(excess),
-        after=record_warnings(record, fit),
-        encoder_lag=find_encoder_lag(record) if both_encoders else None,
-        earlier=earlier,
-    )
+    fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress))
+    said = find_record_warnings(record, fit.data.channels)
+    for p in wanted:
+        if p.quantity is Quantity.INERTIA and p.free and fit.values.get(p.name, 1.0) <= 0:
+            raise MethodError(
+                f"The record gives {p.name} = {fit.values[p.name]:.4g}, which no joint has: the torque or the motion "
+                "has the wrong sign (set record.channels.torque.sign = -1), or they do not belong together"
+                f"{''.join(f'; {note}' for note in said)}."
+            )
+    if {"motor_position", "load_position"} <= set(fit.data.channels):
+        fit = replace(fit, checks=replace(fit.checks, encoder_lag=find_encoder_lag(record)))
+    return replace(fit, record=record).warn(*said)
 
 
 def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
@@ -75,26 +62,3 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
         joint.require_linear(f"{method.title} takes")
     if method.name == "drive_side":
         DriveSide(joint)  # which says what it does not take
-
-
-def _find_beyond(record: Record, fit: FitResult, wanted: tuple[Parameter, ...]) -> Parameter | None:
-    """Return the free parameter that violates its bounds most, in standard deviations.
-
-    Raises:
-        MethodError: an inertia is not positive, for which no bound is a remedy.
-    """
-    values = fit.values
-
-    def excess(p: Parameter) -> float:
-        value = values[p.name]
-        return max(p.lower - value, value - p.upper) / (fit[p.name].stderr or abs(value) or 1.0)
-
-    found = [p for p in wanted if p.free and p.name in values]
-    for p in found:
-        if p.quantity is Quantity.INERTIA and values[p.name] <= 0:
-            known = "".join(f"; {note}" for note in find_record_warnings(record, fit.data.channels))
-            raise MethodError(
-                f"The record gives {p.name} = {values[p.name]:.4g}, which no joint has: the torque or the motion has "
-                f"the wrong sign (set record.channels.torque.sign = -1), or they do not belong together{known}."
-            )
-    return max((p for p in found if not p.lower <= values[p.name] <= p.upper), key=excess, default=None)

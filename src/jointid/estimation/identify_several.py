@@ -21,103 +21,67 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress, ignore_progress
+from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Parameter, adjust_parameters
-from jointid.estimation.descent import History
 from jointid.estimation.identify_record import identify_record
-from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.base import INITIAL, INITIAL_STATE, INITIAL_TORQUE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, torque_problem
-from jointid.estimation.problems.several_records import (
-    RecordLayout,
-    RecordsProblem,
-    SeveralRecords,
-    several,
-)
-from jointid.estimation.record_warnings import record_warnings
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
+from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
 from jointid.estimation.result.agreement import Agreement, Alone, compare_records
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import (
-    NOT_CONVERGED,
     build_fit,
     build_params,
     build_rows,
     find_active_bounds,
     find_lost,
     list_loop_channels,
-    name_deviations,
-    poor_fit,
-    warn_of_bounds,
-    warn_of_inseparable,
-    warn_of_lost,
 )
 from jointid.estimation.result.estimate import fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Params, RecordFit, Settings
-from jointid.models.joints import ClosedLoop
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, RecordFit, Settings
+from jointid.records.checks import find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.regression import projection
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
 
-SOLVER = TrustRegion(1e-10, evaluations=100)
-"""Of one record, and of several together."""
-
+_SOLVER = LevenbergMarquardt(evaluations=100)
 _NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
 _ROUNDING = 1e-8  # of a value
-_MOVED = "what a random force in the loop, or what the model lacks, moves of each record's own solution"
 
 
 def identify_several(
     records: Sequence[Record],
-    loops: ClosedLoop | Sequence[ClosedLoop],
-    settings: SeveralRecords,
+    layout: RecordLayout,
+    own: Sequence[Sequence[str]] | None,
     method: Method | None,
-    filtering: Filtering | None,
-    parameters: Mapping[str, Parameter] | None,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
     progress: Progress,
 ) -> FitResult:
     """Return the fit of one joint to several records in one fit; see `jointid.identify`."""
-    if isinstance(method, IDIM):
-        raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
-    layout, given = RecordLayout.of(len(records), loops, settings), parameters or {}
-    require_distinct(records)
-    fits = []
+    alone = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
-        changes = layout.changes(given, k, acting=False)
-        fits.append(
-            identify_record(record, layout.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
-        )
-    found = list(zip(records, fits, strict=True))
-    problems, per_log = (
-        [
-            _problem(record, fit, layout=layout, number=k, parameters=given, acting=acting)
-            for k, (record, fit) in enumerate(found)
-        ]
-        for acting in (True, False)
-    )
-    alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(fits), strict=True)]
-    criterion = several(problems, settings.own, layout.added).weighing([1.0 / one.level for one in alone])
-    gain = _gain(layout, alone)
+        changes = layout.changes(parameters, k, acting=False)
+        fit = identify_record(record, layout.loops[k], method, filtering, changes, progress)
+        alone.append(BySelf.of(record, fit, layout, k))
+    starts = fill_starts([one.values for one in alone], [p.name for p in alone[0].problem.parameters])
+    problems = [one.together(parameters) for one in alone]
+    criterion = several(problems, own, layout.added).weighing([1.0 / one.level for one in alone])
+    gain = _gain(layout, starts)
     progress(f"{len(records)} records together, {len(criterion.free)} parameters")
-    begin = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
-    end = solve(criterion, SOLVER, criterion.vector(begin))
+    begin = [
+        problem.vector(one.acting(start, gain)) for problem, one, start in zip(problems, alone, starts, strict=True)
+    ]
+    end = solve(criterion, _SOLVER, criterion.vector(begin))
     progress(Detail(end.message))
-    used = sum(fit.simulations for fit in fits) + sum(one.simulations for one in alone)
-    simulations = used + (end.evaluations + 2) * len(records)
-    about = tuple(
-        f"record {number}: {said}"
-        for number, (record, fit) in enumerate(found, 1)
-        for said in record_warnings(record, fit)
-    )
-    solved = _Solved(records, RecordsProblem.of(layout, criterion), end, alone)
-    return _build_result(solved, simulations, about)
+    simulations = sum(one.fit.fit.simulations for one in alone) + (end.evaluations + 3) * len(records)
+    return _build_result(_Solved(RecordsProblem.of(layout, criterion), end, alone), simulations)
 
 
 def require_distinct(records: Sequence[Record]) -> None:
@@ -132,130 +96,104 @@ def require_distinct(records: Sequence[Record]) -> None:
         seen[mark] = number
 
 
-def _problem(
-    record: Record,
-    fit: FitResult,
-    *,
-    layout: RecordLayout,
-    number: int,
-    parameters: Mapping[str, Parameter],
-    acting: bool,
-) -> ClosedLoopProblem:
-    """Return a record's problem, the motor at its first sample resting or moving as its own identification found it.
-
-    Per torque that is `acting`, the gain of the drive may be free; else it is kept at 1.
-    """
-    loop, free = layout.loops[number], [name for name in layout.free if acting or name != "drive_gain"]
-    found = {p.name: p for p in fit.params.rows}
-    state = tuple(
-        replace(p, start=found[p.name].value, free=found[p.name].free)
-        for p in (*INITIAL_STATE, INITIAL_TORQUE)
-        if p.name in found
-    )
-    known = adjust_parameters(loop.joint.parameters, layout.changes(parameters, number, acting=acting))
-    return torque_problem(record, loop, fit.settings.filtering, known, state).freeing(*free)
-
-
-# Each record by itself
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BySelf:
-    """One record fitted by itself.
-
-    It is fitted as it will be with the others, by bounded least squares with the exact Jacobian, from what its own
-    identification found; only the gain of its drive, which no record tells alone, is kept at 1.
+    """One record fitted by itself, per torque of its log.
 
     Attributes:
-        problem: what was solved, per torque of the log.
-        end: its solution, in rows that are weighted.
-        error: (rows,) its residual, not weighted.
-        level: rms of the residual over its degrees of freedom.
-        uncertainty: of the solution, see `uncertainty_of_least_error`.
-        repeatable: what of the residual repeats with the motion.
-        simulations: that this took.
+        record: what it was fitted to. fit: of it.
+        layout: of all records. number: of this one, from 0.
+        problem: what was solved. x: (free,) its solution.
+        residual: (rows,) there. slopes: (rows, free) its derivatives.
     """
 
+    record: Record
+    fit: FitResult
+    layout: RecordLayout
+    number: int
     problem: ClosedLoopProblem
-    end: Solution
-    error: FloatArray
-    level: float
-    uncertainty: Uncertainty
-    repeatable: Repeatable
-    simulations: int
+    x: FloatArray
+    residual: FloatArray
+    slopes: FloatArray
+
+    @classmethod
+    def of(cls, record: Record, fit: FitResult, layout: RecordLayout, number: int) -> BySelf:
+        """Return a record's own fit, evaluated once more at its end."""
+        assert fit.problem is not None and fit.x is not None
+        return cls(record, fit, layout, number, fit.problem, fit.x, *fit.problem.linearise(fit.x))
 
     @property
     def values(self) -> dict[str, float]:
-        """Every parameter by name, the fixed ones too."""
-        return self.problem.values(self.end.x)
+        """Every parameter that it tells, by name, the fixed ones too."""
+        told = {p.name for p in self.fit.params.rows if p.value is not None}
+        return {name: value for name, value in self.problem.values(self.x).items() if name in told}
 
     @property
-    def filtered_error(self) -> float:
-        """Residual share of the filtered torque."""
-        return self.problem.filtered_error(self.error)
+    def level(self) -> float:
+        """Rms of the residual over its degrees of freedom."""
+        level = float(np.linalg.norm(self.residual)) / math.sqrt(max(self.residual.size - self.x.size, 1))
+        signal = self.problem.filter(self.problem.measured)
+        return max(level, _NOTHING_LEFT * float(np.sqrt(np.mean(signal**2))))
 
     @property
-    def together(self) -> tuple[str, ...]:
+    def repeatable(self) -> Repeatable:
+        """What of the residual repeats with the motion."""
+        report = self.fit.fit.residuals
+        assert report is not None and report.repeatable is not None
+        return report.repeatable
+
+    def acting(self, values: Mapping[str, float], gain: float) -> dict[str, float]:
+        """Return values in terms of the acting torque, `gain` times the logged one."""
+        own = {p.name for p in self.problem.joint.parameters}
+        return {n: gain * v if n in own else v for n, v in values.items()} | {"drive_gain": gain}
+
+    def together(self, parameters: Mapping[str, Parameter]) -> ClosedLoopProblem:
+        """Return the problem as one of all records; the gain of the drive may be free."""
+        joint = self.problem.joint.parameters
+        own = adjust_parameters(joint, self.layout.changes(parameters, self.number, acting=True))
+        around = self.problem.parameters[len(joint) :]
+        return replace(self.problem, parameters=(*own, *around)).freeing(*self.layout.free)
+
+    def rows(self, gain: float) -> tuple[EstimatedParameter, ...]:
+        """Return its estimate per unit torque, without the added inertia."""
+        more, free = self.layout.added[self.number], self.problem.free
+        acting, own = self.acting(self.values, gain), {p.name for p in self.problem.joint.parameters}
+        told = {p.name: p for p in self.fit.params.rows if p.free and p.value is not None and p.stderr is not None}
+        values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free if p.name in told}
+        std = {name: (gain if name in own else 1.0) * (told[name].stderr or 0.0) for name in values}
+        kept = [p for p in free if p.name in told]
+        lost = find_lost(kept, np.array([*values.values()]), np.array([*std.values()]))
+        return build_rows(kept, values, std, self.layout.unit, own, {*lost, *self.inseparable})
+
+    @property
+    def inseparable(self) -> tuple[str, ...]:
         """Parameters that this record shows only together; see `find_separable`."""
-        apart = find_separable(self.end.jacobian)
+        apart = find_separable(self.slopes)
         return tuple(p.name for p, separable in zip(self.problem.free, apart, strict=True) if not separable)
 
-    def acting(self, gain: float) -> dict[str, float]:
-        """Return the values in terms of the acting torque, `gain` times the logged one."""
-        own = {p.name for p in self.problem.joint.parameters}
-        return {n: gain * v if n in own else v for n, v in self.values.items()} | {"drive_gain": gain}
 
-
-def by_itself(problem: ClosedLoopProblem, values: Mapping[str, float]) -> BySelf:
-    """Fit one record, all of its rows weighing the same.
-
-    Args:
-        problem: of the record.
-        values: where to begin, by name.
-    """
-    end = solve(problem, SOLVER, problem.vector(values))
-    level = float(np.linalg.norm(end.residual)) / math.sqrt(max(end.residual.size - end.x.size, 1))
-    level = max(level, _nothing(problem))
-    judged, used = _judge(problem, end)
-    return BySelf(problem, end, end.residual, level, judged, judged.repeatable, used + end.evaluations)
-
-
-def _nothing(problem: ClosedLoopProblem) -> float:
-    """Return the level of a residual that is as good as none."""
-    return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filter(problem.measured) ** 2)))
-
-
-def _judge(problem: ClosedLoopProblem, end: Solution) -> tuple[Uncertainty, int]:
-    """Return the uncertainty of a record's own solution, and the number of simulations."""
-    history, run = History(ignore_progress), problem.simulate(end.x)
-    known = uncertainty_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history)
-    return known, history.tally.evaluations + 1
-
-
-def starts(fits: Sequence[FitResult]) -> list[dict[str, float]]:
-    """Return the values each record starts from; one that it refused is another record's.
+def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> list[dict[str, float]]:
+    """Return the values each record starts from, by name; one that it does not tell is another record's.
 
     Raises:
-        MethodError: a parameter is refused by all of them.
+        MethodError: no record tells one of these names.
     """
-    every = [{p.name: p.value for p in e.params.rows if p.value is not None} for e in fits]
-    anywhere = {name: value for each in reversed(every) for name, value in each.items()}
-    lost = [p.name for p in fits[0].params.rows if p.name not in anywhere]
-    if lost:
+    anywhere = {name: value for values in reversed(each) for name, value in values.items()}
+    if lost := [name for name in names if name not in anywhere]:
         raise MethodError(
             f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
             "identify the joint as rigid, or record a motion that shows it."
         )
-    return [anywhere | each for each in every]
+    return [{**anywhere, **values} for values in each]
 
 
-def _gain(layout: RecordLayout, alone: Sequence[BySelf]) -> float:
+def _gain(layout: RecordLayout, starts: Sequence[Mapping[str, float]]) -> float:
     """Return a start of the drive gain: the slope of the added values over those of separate fits."""
     name = next((name for more in layout.added for name in more), None)
     if "drive_gain" not in layout.free or name is None:
         return 1.0
     added = np.array([more.get(name, 0.0) for more in layout.added])
-    found = np.array([one.values[name] for one in alone])
+    found = np.array([values[name] for values in starts])
     change = found - found.mean()
     slope = float(change @ added) / (float(change @ change) or 1.0)
     return slope if slope > 0 else 1.0
@@ -268,83 +206,67 @@ def _gain(layout: RecordLayout, alone: Sequence[BySelf]) -> float:
 class _Solved:
     """Several records together, and each by itself, when they are solved."""
 
-    records: Sequence[Record]
     problem: RecordsProblem
     end: Solution
     alone: Sequence[BySelf]
 
-    def by_itself(self, number: int) -> tuple[EstimatedParameter, ...]:
-        """Return the estimate from one record alone, per unit torque, without the added inertia."""
-        one, layout = self.alone[number], self.problem.layout
-        gain, own = self.problem.values(self.end.x).get("drive_gain", 1.0), {p.name for p in layout.joint.parameters}
-        free, acting, more = one.problem.free, one.acting(gain), layout.added[number]
-        values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free}
-        std = np.array([gain if p.name in own else 1.0 for p in free]) * one.uncertainty.covariance.std
-        lost = {*find_lost(free, np.array(list(values.values())), std), *one.together}
-        return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), layout.unit, own, lost)
+    @property
+    def gain(self) -> float:
+        """Of the drive."""
+        return self.problem.values(self.end.x).get("drive_gain", 1.0)
 
 
-def _build_result(solved: _Solved, simulations: int, about: tuple[str, ...]) -> FitResult:
-    """Return the fit of all records.
-
-    Args:
-        solved: the records together, and each by itself.
-        simulations: that were run.
-        about: warnings of the single records.
-    """
+def _build_result(solved: _Solved, simulations: int) -> FitResult:
+    """Return the fit of all records."""
     problem, end, layout = solved.problem, solved.end, solved.problem.layout
     judged, compared = _judge_together(solved), _compare(solved)
-    names = [p.name for p in problem.free]
     # The variance between runs of what they do not agree in is added to that of their common value.
     more = {p.name: p.widening for p in compared.parameters}
-    wider = judged.covariance.matrix + np.diag([more.get(name, 0.0) for name in names])
+    wider = judged.covariance.matrix + np.diag([more.get(p.name, 0.0) for p in problem.free])
     covariance = covariance_of(wider, judged.covariance.bandwidth)
-    shares = tuple(_record_fit(solved, k) for k in range(len(solved.records)))
+    shares = tuple(_record_fit(solved, k) for k in range(len(solved.alone)))
     predicted = np.concatenate([share.predicted for share in shares])
     error = problem.filter(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
-    basis = f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's"
     held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
-    params = build_params(
-        problem, end.x, name_deviations(problem, covariance), covariance.correlation, basis, lost, held
-    )
-    rows = dict(zip([p.name for p in problem.parameters], params.rows, strict=True))
-    own = tuple(tuple(rows[p.name] for p in problem.of_record(k) if "@" in p.name) for k in range(len(solved.records)))
-    shared = tuple(row for name, row in rows.items() if "@" not in name)
     return FitResult(
-        params=Params(shared, params.names, params.correlation, basis, own),
+        params=build_params(problem, end.x, covariance, lost, held, records=len(shares)),
         fit=build_fit(problem, predicted, error, end.message, converged=end.converged, simulations=simulations),
-        checks=Checks(agreement=compared, warnings=(*_warn(solved, judged, compared, covariance, lost), *about)),
+        checks=Checks(
+            agreement=compared,
+            warnings=(
+                *([str(compared)] if compared.differs else []),
+                *map(str, judged.warnings),
+                *([str(judged.repeatable)] if judged.repeatable.significant else []),
+                *(
+                    f"record {k}: {said}"
+                    for k, one in enumerate(solved.alone, 1)
+                    for said in find_record_warnings(one.record, one.fit.data.channels)
+                ),
+            ),
+        ),
         data=Data(
-            record=", ".join(record.name for record in solved.records),
+            record=", ".join(share.name for share in shares),
             channels=tuple(dict.fromkeys(name for share in shares for name in share.channels)),
             sample_time=problem.sample_time,
             torque_unit=layout.torque_unit,
             records=shares,
         ),
-        settings=Settings(
-            "didim",
-            "DIDIM by least squares",
-            system=problem.joint,
-            loop=layout.loops[0],
-            filtering=problem.filtering,
-            weighting="each record's rows by the level of its residual",
-        ),
+        settings=Settings("didim", "DIDIM by least squares", problem.joint, layout.loops[0], problem.filtering),
     )
 
 
 def _judge_together(solved: _Solved) -> Uncertainty:
     """Return the uncertainty before the records are compared."""
-    problem, end = solved.problem, solved.end
-    each, criterion = problem.criterion.problems, problem.criterion
+    criterion, end = solved.problem.criterion, solved.end
+    each = criterion.problems
     runs = [p.simulate(criterion.of_member(end.x, k)) for k, p in enumerate(each)]
     positions = [run.motor_position[p.kept] for p, run in zip(each, runs, strict=True)]
     velocities = [run.motor_velocity[p.kept] for p, run in zip(each, runs, strict=True)]
-    where = cells(np.concatenate(positions), np.concatenate(velocities))
-    names, rows = [p.name for p in problem.free], [at.size for at in positions]
-    known = uncertainty(end.jacobian, end.jacobian, end.residual, where, names, each[0].torque_unit, rows)
+    where, rows = cells(np.concatenate(positions), np.concatenate(velocities)), [at.size for at in positions]
+    known = uncertainty(end.jacobian, end.jacobian, end.residual, where, each[0].torque_unit, rows)
     moved = _moved_together(solved, np.cumsum(rows)[:-1])
-    return known.widened_by(moved, _MOVED) if np.any(moved) else known
+    return known.widened_by(moved) if np.any(moved) else known
 
 
 def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
@@ -357,14 +279,12 @@ def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
         ends: the first rows of the second record and of those that follow.
     """
     criterion, J = solved.problem.criterion, solved.end.jacobian
-    gain = solved.problem.values(solved.end.x).get("drive_gain", 1.0)
-    own = {p.name for p in solved.problem.layout.joint.parameters}
     answers, total = np.split(projection(J, J), ends, axis=1), np.zeros(J.shape[1])
     for k, (one, rows, answer) in enumerate(zip(solved.alone, np.split(J, ends), answers, strict=True)):
         steps = np.zeros_like(total)
-        for shift in one.uncertainty.shifts:
-            by = dict(zip((p.name for p in one.problem.free), shift, strict=True))
-            its = [(gain if p.name in own else 1.0) * by.get(p.name, 0.0) for p in criterion.problems[k].free]
+        for shift in one.fit.shifts:
+            by = one.acting(dict(zip((p.name for p in one.problem.free), shift, strict=True)), solved.gain)
+            its = [by.get(p.name, 0.0) if p.name != "drive_gain" else 0.0 for p in criterion.problems[k].free]
             steps = np.hypot(steps, answer @ (rows[:, criterion.places[k]] @ np.array(its)))
         total += steps
     return total
@@ -380,22 +300,20 @@ def _compare(solved: _Solved) -> Agreement:
     units = {p.name: layout.unit(p) for p in solved.problem.free if "@" not in p.name and p.name not in stated}
     each = []
     for k, one in enumerate(solved.alone):
-        known, free = one.uncertainty.covariance, one.problem.free
-        held = find_active_bounds(free, one.end.x, one.end.residual, one.end.jacobian)
-        compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*held, *one.together}
-        kept = [i for i, p in enumerate(free) if p.name in compared and known.std[i] > 0]
-        rows = solved.by_itself(k)
-        values = {rows[i].name: rows[i].value or 0.0 for i in kept}
+        compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*one.inseparable}
+        rows = [row for row in one.rows(solved.gain) if row.name in compared and (row.stderr or 0.0) > 0]
+        rows = [row for row in rows if one.fit.params[row.name].at_bound is None]
+        values = {row.name: row.value or 0.0 for row in rows}
         # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
-        std = np.array([max(rows[i].stderr or 0.0, _ROUNDING * abs(values[rows[i].name])) for i in kept])
-        each.append(Alone(values, Covariance(std, known.correlation[np.ix_(kept, kept)], known.bandwidth)))
+        std = np.array([max(row.stderr or 0.0, _ROUNDING * abs(row.value or 0.0)) for row in rows])
+        each.append(Alone(values, Covariance(std, one.fit.params.correlation_of([*values]), 0)))
     return compare_records(each, units)
 
 
 def _record_fit(solved: _Solved, number: int) -> RecordFit:
     """Return the estimate from one record, and the fit of the common model to it."""
-    problem, record, one = solved.problem.criterion.problems[number], solved.records[number], solved.alone[number]
-    x = solved.problem.criterion.of_member(solved.end.x, number)
+    problem, one = solved.problem.criterion.problems[number], solved.alone[number]
+    x, record = solved.problem.criterion.of_member(solved.end.x, number), one.record
     values, predicted = problem.values(x), problem.torque(x)
     error = problem.filter(problem.measured - predicted)
     assert record.torque is not None
@@ -406,7 +324,7 @@ def _record_fit(solved: _Solved, number: int) -> RecordFit:
         loop=problem.loop,
         channels=list_loop_channels(problem.loop, record),
         added_inertia=sum(solved.problem.layout.added[number].values()),
-        alone=solved.by_itself(number),
+        alone=one.rows(solved.gain),
         values={p.name: values[p.name] for p in problem.joint.parameters},
         initial=initial_of(values),
         level=one.level,
@@ -418,23 +336,5 @@ def _record_fit(solved: _Solved, number: int) -> RecordFit:
         predicted=predicted,
         relative_error=relative_error(problem.measured, predicted, problem.filtering.borders),
         filtered_error=problem.filtered_error(error),
-        alone_error=one.filtered_error,
-    )
-
-
-def _warn(
-    solved: _Solved, judged: Uncertainty, compared: Agreement, covariance: Covariance, lost: Sequence[str]
-) -> tuple[str, ...]:
-    """Return the warnings, one sentence each."""
-    free, end = solved.problem.free, solved.end
-    stated = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
-    return (
-        *([] if end.converged else [NOT_CONVERGED]),
-        *([str(compared)] if compared.differs else []),
-        *warn_of_lost(lost, "these records"),
-        *warn_of_bounds(find_active_bounds(free, end.x, end.residual, end.jacobian), "records"),
-        *warn_of_inseparable([p.name for p in free], covariance.correlation, stated, "these records"),
-        *map(str, judged.warnings),
-        *([str(judged.repeatable)] if judged.repeatable.significant else []),
-        *(f"record {k}: {said}" for k, one in enumerate(solved.alone, 1) for said in poor_fit(one.filtered_error)),
+        alone_error=problem.filtered_error(one.residual),
     )

@@ -6,8 +6,8 @@ The position is compared as the torque that the declared controller outputs for 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -18,10 +18,9 @@ from jointid.common.text import join
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop
-from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import CHANNELS, Record
 from jointid.simulation.controller_torque import compute_controller_torque
-from jointid.uncertainty.verdict import CHECK_DECLARED, Status, Subject, Verdict, scale_verdict
+from jointid.uncertainty.verdict import scale_verdict
 
 Logs: TypeAlias = Sequence[Record]
 
@@ -33,8 +32,6 @@ CONSTANT = (  # what includes a constant torque
 )  # fmt: skip
 _OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
 _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
-_MOST_TURNS = 1.0  # that a joint in rad makes, as a rule; from there to as many degrees, its positions may be degrees
-_LOOK = 1000  # samples of a log that tell its channels
 
 
 def check_outputs(outputs: Sequence[str]) -> None:
@@ -71,50 +68,6 @@ def fit_outputs(
     if tuple(outputs) == ("torque",) or (not outputs and logged):
         return fit(records)
     return fit([compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ComputedLog:
-    """A long log whose chunks have the torque computed from their motor position."""
-
-    source: LongRecord
-    loop: ClosedLoop
-
-    def __post_init__(self) -> None:
-        if self.loop.controller.law(self.sample_time).integrates:
-            raise MethodError(
-                "An integral begins anew in each window of a log from positions alone; expected a controller without "
-                "an integral, or a record that is read whole."
-            )
-
-    @property
-    def name(self) -> str:
-        """Of the log."""
-        return self.source.name
-
-    @property
-    def sample_time(self) -> float:
-        """Of its channels, in seconds."""
-        return self.source.sample_time
-
-    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """See `LongRecord.chunks`."""
-        for chunk in self.source.chunks(length, overlap, every):
-            yield replace(chunk, record=compute_controller_torque(chunk.record, self.loop))
-
-
-def fit_log(
-    source: LongRecord, loop: ClosedLoop, outputs: Sequence[str], fit: Callable[[LongRecord], FitResult]
-) -> FitResult:
-    """Return the fit of a log that is read in chunks; see `fit_outputs`.
-
-    Raises:
-        MethodError: the controller integrates.
-    """
-    first = next(source.chunks(_LOOK, 0)).record
-    if tuple(outputs) == ("torque",) or (not outputs and first.torque is not None):
-        return fit(source)
-    return state_scale(fit(ComputedLog(source, loop)), [compute_controller_torque(first, loop)])
 
 
 def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> dict[str, float]:
@@ -170,10 +123,10 @@ def state_scale(fit: FitResult, records: Logs) -> FitResult:
             "From positions alone the controller's gain is one with the scale of the joint; expected a known inertia, "
             "friction or stiffness, or an injected torque: fix one of them, or keep the gain."
         )
-    verdict = scale_verdict(known, lost, max(_turns_of(fit, record) for record, _ in computed), identified=freed)
+    verdict = scale_verdict(known, lost, identified=freed)
     checks = replace(
         fit.checks,
-        verdicts=(*map(_doubt_declared, fit.checks.verdicts), verdict),
+        verdicts=(*fit.checks.verdicts, verdict),
         warnings=(*fit.checks.warnings, verdict.said),
     )
     read = {*fit.data.channels, "motor_position", *(name for _, law in computed for name in law.channels)}
@@ -186,23 +139,6 @@ def _tells_scale(record: Record) -> bool:
     if record.injected is None or record.torque is None:
         return False
     return float(np.std(record.injected.channel.values)) > _ENOUGH * float(np.std(record.torque.values))
-
-
-def _turns_of(fit: FitResult, record: Record) -> float:
-    """Return the turns of a position that may be in degrees; else 0."""
-    position = record.motor_position
-    if position is None or position.unit != "rad":
-        return 0.0
-    gear = None if fit.robot is not None else fit.settings.joint.transmission
-    turns = float(np.ptp(position.values)) / (2 * np.pi * (1.0 if gear is None else gear.ratio or 1.0))
-    return turns if _MOST_TURNS < turns < _MOST_TURNS * 180 / np.pi else 0.0
-
-
-def _doubt_declared(verdict: Verdict) -> Verdict:
-    """Add to the verdict on a bad fit the declared numbers to check."""
-    if verdict.subject is not Subject.FIT or verdict.status is not Status.FAILED:
-        return verdict
-    return replace(verdict, reasons=tuple(replace(one, words=f"{one}: {CHECK_DECLARED}") for one in verdict.reasons))
 
 
 def _sample_time(record: Record) -> float:

@@ -94,10 +94,9 @@ def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: Cl
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
     logs = [str(one["fingerprint"]) for one in data["records"]]
     found = Estimate(
-        params=Params(rows, names, _correlation(params, len(names), robot is not None), str(params["basis"]), own),
+        params=Params(rows, names, _correlation(params, len(names), robot is not None), own),
         fit=read(
-            Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, initial=None, trace=(),
-            **shares,
+            Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, initial=None, **shares
         ),
         checks=Checks(
             tuple(map(_verdict, checks["verdicts"])), warnings=tuple(map(str, checks["warnings"])),
@@ -215,7 +214,8 @@ def _correlation(params: dict[str, Any], size: int, whole: bool) -> FloatArray:
     found: FloatArray = np.array(params["correlation"], dtype=np.float64)
     if not found.size or np.any(np.isnan(found)):
         return np.zeros((0, 0))
-    if found.shape != (2 * (size if whole else len(found),)) or not np.all(np.abs(found) < 1.01):
+    most = min(len(found), size)  # the joint's come first
+    if found.shape != (2 * (size if whole else most,)) or not np.all(np.abs(found) < 1.01):
         raise ValueError
     return found
 

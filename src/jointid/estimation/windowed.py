@@ -1,45 +1,54 @@
-"""Windows of inverse models and robots; those of DIDIM of a joint are in `identify_log`.
+"""What methods do in windows: DIDIM and the inverse model of a joint, IDIM of a robot, and a robot that is simulated.
 
-Each takes the rows of a window from the code that takes those of a whole record: the inverse model of a joint
-(`methods.idim`), that of a robot (`robots.regression`), and a robot that is simulated (`robots.simulated`), whose
-window begins in motion.
+Each takes the rows of a window from the code that takes those of a whole record: the loop of a joint
+(`problems.closed_loop`), the inverse model of a joint (`problems.inverse_model`), that of a robot
+(`robots.regression`), and a robot that is simulated (`robots.simulated`), whose window begins in motion.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
-from jointid.estimation.identify_log import LoopWindows, Solved, Windowed
+from jointid.common.text import join
+from jointid.estimation.identify_log import Solved, Start, Told, Windowed
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
-from jointid.estimation.methods.registry import Method
+from jointid.estimation.methods.registry import Method, default_method
+from jointid.estimation.problems.base import SumProblem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.inverse_model import motion_of
 from jointid.estimation.problems.log_windows import (
     InverseWindow,
+    LoopWindow,
     NotSimulatedError,
     Regression,
     Seen,
-    Weighted,
     WindowModel,
     commanded,
     is_braked,
     moves,
     ringing,
     speeds_of,
+    window_problem,
 )
+from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
 from jointid.estimation.result.assemble import FitResult
-from jointid.estimation.result.robot import IdentifiedRobot
+from jointid.estimation.result.build_result import build_params, build_rows, list_loop_channels
+from jointid.estimation.result.estimate import fingerprint
+from jointid.estimation.result.parts import EstimatedParameter, Params, RecordFit, Settings
 from jointid.estimation.robots.idim import InverseModelRobot, drives, identify_robot
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
@@ -52,14 +61,186 @@ from jointid.estimation.robots.simulated import (
 from jointid.models.disturbances import Effect, effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
+from jointid.records.chunks import InMemory, cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimated_at, drop_ends
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, RobotOutcome
 from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.verdict import Subject, axes_verdict, bounds_verdict, friction_verdict, solver_verdict
 
 _COMPARED = 16  # windows at least in which the nominal robot is compared, where there are as many
+_FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgotten
+_TOLD = 1e-4  # of the torque: less is never told
+
+
+# DIDIM of a joint
+
+
+def loop_in_windows(
+    loop: ClosedLoop,
+    method: Method | None,
+    filtering: Filtering,
+    changes: Mapping[str, Parameter],
+    layout: RecordLayout | None = None,
+    own: Sequence[Sequence[str]] | None = None,
+) -> Windowed:
+    """Return the windows of a record under this loop.
+
+    Args:
+        loop: joint and controller.
+        method: how a window is identified.
+        filtering: as declared.
+        changes: to the parameters of a window.
+        layout: of several records, of which this is one; None of one.
+        own: names of parameters of each of several records.
+
+    Raises:
+        MethodError: it is not identified in windows.
+    """
+    chosen = method or default_method(loop)()
+    if not isinstance(chosen, DIDIM):
+        raise MethodError("A long record is identified by simulating its loop; give the method didim.")
+    if loop.joint.friction.follows_time:
+        raise MethodError(
+            f"{loop.joint.friction.name.capitalize()} friction changes with the time from the first sample, and "
+            'each window would begin it anew; identify the record whole, or with friction = "symmetric", whose '
+            "windows show the drift."
+        )
+    free = chosen.free
+
+    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+        wanted = adjust_parameters(loop.joint.parameters, changes)
+        window = window_problem(records[0], loop, filtering, wanted, free)
+        return LoopWindow(window), window.vector({p.name: p.value for p in fit.params.rows if p.value is not None})
+
+    def together(starts: Sequence[Start]) -> SumProblem[ClosedLoopProblem]:
+        assert layout is not None
+        return several([_problem(start) for start in starts], own, layout.added)
+
+    def answer(solved: Solved) -> Told:
+        window, x = _problem(solved.starts[0]), solved.x
+        of = partial(build_params, x=x, covariance=solved.covariance, lost=solved.lost, held=solved.held)
+        records: tuple[RecordFit, ...] = ()
+        if layout is None:
+            params = of(window, fixed=False)
+        else:
+            both = RecordsProblem.of(layout, together(solved.starts))
+            params = of(both, records=len(solved.starts))
+            records = tuple(_tell_record(k, solved, both) for k in range(len(solved.starts)))
+        found = window.loop_at(x[solved.problem.members[0].at])
+        delay = found.controller.law(window.sample_time).delay
+        settings = Settings("didim", "DIDIM in windows", window.joint, found, window.filtering, delay)
+        return Told(params, settings, records=records)
+
+    return Windowed(
+        _fit_joint(loop, chosen, filtering, changes), pose, answer, filtering, "records", (loop,),
+        None if layout is None else together,
+    )  # fmt: skip
+
+
+def records_in_windows(
+    layout: RecordLayout,
+    own: Sequence[Sequence[str]] | None,
+    method: Method | None,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
+) -> list[Windowed]:
+    """Return the windows of each of several records.
+
+    Raises:
+        MethodError: they are not identified in windows.
+    """
+    if layout.free:
+        raise MethodError(f"{join(layout.free)} of several records is identified from all rows at once.")
+    return [
+        loop_in_windows(loop, method, filtering, layout.changes(parameters, k, acting=True), layout, own)
+        for k, loop in enumerate(layout.loops)
+    ]
+
+
+def _fit_joint(
+    model: ClosedLoop | Joint, method: Method, filtering: Filtering, changes: Mapping[str, Parameter]
+) -> Any:
+    """Return how a window of a joint is identified."""
+    return lambda records, progress: identify_record(records[0], model, method, filtering, changes, progress)
+
+
+def _problem(start: Start) -> ClosedLoopProblem:
+    return cast("LoopWindow", start.model).problem
+
+
+def _tell_record(number: int, solved: Solved, both: RecordsProblem) -> RecordFit:
+    """Return one of several records."""
+    member, problem, layout = solved.problem.members[number], _problem(solved.starts[number]), both.layout
+    record = cast("InMemory", member.log[0]).record
+    assert record.torque is not None
+    own = problem.values(solved.x[member.at] + member.added)
+    names = {p.name for p in problem.joint.parameters}
+    square, size, rows = solved.found.sizes[number, 0]
+    alone: tuple[EstimatedParameter, ...] = ()
+    if solved.segments:
+        said = solved.segments[number]
+        free = [p for p in both.of_record(number) if p.name in said.values]
+        alone = build_rows(free, said.values, said.std, layout.unit, names)
+    return RecordFit(
+        name=record.name,
+        fingerprint=fingerprint(record.torque.values),
+        loop=problem.loop,
+        channels=list_loop_channels(problem.loop, record),
+        added_inertia=sum(layout.added[number].values()),
+        alone=alone,
+        values={name: own[name] for name in names},
+        initial=initial_of(own),
+        level=math.sqrt(square / max(rows, 1)),
+        repeatable=replace(solved.repeatable, rms=solved.problem.sigma[number, 0] * solved.repeatable.rms),
+        sample_time=problem.sample_time,
+        filtering=problem.filtering,
+        rows=int(rows),
+        measured=np.zeros(0),
+        predicted=np.zeros(0),
+        relative_error=math.nan,
+        filtered_error=math.sqrt(square / size) if size > 0 else 0.0,
+        alone_error=math.nan,
+    )
+
+
+# IDIM of a joint
+
+
+def joint_in_windows(
+    model: object, method: Method | None, filtering: Filtering, changes: Mapping[str, Parameter]
+) -> Windowed:
+    """Return the windows of a joint's record.
+
+    Raises:
+        MethodError: it is not identified in windows.
+    """
+    by_idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
+    if isinstance(model, ClosedLoop) and not by_idim:
+        return loop_in_windows(model, method, filtering, changes)
+    if not (by_idim and isinstance(model, ClosedLoop | Joint)):
+        raise MethodError(
+            f"Windows identify a joint by DIDIM or IDIM; received {type(model).__name__}: leave windows out."
+        )
+    joint, idim = model if isinstance(model, Joint) else model.joint, method if isinstance(method, IDIM) else IDIM()
+    _require_sums(idim, (None, "ols"))
+
+    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+        effects, found = fit.settings.effects, {row.name: row for row in fit.params.rows}
+        wanted = (*adjust_parameters(joint.parameters, changes), *effect_parameters(effects))
+        kept = np.array([0.0 if p.free else p.start or 0.0 for p in wanted])
+        free = [i for i, p in enumerate(wanted) if p.free]
+        regress = partial(_regress_joint, joint, fit.settings.delay, fit.settings.filtering, effects)
+        rings = ringing(fit.settings.filtering, fit.data.sample_time)
+        window = InverseWindow(tuple(wanted[i] for i in free), free, kept, regress, speeds_of(regress(records)), rings)
+        return window, np.array([found[wanted[i].name].value for i in free], dtype=np.float64)
+
+    def answer(solved: Solved) -> Told:
+        fit, names = solved.starts[0].fit, [p.name for p in solved.starts[0].model.free]
+        params = _tell(fit.params.rows, names, solved.x, solved.covariance, solved.held)
+        return Told(params, _windows_of(fit.settings))
+
+    return Windowed(_fit_joint(model, idim, filtering, changes), pose, answer, filtering)
 
 
 def _require_sums(method: IDIM, estimators: Sequence[str | None]) -> None:
@@ -68,67 +249,9 @@ def _require_sums(method: IDIM, estimators: Sequence[str | None]) -> None:
     Raises:
         MethodError: the estimator weighs single rows or simulates instruments, or there are effects.
     """
-    if method.estimator not in estimators:
-        raise MethodError(f"IDIM by {method.estimator} needs all rows at once; identify a part of the record.")
-    if method.effects:
-        raise MethodError("IDIM with effects needs all rows at once; identify a part of the record.")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class InverseJoint:
-    """IDIM of a joint in windows.
-
-    Attributes:
-        joint: that moves. loop: around it, where it is known.
-        method: by which a window is identified. filtering: as declared. changes: to the parameters.
-    """
-
-    joint: Joint
-    loop: ClosedLoop | None
-    method: IDIM
-    filtering: Filtering
-    changes: Mapping[str, Parameter]
-    loops: Sequence[ClosedLoop] = ()
-    weighted: Weighted = "none"
-
-    def __post_init__(self) -> None:
-        of_joint = (None, "ols") if self.joint.model == "flexible" else (None, "ols", "weighted")
-        _require_sums(self.method, of_joint)
-
-    def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
-        """Return the fit of a window."""
-        model = self.loop or self.joint
-        return identify_record(
-            records[0], model, self.method, filtering=self.filtering, parameters=self.changes, progress=progress
-        )
-
-    def pose(self, records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
-        """Return the inverse model, and the values of a window."""
-        effects, found = fit.settings.effects, {row.name: row for row in fit.params.rows}
-        wanted = (*adjust_parameters(self.joint.parameters, self.changes), *effect_parameters(effects))
-        kept = np.array([0.0 if p.free else p.start or 0.0 for p in wanted])
-        free = [i for i, p in enumerate(wanted) if p.free]
-        regress = partial(_regress_joint, self.joint, fit.settings.delay, fit.settings.filtering, effects)
-        rings = ringing(fit.settings.filtering, fit.data.sample_time)
-        model = InverseWindow(tuple(wanted[i] for i in free), free, kept, regress, speeds_of(regress(records)), rings)
-        return model, np.array([found[wanted[i].name].value for i in free], dtype=np.float64)
-
-    def answer(self, solved: Solved) -> FitResult:
-        """Return parameters and settings."""
-        fit, model = solved.starts[0].fit, solved.starts[0].model
-        names = tuple(p.name for p in model.free)
-        # What a bound held in a window may be off it in all of them.
-        rows = tuple(replace(row, free=row.name in names) for row in fit.params.rows)
-        fit = replace(fit, params=replace(fit.params, rows=rows, names=names))
-        made = _with_values(fit, solved, solved.x, solved.covariance)
-        values = {row.name: row.value or 0.0 for row in made.params.rows}
-        verdicts = (solver_verdict(solved.stop, solved.converged), bounds_verdict(solved.held))
-        others = (one for one in fit.checks.verdicts if one.subject is Subject.STIFFNESS)
-        return replace(
-            made,
-            checks=replace(made.checks, verdicts=(*verdicts, *others)),
-            at_bounds={name: values[name] for name in solved.held},
-        )
+    if method.estimator not in estimators or method.effects:
+        what = "with effects" if method.effects else f"by {method.estimator}"
+        raise MethodError(f"IDIM {what} needs all rows at once; identify a part of the record.")
 
 
 def _regress_joint(
@@ -151,52 +274,63 @@ def _regress_joint(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InverseRobot:
-    """IDIM of a robot in windows.
+# Robots
 
-    Attributes:
-        model: robot, or robot and controllers, which are not read. method: by which a window is identified.
-        filtering: as declared. known: of friction, by name.
+
+def robot_in_windows(
+    model: Robot | RobotLoop | RobotDriveSide,
+    method: Method | None,
+    filtering: Filtering,
+    known: Mapping[str, Parameter],
+) -> Windowed:
+    """Return the windows of a robot's log.
+
+    Raises:
+        MethodError: it is not identified in windows.
     """
+    if isinstance(model, Robot) or isinstance(method, IDIM):
+        if isinstance(model, RobotDriveSide) or not isinstance(method, IDIM | None):
+            raise MethodError("IDIM is for a Robot; give the method that the model is for.")
+        return _by_inverse_model(model, method or IDIM(), filtering, known)
+    if not isinstance(method, DIDIM | DriveSideFit | None):
+        raise MethodError(f"{method.title} is not for a robot that is simulated; give DIDIM or DriveSideFit.")
+    if isinstance(method, DIDIM) and method.free:
+        raise MethodError(
+            "DIDIM.free of a robot is not identified in windows; choose a part of the record by start and stop, or "
+            "leave it out."
+        )
+    return _by_simulation(model, method, filtering, known)
 
-    model: Robot | RobotLoop
-    method: IDIM
-    filtering: Filtering
-    known: Mapping[str, Parameter]
-    loops: Sequence[ClosedLoop] = ()
-    weighted: Weighted = "equations"
 
-    def __post_init__(self) -> None:
-        _require_sums(self.method, (None, "weighted"))
+def _by_inverse_model(
+    model: Robot | RobotLoop, method: IDIM, filtering: Filtering, known: Mapping[str, Parameter]
+) -> Windowed:
+    """Return the windows of IDIM of a robot."""
+    _require_sums(method, (None, "weighted"))
 
-    def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
-        """Return the fit of a window."""
+    def fit_window(records: Sequence[Record], progress: Progress) -> FitResult:
         del progress
-        return identify_robot(self.model, records, self.method, filtering=self.filtering, known=self.known)
+        return identify_robot(model, records, method, filtering=filtering, known=known)
 
-    def pose(self, records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
-        """Return the inverse model, and the values of a window."""
-        part = fit.robot
-        assert isinstance(part, InverseModelRobot)
-        fixed = {row.name: row.value or 0.0 for row in fit.params.rows if not row.free and row.name not in self.known}
-        fixed |= {name: one.start for name, one in self.known.items() if not one.free and one.start is not None}
+    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+        part = cast("InverseModelRobot", fit.robot)
+        # What a bound held in a window may be off it in all of them.
+        fixed = {row.name: row.value or 0.0 for row in fit.params.rows if not row.free and row.name not in known}
+        fixed |= {name: one.start for name, one in known.items() if not one.free and one.start is not None}
         free = [i for i, name in enumerate(part.names) if name not in fixed]
         kept = np.array([fixed.get(name, 0.0) for name in part.names])
         rows = fit.params.rows
         parameters = tuple(
-            self.known.get(part.names[i]) or Parameter(part.names[i], rows[i].symbol, Quantity.RATIO) for i in free
+            known.get(part.names[i]) or Parameter(part.names[i], rows[i].symbol, Quantity.RATIO) for i in free
         )
         regress = partial(_regress_robot, part, fit.settings.filtering)
         rings = ringing(fit.settings.filtering, fit.data.sample_time)
         return InverseWindow(parameters, free, kept, regress, speeds_of(regress(records)), rings), part.values[free]
 
-    def answer(self, solved: Solved) -> FitResult:
-        """Return parameters, robot and settings."""
-        fit, model = solved.starts[0].fit, solved.starts[0].model
-        part = fit.robot
-        assert isinstance(part, InverseModelRobot) and isinstance(model, InverseWindow)
-        values, places = model.kept.copy(), np.array(model.places)
+    def answer(solved: Solved) -> Told:
+        fit, window = solved.starts[0].fit, cast("InverseWindow", solved.starts[0].model)
+        part = cast("InverseModelRobot", fit.robot)
+        values, places = window.kept.copy(), np.array(window.places)
         values[places] = solved.x
         # The model's own masses, with the friction that fits best beside them.
         step, sums = part.nominal[places] - solved.x, solved.found.sums
@@ -205,18 +339,21 @@ class InverseRobot:
         step[friction] = -np.linalg.lstsq(sums.A[np.ix_(friction, friction)], target, rcond=None)[0]
         nominal = values.copy()
         nominal[places] += step
+        std, correlation = np.zeros(values.size), np.eye(values.size)
+        std[places], correlation[np.ix_(places, places)] = solved.covariance.std, solved.covariance.correlation
         part = replace(
             part,
             values=values,
-            covariance=_spread(solved.covariance, model.places, values.size),
+            covariance=Covariance(std, correlation, 0),
             nominal=nominal,
             nominal_errors=_errors_of(solved, solved.x + step),
         )
         negative = [name for k, name in enumerate(part.model.names) if drives(part, k)]
-        # What a bound held in a window may be off it in all of them.
-        rows = tuple(replace(row, free=i in model.places) for i, row in enumerate(fit.params.rows))
-        fit = replace(fit, params=replace(fit.params, rows=rows, names=tuple(p.name for p in model.free)))
-        return _with_robot(fit, solved, part, negative)
+        names = [p.name for p in window.free]
+        params = _tell(fit.params.rows, names, solved.x, solved.covariance, solved.held)
+        return Told(params, _windows_of(fit.settings), part, negative=negative)
+
+    return Windowed(fit_window, pose, answer, filtering, "equations")
 
 
 def _regress_robot(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> Regression:
@@ -244,6 +381,7 @@ class SimulatedRobotWindow:
     part: SimulatedRobot
     filtering: Filtering
     motion_measured: bool
+    simulates: bool = True
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -281,54 +419,47 @@ class SimulatedRobotWindow:
             [(pose, np.gradient(pose, problem.sample_time)) for pose in poses],
         )
 
+    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
+        """Return the samples after which a window and a later part of it are alike."""
+        whole = self.look(records, x)
+        assert whole is not None
+        first = whole.samples // (4 * whole.keep) * whole.keep
+        later = self.look([cut(record, first, whole.samples) for record in records], x)
+        if later is None:
+            return first
+        both: tuple[NDArray[np.intp], ...] = np.intersect1d(whole.at - first, later.at, return_indices=True)[1:]
+        of_whole, of_later = both
+        apart = np.abs(whole.error[:, of_whole] - later.error[:, of_later])
+        least = _TOLD * np.sqrt(np.mean(whole.measured**2, axis=1, keepdims=True))
+        far = apart > np.maximum(_FORGOTTEN * np.max(apart, axis=1, keepdims=True), least)
+        # What lies beside a window's end rings as long as what lies beside its beginning.
+        rows = np.flatnonzero(np.any(far[:, later.at[of_later] < later.samples // 2], axis=0))
+        return int(later.at[of_later][rows[-1]]) + later.keep if rows.size else later.keep
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedRobots:
-    """DIDIM or the drive side of a robot in windows.
 
-    Attributes:
-        model: under its controllers, or along its motors' motion. method: by which a window is identified.
-        filtering: as declared. known: values and bounds, by name.
-    """
+def _by_simulation(
+    model: RobotLoop | RobotDriveSide,
+    method: DIDIM | DriveSideFit | None,
+    filtering: Filtering,
+    known: Mapping[str, Parameter],
+) -> Windowed:
+    """Return the windows of DIDIM or the drive side of a robot."""
 
-    model: RobotLoop | RobotDriveSide
-    method: DIDIM | DriveSideFit | None
-    filtering: Filtering
-    known: Mapping[str, Parameter]
-    weighted: Weighted = "equations"
+    def fit_window(records: Sequence[Record], progress: Progress) -> FitResult:
+        under = model  # the first window of all begins as the model says, any other in motion
+        if isinstance(under, RobotLoop) and records[0].begin > 0:
+            under = replace(under, in_motion=True)
+        return identify_simulated_robot(under, records, method, filtering=filtering, known=known, progress=progress)
 
-    @property
-    def loops(self) -> Sequence[ClosedLoop]:
-        """Of the joints."""
-        return self.model.loops if isinstance(self.model, RobotLoop) else ()
-
-    def fit(self, records: Sequence[Record], progress: Progress) -> FitResult:
-        """Return the fit of a window; the first of all begins as the model says, any other in motion."""
-        model = self.model
-        if isinstance(model, RobotLoop) and records[0].begin > 0:
-            model = replace(model, in_motion=True)
-        return identify_simulated_robot(
-            model,
-            records,
-            self.method,
-            filtering=self.filtering,
-            known=self.known,
-            progress=progress,
-        )
-
-    def pose(self, records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
-        """Return the simulation, and the values of a window."""
-        part = fit.robot
-        assert isinstance(part, SimulatedRobot)
+    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+        del records
+        part = cast("SimulatedRobot", fit.robot)
         x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
-        along = isinstance(self.model, RobotDriveSide)
-        return SimulatedRobotWindow(part, fit.settings.filtering, along), x
+        return SimulatedRobotWindow(part, fit.settings.filtering, isinstance(model, RobotDriveSide)), x
 
-    def answer(self, solved: Solved) -> FitResult:
-        """Return parameters, robot and settings."""
+    def answer(solved: Solved) -> Told:
         fit = solved.starts[0].fit
-        part = fit.robot
-        assert isinstance(part, SimulatedRobot)
+        part = cast("SimulatedRobot", fit.robot)
         parameters, size = part.parameters, solved.x.size
         values, covariance = parameters.values(solved.x), solved.covariance
         of_values = np.where(parameters.logarithmic, values, 1.0)
@@ -337,74 +468,16 @@ class SimulatedRobots:
         covariance = replace(covariance, std=covariance.std * of_values)
         part = replace(
             part,
-            setup=self.model,
+            setup=model,
             values=np.concatenate([values, part.values[size:]]),
             covariance=covariance.append_constants(part.values.size - size),
             nominal_errors=_errors_of(solved, parameters.to_search_variables(nominal)),
         )
-        return _with_robot(fit, solved, part)
+        params = _tell(fit.params.rows, parameters.names, values, covariance, solved.held)
+        return Told(params, _windows_of(fit.settings), part, by_logarithm=bool(np.any(parameters.logarithmic)))
 
-
-def joint_in_windows(
-    model: object, method: Method | None, filtering: Filtering | None, changes: Mapping[str, Parameter] | None
-) -> Windowed:
-    """Return the windows of a joint's record.
-
-    Raises:
-        MethodError: it is not identified in windows.
-    """
-    by_idim = isinstance(method, IDIM) or (method is None and isinstance(model, Joint))
-    if by_idim and isinstance(model, ClosedLoop | Joint):
-        joint, loop = (model.joint, model) if isinstance(model, ClosedLoop) else (model, None)
-        return InverseJoint(
-            joint, loop, method if isinstance(method, IDIM) else IDIM(), filtering or Filtering(), changes or {}
-        )
-    if not isinstance(model, ClosedLoop):
-        raise MethodError(
-            f"Windows identify a joint by DIDIM or IDIM; received {type(model).__name__}: leave windows out."
-        )
-    return LoopWindows.of(model, method, filtering, changes)
-
-
-def robot_in_windows(
-    model: Robot | RobotLoop | RobotDriveSide,
-    method: Method | None,
-    filtering: Filtering,
-    known: Mapping[str, Parameter],
-) -> Windowed:
-    """Return the windows of a robot's log.
-
-    Raises:
-        MethodError: it is not identified in windows.
-    """
-    if isinstance(model, Robot) or isinstance(method, IDIM):
-        if isinstance(model, RobotDriveSide) or not isinstance(method, IDIM | None):
-            raise MethodError("IDIM is for a Robot; give the method that the model is for.")
-        return InverseRobot(model, method or IDIM(), filtering, known)
-    if not isinstance(method, DIDIM | DriveSideFit | None):
-        raise MethodError(f"{method.title} is not for a robot that is simulated; give DIDIM or DriveSideFit.")
-    if isinstance(method, DIDIM) and method.free:
-        raise MethodError(
-            "DIDIM.free of a robot is not identified in windows; choose a part of the record by start and stop, or "
-            "leave it out."
-        )
-    return SimulatedRobots(model, method, filtering, known)
-
-
-def _with_robot(fit: FitResult, solved: Solved, part: IdentifiedRobot, negative: Sequence[str] = ()) -> FitResult:
-    """Return the fit of a window with what all windows say of the robot."""
-    left = dict(zip(part.model.names, map(float, solved.errors), strict=True))
-    bounds = friction_verdict(negative) if negative else bounds_verdict(solved.held)
-    verdicts = (solver_verdict(solved.stop, solved.converged), axes_verdict(left), bounds)
-    others = (one for one in fit.checks.verdicts if one.subject is Subject.STIFFNESS)
-    made = _with_values(fit, solved, part.values, part.covariance)
-    values = {row.name: row.value or 0.0 for row in made.params.rows}
-    return replace(
-        made,
-        robot=part,
-        checks=replace(made.checks, verdicts=(*verdicts, *others)),
-        at_bounds={name: values[name] for name in solved.held},
-    )
+    loops = model.loops if isinstance(model, RobotLoop) else ()
+    return Windowed(fit_window, pose, answer, filtering, "equations", loops)
 
 
 def _errors_of(solved: Solved, x: FloatArray) -> FloatArray:
@@ -418,33 +491,26 @@ def _errors_of(solved: Solved, x: FloatArray) -> FloatArray:
     return np.full(solved.errors.size, np.inf)
 
 
-def _with_values(fit: FitResult, solved: Solved, values: FloatArray, covariance: Covariance) -> FitResult:
-    """Return the fit of a window with the values of all: of the free rows, or of every row."""
-    rows = fit.params.rows
-    at = range(len(rows)) if len(rows) == values.size else [i for i, row in enumerate(rows) if row.free]
-    found = dict(zip(at, zip(values, covariance.std, strict=True), strict=True))
+def _tell(
+    rows: Sequence[EstimatedParameter],
+    names: Sequence[str],
+    values: FloatArray,
+    covariance: Covariance,
+    held: Sequence[str],
+) -> Params:
+    """Return the table of a window with the values of all; what a bound held in the window may be free in all."""
+    found = {name: (float(x), float(s)) for name, x, s in zip(names, values, covariance.std, strict=True)}
     told = tuple(
-        replace(row, value=float(found[i][0]), stderr=float(found[i][1]), at_bound=None)
-        if i in found and row.free and row.value is not None
+        replace(
+            row, value=found[row.name][0], stderr=found[row.name][1], free=True,
+            at_bound=found[row.name][0] if row.name in held else None,
+        )
+        if row.name in found and row.value is not None
         else row
-        for i, row in enumerate(rows)
-    )
-    free = [i for i, row in enumerate(rows) if row.free]
-    some = [list(at).index(i) for i in free]
-    correlation = covariance.correlation[np.ix_(some, some)]
-    return replace(
-        fit,
-        params=replace(fit.params, rows=told, correlation=correlation, basis=solved.basis),
-        settings=replace(fit.settings, variant=f"{fit.settings.variant}, in windows"),
-        at_bounds={},
-        before=(),
-        after=(),
-    )
+        for row in rows
+    )  # fmt: skip
+    return Params(told, tuple(names), covariance.correlation)
 
 
-def _spread(covariance: Covariance, places: Sequence[int], size: int) -> Covariance:
-    """Return the covariance of all parameters, 0 for those that are not free."""
-    std, correlation = np.zeros(size), np.eye(size)
-    std[list(places)] = covariance.std
-    correlation[np.ix_(places, places)] = covariance.correlation
-    return Covariance(std, correlation, covariance.bandwidth)
+def _windows_of(settings: Settings) -> Settings:
+    return replace(settings, variant=f"{settings.variant}, in windows")

@@ -305,7 +305,7 @@ def _of_first_form(old: Json) -> Json:
         "parameters": parameters,
         "controller_sha256": old.get("controller_sha256") or "",
         "params": {
-            "names": old.get("free") or [], "basis": old.get("intervals"), "correlation": old["correlation"] or [],
+            "names": old.get("free") or [], "correlation": old["correlation"] or [],
         },
         "fit": {
             **{key: old.get(key) or 0 for key in ("rows", "simulations")}, "stop": str(old.get("stop")),

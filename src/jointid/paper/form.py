@@ -14,7 +14,6 @@ from jointid.estimation.starts.flexible_joint import start_with_mode
 
 _FREQUENCY = 30.0  # Hz, which the paper measured with the output blocked
 _TOLERANCE = 1e-4  # that of MATLAB's fminsearch
-_BASIS = "the paper's: of the inverse model on the simulated motion, which was not solved; far too small"
 
 
 def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate) -> Estimate:
@@ -42,10 +41,10 @@ def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate
     std = dict(zip((p.name for p in problem.free), inverse_model_deviations(problem, x), strict=True))
     rows = tuple(replace(p, value=values[p.name], stderr=std.get(p.name)) for p in best.params.rows)
     fit = replace(
-        best.fit, filtered_error=problem.filtered_error(problem.residual(x)), trace=(),
+        best.fit, filtered_error=problem.filtered_error(problem.residual(x)),
         simulations=sum(run.nfev for run in runs), stop=f"Nelder-Mead stopped after {stop}",
     )  # fmt: skip
-    return replace(best, params=replace(best.params, rows=rows, basis=_BASIS), fit=fit)
+    return replace(best, params=replace(best.params, rows=rows), fit=fit)
 
 
 def inverse_model_deviations(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray:

@@ -1,7 +1,8 @@
-"""Bounded least squares: Levenberg-Marquardt, or SciPy's trust region (Branch, Coleman, Li 1999).
+"""Bounded least squares: Levenberg-Marquardt, and for closed loops SciPy's trust region (Branch, Coleman, Li 1999).
 
-Each Levenberg-Marquardt step minimises the damped linear problem within the bounds. A trust region reflects at a bound
-and needs a hundred evaluations where a Coulomb friction ends at 0; these steps need ten. Both stop at rounding.
+Each Levenberg-Marquardt step minimises the damped linear problem within the bounds. A trust region stays off them:
+where a bound takes the effect of other parameters away, as of a slider without stiffness, the other's steps would end
+there.
 """
 
 from __future__ import annotations
@@ -29,12 +30,8 @@ _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
 _NONE = 1e-150  # a start so near to 0 is at its bound, and no unit
 _THERE = 1e-2  # of a tolerance
-_STATUS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP_AND_COST}
-_CHANGED = {
-    Status.STEP: "the parameters",
-    Status.COST: "the criterion",
-    Status.STEP_AND_COST: "the criterion and the parameters",
-}
+_ENDS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP}  # of SciPy's search
+_CHANGED = {Status.STEP: "the parameters", Status.COST: "the criterion"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,65 +141,58 @@ def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, 
 
 @dataclass(frozen=True, slots=True)
 class TrustRegion:
-    """Settings of bounded least squares by a trust region.
+    """Settings of bounded least squares by a trust region, the same in any units.
 
     Attributes:
-        tolerance: relative, on the parameters, and on the criterion unless `cost_tolerance` says otherwise.
-        evaluations: at most, of the residual.
-        cost_tolerance: relative, on the criterion.
-        eager: whether every point that is tried is linearised, which also says when a step could gain no more than
-            rounding; otherwise only a point that is accepted is, which is cheaper where many are refused.
-        size: of the residual, which is searched in units of it, and every parameter in units of its start: then the
-            search is the same in any units. None searches in the problem's own.
+        tolerance: relative, on the criterion and the parameters.
+        size: of what the residual is left of.
+        evaluations: at most, each with the derivatives.
     """
 
-    tolerance: float = 1e-8
+    tolerance: float
+    size: float
     evaluations: int = 60
-    cost_tolerance: float | None = None
-    eager: bool = True
-    size: float | None = None
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
         """Run one descent within the bounds from an evaluable start."""
         from scipy.optimize import least_squares
 
-        counted, bounds, trace = Counted.of(problem), Bounds.of(problem.free), list[Step]()
-        before, unit, size = counted.evaluations, np.ones(start.size), self.size or 1.0
+        counted, bounds, trace, size = Counted.of(problem), Bounds.of(problem.free), list[Step](), self.size
+        before = counted.evaluations
         error, J = counted.linearise(start)
         status = None if J.any() else Status.NOT_EVALUABLE
-        if self.eager and status is None and _at_minimum(bounds, start, error, J, self.tolerance):
+        if status is None and _at_minimum(bounds, start, error, J, self.tolerance):
             status = Status.COST
         if status is not None:
             message = explain(status, 1, self.tolerance)
             return Solution(start, error, J, status, message, (), counted.evaluations - before)
-        if self.size is not None:
-            norms = np.linalg.norm(J, axis=0)
-            sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
-            unit = np.where(np.abs(start) > _NONE, np.abs(start), np.where(sizes > 0, sizes, 1.0))
-
-        def residual(y: FloatArray) -> FloatArray:
-            return (counted.linearise(y * unit)[0] if self.eager else counted.residual(y * unit)) / size
-
-        def jacobian(y: FloatArray) -> FloatArray:
-            return counted.linearise(y * unit)[1] * (unit / size)
+        norms = np.linalg.norm(J, axis=0)
+        sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
+        unit = np.where(np.abs(start) > _NONE, np.abs(start), np.where(sizes > 0, sizes, 1.0))
 
         def step(intermediate_result: OptimizeResult) -> None:
             at = np.asarray(intermediate_result.x * unit)
             norm = size * math.sqrt(2 * float(intermediate_result.cost))
             trace.append(Step(at, norm, counted.evaluations))
             watch(trace[-1])
-            if self.eager and _at_minimum(bounds, at, *counted.linearise(at), self.tolerance):
+            if _at_minimum(bounds, at, *counted.linearise(at), self.tolerance):
                 raise StopIteration
+
+        def residual(y: FloatArray) -> FloatArray:
+            return counted.linearise(y * unit)[0] / size
+
+        def jacobian(y: FloatArray) -> FloatArray:
+            return counted.linearise(y * unit)[1] * (unit / size)
 
         scaled = Bounds(bounds.lower / unit, bounds.upper / unit)
         # Of a loop that runs away the derivatives are so large that their squares are infinite: no step comes of it.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             found = least_squares(
                 residual, start / unit, jacobian, (scaled.lower, scaled.upper), x_scale="jac", xtol=self.tolerance,
-                ftol=self.cost_tolerance or self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,
+                ftol=self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,
             )  # fmt: skip
         x, error, J = (np.asarray(part) for part in (found.x * unit, found.fun * size, found.jac * (size / unit)))
-        status = _STATUS.get(int(found.status), Status.EVALUATION_LIMIT)
+        status = _ENDS.get(int(found.status), Status.EVALUATION_LIMIT)
         message = explain(status, int(found.nfev), self.tolerance)
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 

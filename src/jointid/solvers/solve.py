@@ -1,19 +1,19 @@
-"""The verb `solve`: problems, solutions and multistart.
-
-Closed loop, prescribed motion, prescribed torque and several records look the same to a solver.
-"""
+"""The verb `solve`: problems, solutions and several starts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds, Parameter
+
+if TYPE_CHECKING:
+    from jointid.solvers.bounded_least_squares import LevenbergMarquardt, TrustRegion
 
 _SAME = 1e-4  # of the criterion: two ends so near are one
 
@@ -33,35 +33,19 @@ class Problem(Protocol):
 
 
 class Status(Enum):
-    """Why a solver ended, with advice, and whether it succeeded."""
+    """Why a solver ended."""
 
-    STEP = ("the parameters changed by less than the tolerance", "", True)
-    COST = ("the criterion changed by less than the tolerance", "", True)
-    STEP_AND_COST = ("the criterion and the parameters changed by less than the tolerance", "", True)
-    EXACT = ("the measurement is reproduced to rounding", "", True)
-    EVALUATION_LIMIT = (
-        "the limit on evaluations was reached",
-        "allow more evaluations, or start from where it ended",
-        False,
-    )
-    INTERRUPTED = (
-        "it was interrupted",
-        "let it run to its end; the answer is of what was read until then",
-        False,
-    )
-    NO_DESCENT = (
-        "no step lowers the criterion, and yet it is not flat there",
-        "start elsewhere: the criterion cannot be evaluated, or jumps, beside where it ended",
-        False,
-    )
-    NOT_EVALUABLE = (
-        "the criterion cannot be evaluated at the start",
-        "start elsewhere: with these parameters the model cannot be simulated",
-        False,
-    )
+    STEP = "the parameters changed by less than the tolerance"
+    COST = "the criterion changed by less than the tolerance"
+    EXACT = "the measurement is reproduced to rounding"
+    EVALUATION_LIMIT = "the limit on evaluations was reached"
+    NO_DESCENT = "no step lowers the criterion, and yet it is not flat there"
+    NOT_EVALUABLE = "the criterion cannot be evaluated at the start"
 
-    def __init__(self, sentence: str, advice: str, converged: bool) -> None:
-        self.sentence, self.advice, self.converged = sentence, advice, converged
+    @property
+    def converged(self) -> bool:
+        """Whether the solver succeeded."""
+        return self in (Status.STEP, Status.COST, Status.EXACT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,43 +145,24 @@ class Counted:
         self._last = (x.copy(), (residual, derivatives))
 
 
-_Solved_contra = TypeVar("_Solved_contra", bound=Problem, contravariant=True)
-_Problem = TypeVar("_Problem", bound=Problem)
-
-
-class Solver(Protocol[_Solved_contra]):
-    """A solution method with its settings."""
-
-    def solve(self, problem: _Solved_contra, start: FloatArray, watch: Watch) -> Solution:
-        """Solve from a start within the bounds."""
-
-
-@dataclass(frozen=True, slots=True)
-class Multistart:
-    """One solver with several starts."""
-
-    solver: Solver[Problem]
-
-    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Return the best solution over starts, (starts, free), and how many agree."""
-        counted = Counted.of(problem)
-        before = counted.evaluations
-        ends = [self.solver.solve(counted, x, watch) for x in np.atleast_2d(start)]
-        costs = [float(np.linalg.norm(end.residual)) ** 2 for end in ends]
-        best = ends[int(np.argmin(costs))]
-        same = sum(cost <= (1 + _SAME) * min(costs) for cost in costs)
-        agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
-        used = counted.evaluations - before
-        return replace(best, message=best.message + agreed, evaluations=used, starts=(same, len(ends)))
-
-
-def solve(problem: _Problem, solver: Solver[_Problem], start: FloatArray, watch: Watch = lambda _: None) -> Solution:
-    """Solve a problem from a start.
+def solve(
+    problem: Problem, solver: LevenbergMarquardt | TrustRegion, start: FloatArray, watch: Watch = lambda _: None
+) -> Solution:
+    """Solve a problem from a start, or from several, and return the best end.
 
     Args:
         problem: left unchanged; a `Counted` one keeps its count and cache.
         solver: with its settings.
-        start: (free,), clipped to the bounds; (starts, free) for `Multistart`.
+        start: (free,) or (starts, free), clipped to the bounds.
         watch: callback for every step.
     """
-    return solver.solve(problem, Bounds.of(problem.free).clip(np.asarray(start, dtype=np.float64)), watch)
+    counted, bounds = Counted.of(problem), Bounds.of(problem.free)
+    before = counted.evaluations
+    starts = np.atleast_2d(np.asarray(start, dtype=np.float64))
+    ends = [solver.solve(counted, bounds.clip(x), watch) for x in starts]
+    costs = [float(np.linalg.norm(end.residual)) ** 2 for end in ends]
+    best = ends[int(np.argmin(costs))]
+    same = sum(cost <= (1 + _SAME) * min(costs) for cost in costs)
+    agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
+    used = counted.evaluations - before
+    return replace(best, message=best.message + agreed, evaluations=used, starts=(same, len(ends)))

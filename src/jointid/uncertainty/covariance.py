@@ -30,30 +30,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
 from jointid.uncertainty.spectral import spectral_covariance
 
-FOR_MEASURED_MOTION = ", and for the bias by which a force in the loop may move them"
-"""What `with_measured_motion` adds, in words behind a basis."""
 _BANDS = 8  # of frequency, whose scores are compared
 _BLUE = 0.1  # correlation of neighbouring rows, below 0, from which a residual grows with the frequency
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
 _SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding
 _LOST = 1e-6  # of the largest: a direction that a block of rows determines alone
-_DIFFERENT = 1.25  # a ratio of deviations that chance does not make of a white residual: it stays within about 10 %
-
-
-class Dependence(StrEnum):
-    """Departures of a residual from white noise."""
-
-    NOT_INDEPENDENT = "not_independent"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -344,36 +333,6 @@ def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArr
     return found
 
 
-def compare_deviations(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:
-    """Message on parameters whose robust and white deviations differ; None if none.
-
-    The ratio has to exceed 1.25 either way. Chance keeps it within about 10 % for a white residual. The result can
-    differ from `residual_tests.Whiteness`, which tests the pass band only.
-    """
-    ratios = map(float, robust.std / np.where(naive.std > 0, naive.std, np.inf))
-    off = {
-        name: ratio
-        for name, ratio in zip(names, ratios, strict=True)
-        if ratio > 0 and not 1 / _DIFFERENT < ratio < _DIFFERENT
-    }
-    if not off:
-        return None
-    listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in off.items())
-    said = (
-        "row by row the residual is not independent noise of one size, which asks more than whiteness within the pass "
-        f"band: the robust deviations are these times those that such noise would give: {listed}"
-    )
-    return Message(Dependence.NOT_INDEPENDENT, said, {"ratios": off})
-
-
-def words(covariance: Covariance) -> str:
-    """Return how these standard deviations were obtained, in a sentence."""
-    return (
-        f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side); what repeats with the "
-        "motion, as on most real axes, is not covered"
-    )
-
-
 def with_bands(
     covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
 ) -> Covariance:
@@ -445,8 +404,3 @@ def rising_scores(J: FloatArray, error: FloatArray, ends: FloatArray) -> FloatAr
         scores[-1] *= 0.5
     last = np.floor(ends * (len(scores) - 1)).astype(np.intp)
     return np.asarray(np.cumsum(scores, axis=0)[last] / error.shape[1])
-
-
-def band_words() -> str:
-    """Describe what these deviations cover."""
-    return f"or, where it is larger, the spread over {_BANDS} bands of frequency, which shows what the model lacks"

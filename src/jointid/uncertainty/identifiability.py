@@ -1,8 +1,6 @@
 """Identifiability: which parameters and combinations a record determines.
 
-From torque alone the sum of two frictions is often known, but not each of them. The singular vectors of the scaled
-sensitivities J, without the initial state, are combinations with uncorrelated errors for a white residual. Each is
-simplified to the fewest terms that are nearly as well known; its interval uses the whole covariance.
+From torque alone the sum of two frictions is often known, but not each of them.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ from jointid.common.text import in_words, interval, join, number
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
-_NEARLY = 1.25  # times the deviation of a combination: what leaving its small terms out may make of it
 _WELL, _POORLY = 0.1, 0.5  # of its parameters' size: a combination's 2 sigma
 _ROUNDING = 1e-9  # of the largest singular value: a combination that the torque does not contain
 _PART = 1e-3  # of a combination of unit columns: a smaller term is rounding
@@ -38,7 +35,6 @@ class Kind(StrEnum):
     SINGLE = "single"
     SUM = "sum"
     DIFFERENCE = "difference"
-    DIRECTION = "direction"
 
 
 class Limitation(StrEnum):
@@ -54,8 +50,7 @@ class Combination:
     """A weighted sum of parameters.
 
     Attributes:
-        kind: a parameter by itself; the sum or difference of both sides; a direction of the sensitivities' singular
-            vectors; or what somebody asked for.
+        kind: a parameter by itself; the sum or difference of both sides; or what somebody asked for.
         quantity: of a sum or difference of both sides, the parameter's name without its side: "viscous_forwards".
     """
 
@@ -132,19 +127,13 @@ class Identifiability:
     """Accuracy of parameters and their combinations.
 
     Attributes:
-        parameters: by themselves, those of the initial state left out.
         physical: sums and differences with a meaning of their own.
-        directions: the combinations of the sensitivities' singular vectors, the best known first.
-        condition: of the sensitivities scaled by the parameters: the largest over the smallest singular value.
         limitations: parameters that are known only together, and what must be positive and whose 2-sigma interval
             holds 0; none of a good record.
         undetermined: names of parameters of which the record determines only combinations with others.
     """
 
-    parameters: tuple[Known, ...]
     physical: tuple[Known, ...]
-    directions: tuple[Known, ...]
-    condition: float
     limitations: tuple[Message, ...]
     undetermined: tuple[str, ...] = ()
 
@@ -184,8 +173,6 @@ def identifiability(
 
     each = [assess(single(p, units[p.name])) for p in joint]
     apart = [k for k, i in enumerate(own) if separable[i]]
-    vectors, condition = _find_directions(J, own, scale)
-    directions = [assess(_simplify(vector, joint, units, scale[own], spread)) for vector in vectors]
     limitations = []
     for vector in unseen:
         parts = {p.name: float(vector[i] / norms[i]) for p, i in zip(joint, own, strict=True) if abs(vector[i]) > _PART}
@@ -201,10 +188,7 @@ def identifiability(
             values = {"parameter": p.name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     return Identifiability(
-        tuple(each[k] for k in apart),
         tuple(assess(one) for one in physical(joint, units) if is_seen(one)),
-        tuple(sorted(directions, key=lambda one: one.relative)),
-        condition,
         tuple(limitations),
         tuple(p.name for k, p in enumerate(joint) if k not in apart),
     )
@@ -234,44 +218,6 @@ def find_unseen(J: FloatArray) -> FloatArray:
 def find_separable(J: FloatArray) -> NDArray[np.bool_]:
     """Return a mask of the parameters that the record separates, (free,); see `find_unseen`."""
     return np.asarray(np.all(np.abs(find_unseen(J)) <= _PART, axis=0))
-
-
-def _find_directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[FloatArray, float]:
-    """Singular vectors of the scaled sensitivities without the rest, and condition."""
-    rest = np.delete(J, own, axis=1)
-    Q, _ = np.linalg.qr(rest / column_norms(rest))
-    columns = (J * scale)[:, own]
-    R = np.linalg.qr(columns - Q @ (Q.T @ columns), mode="r")
-    _, sizes, vectors = np.linalg.svd(R)
-    vectors = vectors[: np.sum(sizes > _ROUNDING * sizes[0])]
-    return vectors, float(sizes[0] / sizes[-1]) if sizes[-1] > 0 else math.inf
-
-
-def _simplify(
-    vector: FloatArray, parameters: Sequence[Parameter], units: Mapping[str, str], scale: FloatArray, spread: Covariance
-) -> Combination:
-    """Write a direction as a sum led by its largest term, which sets the unit.
-
-    Terms are added by size until the sum is nearly as well known as the whole.
-    """
-    order = np.argsort(-np.abs(vector))
-    weights = vector / scale
-    whole = spread.std_of(weights)
-    for count in range(1, order.size + 1):
-        kept = np.zeros_like(weights)
-        kept[order[:count]] = weights[order[:count]]
-        share = float(np.linalg.norm(vector[order[:count]]))
-        if spread.std_of(kept) / share <= _NEARLY * whole:
-            break
-    leading = parameters[order[0]]
-    kept = kept / weights[order[0]]
-    said = f"led by {leading.name.replace('_', ' ')}"
-    terms = [(float(kept[i]), parameters[i]) for i in order[:count]]
-    formula = terms[0][1].symbol
-    for weight, p in terms[1:]:
-        times = "" if number(abs(weight), 3) == number(1.0, 3) else f"{number(abs(weight), 3)} "
-        formula += f" {'-' if weight < 0 else '+'} {times}{p.symbol}"
-    return Combination(said, formula, units[leading.name], {p.name: weight for weight, p in terms}, Kind.DIRECTION)
 
 
 def _describe_together(

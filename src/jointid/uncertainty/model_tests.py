@@ -268,5 +268,4 @@ def widened_to_second(
     significant = np.abs(shift) > _NOISE * noise
     if not np.any(significant):
         return known
-    why = "how far the solution by the regressor lies away, which noise does not explain"
-    return known.widened_by(np.where(significant, shift, 0.0), why)
+    return known.widened_by(np.where(significant, shift, 0.0))

@@ -32,13 +32,10 @@ from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
     bartlett_sum,
-    compare_deviations,
     larger,
     residual_left_out,
     robust,
     scaled_sandwich,
-    white,
-    words,
 )
 
 IntArray = NDArray[np.intp]
@@ -82,15 +79,12 @@ class Repeatable:
     Attributes:
         rms: of that part, in the residual's unit; 0 where the products of different visits are negative on the whole.
         share: its share of the residual's mean square.
-        correlation: of the cells' mean residual between the halves of the record; None where fewer than three cells
-            are visited in both.
         p_value: how often a residual that does not repeat would show as much; None where the record is too short, or
             nothing is visited twice.
     """
 
     rms: float
     share: float
-    correlation: float | None
     p_value: float | None
     unit: str = ""
 
@@ -103,13 +97,12 @@ class Repeatable:
         """Return the verdict in a sentence."""
         if self.p_value is None:
             return "whether the residual repeats with the motion cannot be said: no place is visited at two times"
-        halves = "" if self.correlation is None else f"; between the halves of the record r = {self.correlation:.2f}"
         size = f"{number(self.rms, 3)} {self.unit}".strip()
         if not self.significant:
-            return f"no part of the residual repeats with the motion beyond chance (p = {self.p_value:.2g}{halves})"
+            return f"no part of the residual repeats with the motion beyond chance (p = {self.p_value:.2g})"
         return (
             f"part of the residual repeats with position, direction and speed: {size} rms, {100 * self.share:.0f} % of "
-            f"its mean square (p = {self.p_value:.2g}{halves}): the model lacks something that is not noise"
+            f"its mean square (p = {self.p_value:.2g}): the model lacks something that is not noise"
         )
 
 
@@ -120,7 +113,6 @@ class Uncertainty:
     Attributes:
         robust: over time, whatever the residual's autocorrelation.
         covariance: to be reported: the robust one, widened where the residual repeats with the motion.
-        basis: how the deviations were obtained, in words.
         warnings: limits of the deviations, for the reader.
         shifts: (parameters,) each, of the estimate, for which the deviations were widened.
     """
@@ -128,15 +120,13 @@ class Uncertainty:
     robust: Covariance
     covariance: Covariance
     repeatable: Repeatable
-    basis: str
-    warnings: tuple[Message, ...]
+    warnings: tuple[Message, ...] = ()
     shifts: tuple[FloatArray, ...] = ()
 
-    def widened_by(self, shift: FloatArray, why: str) -> Uncertainty:
+    def widened_by(self, shift: FloatArray) -> Uncertainty:
         """Widen the deviations for a shift of the estimate, (parameters,)."""
         covariance = replace(self.covariance, std=np.hypot(self.covariance.std, shift))
-        basis = f"{self.basis}, and for {why}"
-        return replace(self, covariance=covariance, basis=basis, shifts=(*self.shifts, shift))
+        return replace(self, covariance=covariance, shifts=(*self.shifts, shift))
 
 
 def cells(position: FloatArray, velocity: FloatArray) -> Cells:
@@ -207,26 +197,9 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
     return Repeatable(
         rms=float(np.sqrt(max(square, 0.0))),
         share=min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0,
-        correlation=_between_halves(error, where),
         p_value=p_value,
         unit=unit,
     )
-
-
-def _between_halves(error: FloatArray, where: Cells) -> float | None:
-    """Weighted correlation of cell means between the halves of a record."""
-    count = int(where.label.max()) + 1
-    halves = (slice(0, error.size // 2), slice(error.size // 2, None))
-    sums = [np.bincount(where.label[half], error[half], count) for half in halves]
-    rows = [np.bincount(where.label[half], minlength=count) for half in halves]
-    both = (rows[0] > 0) & (rows[1] > 0)
-    if np.sum(both) < 3:
-        return None
-    means = np.array([s[both] / n[both] for s, n in zip(sums, rows, strict=True)])
-    weights = 1.0 / (1.0 / rows[0][both] + 1.0 / rows[1][both])
-    spread = np.cov(means, aweights=weights)
-    scale = float(np.sqrt(spread[0, 0] * spread[1, 1]))
-    return float(spread[0, 1]) / scale if scale > 0 else None
 
 
 def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> Covariance:
@@ -260,7 +233,6 @@ def uncertainty(
     J: FloatArray,
     error: FloatArray,
     where: Cells,
-    names: Sequence[str],
     unit: str = "",
     series: Sequence[int] | None = None,
 ) -> Uncertainty:
@@ -271,21 +243,9 @@ def uncertainty(
         J: (rows, parameters), the sensitivities of the prediction, or of the residual with Z of the same sign.
         error: (rows,) the residual, in the order of time.
         where: the rows' cells.
-        names: of the parameters.
         unit: of the residual.
         series: rows of each record, stacked.
     """
     over_time = robust(Z, J, error, series)
     judged, verdict = widen(over_time, Z, J, error, where, unit)
-    basis = f"{words(over_time)}, and by the residual's spectrum where that says more"
-    if verdict.p_value is not None:
-        basis = (
-            f"autocorrelation-robust (Newey-West over {over_time.bandwidth} rows on each side, or by the residual's "
-            "spectrum: the larger in every direction)"
-        )
-    if verdict.significant:
-        basis += (
-            ", widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
-        )
-    differs = compare_deviations(names, white(J, error), over_time)
-    return Uncertainty(over_time, judged, verdict, basis, () if differs is None else (differs,))
+    return Uncertainty(over_time, judged, verdict)

@@ -24,7 +24,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import number
-from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Problem, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of, robust
 from jointid.uncertainty.identifiability import Combination
@@ -235,7 +235,7 @@ def profile(
         quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
         threshold, stiffness = quantile**2 * std**2 / flat, _HELD / math.sqrt(flat)
 
-        solver = TrustRegion(settings.tolerance, settings.evaluations, eager=False)
+        solver = LevenbergMarquardt(settings.tolerance, settings.evaluations)
 
         def fit(start: FloatArray, value: float) -> _Point:
             found = solve(_Held(counted, weights, stiffness, value), solver, start)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.uncertainty.position_dependent_error import Repeatable
 
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
@@ -78,21 +77,15 @@ class ResidualReport:
 
     Attributes:
         relative: norm of the residual over that of the torque, both filtered; a ratio.
-        centred: the same with the mean taken from both: a constant the torque stands on does not flatter it.
         rms: of the residual, in its unit.
-        mean: of the residual, in its unit.
-        against_rigid: norm of the residual over that of a rigid model's; None where none was given.
         whiteness: within the pass band; None where the record is too short.
         repeatable: the part of it that repeats with the motion; None where the motion was not given.
     """
 
     relative: float
-    centred: float
     rms: float
-    mean: float
     unit: str
     bands: tuple[ResidualBand, ...]
-    against_rigid: float | None
     whiteness: Whiteness | None
     repeatable: Repeatable | None
 
@@ -103,8 +96,6 @@ def residual_report(
     sample_time: float,
     cutoff: float,
     unit: str = "N",
-    *,
-    rigid_error: FloatArray | None = None,
     repeatable: Repeatable | None = None,
 ) -> ResidualReport:
     """Report on a residual torque, in octaves up to the cut-off and one band above.
@@ -115,24 +106,13 @@ def residual_report(
         sample_time: seconds between rows.
         cutoff: Hz, of the filter.
         unit: of the torque.
-        rigid_error: (rows,) residual of a rigid model, filtered alike.
         repeatable: the repeatable part; see `jointid.uncertainty.position_dependent_error`.
     """
-    sizes = {error.size, measured.size, error.size if rigid_error is None else rigid_error.size}
-    if len(sizes) > 1:
-        raise MethodError(
-            f"Residual and torque have the same rows; received {', '.join(map(str, sorted(sizes)))}: filter and "
-            "decimate them alike."
-        )
-    centred = error - error.mean()
     return ResidualReport(
         relative=_ratio(error, measured),
-        centred=_ratio(centred, measured - measured.mean()),
         rms=float(np.sqrt(np.mean(error**2))),
-        mean=float(error.mean()),
         unit=unit,
         bands=_divide_into_bands(error, measured, sample_time, cutoff),
-        against_rigid=None if rigid_error is None else _ratio(error, rigid_error),
         whiteness=whiteness(error, sample_time, cutoff),
         repeatable=repeatable,
     )

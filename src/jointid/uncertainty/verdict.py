@@ -28,24 +28,6 @@ class Subject(StrEnum):
     LOOP = "loop"
     SCALE = "scale"
 
-    @property
-    def question(self) -> str:
-        """The question in words; yes is good."""
-        return _QUESTIONS[self]
-
-
-_QUESTIONS = {
-    Subject.SOLVER: "Did the search end well?",
-    Subject.FIT: "Does the model explain the torque?",
-    Subject.WHITENESS: "Is the residual white noise?",
-    Subject.REPEATABLE: "Is the residual free of anything that repeats with the motion?",
-    Subject.IDENTIFIABILITY: "Does the record determine every parameter?",
-    Subject.BOUNDS: "Is no parameter at its bound?",
-    Subject.STIFFNESS: "Does the record show the stiffness?",
-    Subject.LOOP: "Are controller and log as declared?",
-    Subject.SCALE: "Does the record tell the scale of the torque?",
-}
-
 
 class Status(StrEnum):
     """The answer to a question; passed is always the good side."""
@@ -208,19 +190,12 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
 
 
-CHECK_DECLARED = "check that gains and positions are in SI units, not in a drive's whole numbers, nor in degrees"
-"""Remedy of a bad fit to a torque that rests on declared numbers."""
-
-
-def scale_verdict(
-    known: Sequence[str], lost: Sequence[str] = (), turns: float = 0.0, *, identified: bool = False
-) -> Verdict:
+def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Verdict:
     """Verdict on the scale of a torque that is computed from the controller.
 
     Args:
         known: fixed parameters other than 0, which tell it.
         lost: parameters that the unknown content of an integral leaves without an interval.
-        turns: that the position travels, where it may be in degrees.
         identified: whether the gain is free.
     """
     said = "the torque is computed from the declared controller and the motor position, "
@@ -230,14 +205,10 @@ def scale_verdict(
     else:
         code = Reason.SCALE_DECLARED
         said += "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"
+        said += "; check that gains and positions are in SI units"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
-    if turns:
-        said += (
-            f"; the position travels {number(turns, 2)} turns: if it is in degrees, Coulomb friction and other "
-            'constant torques are 57 times too large; give its unit = "deg"'
-        )
-    values = {"parameters": [*known], "undetermined": [*lost], "turns": turns}
+    values = {"parameters": [*known], "undetermined": [*lost]}
     return _judge(Subject.SCALE, True if known else None, code, said, values, "the scale of its gains is declared")
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.axis_parameters import Told, parameters_by_axis
 from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
@@ -302,7 +303,8 @@ def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
 def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
     records = records_of(arm(), 2, noise=0.2)
     free, kept = (
-        identified(arm(), records, IDIM(fixed=one)) for one in ({}, {"joint4.viscous": 1.5, "joint2.offset": 0.0})
+        identified(arm(), records, parameters={name: Parameter(name, "", Quantity.FORCE).fix(x) for name, x in one})
+        for one in ((), (("joint4.viscous", 1.5), ("joint2.offset", 0.0)))
     )
     assert {row.name for row in free.params.rows if row.free} - set(kept.params.names) == {
         "joint4.viscous",

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.payload import (
     Payload,
     both_records,
     identify_payload,
-    payload_difference,
     payload_of_both_records,
     payload_of_torques,
 )
@@ -52,18 +50,6 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
     assert max(map(len, said.splitlines())) <= 100
     answer = answers.to_dict(found)
     assert answer["schema"] == "jointid.Payload/2" and answer["agrees"] is True
-
-
-@pytest.mark.slow
-def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
-    """It is not the loaded one's, so the estimates that are compared leave it free."""
-    records, settings = pair(12), IDIM(fixed={"joint6.rotor_inertia": 0.3})
-    found = identify_payload(ARM, *records, settings)
-    assert found.agrees
-    assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
-    one, other = (identified(ARM, each, settings) for each in records)
-    with pytest.raises(MethodError, match="A parameter is fixed, which a payload would change"):
-        payload_difference(one, other)
 
 
 @pytest.mark.slow

@@ -62,7 +62,7 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
     found = identify_flexible_robot(
         twin.loop(), logged(records, theirs, 0.02), frequencies={"joint1": 15, "joint2": 15}
     )
-    off = np.abs(deviations(found.fit, twin))
+    off = np.abs(deviations(found, twin))
     assert np.max(off) < 3.5  # of one draw of the noise, whose errors go together
     assert np.mean(off < 2) > 0.75
     for spring, stiffness in zip(found.springs, RobotNumbers.of(twin.robot).springs[:, 0], strict=True):
@@ -84,7 +84,7 @@ def test_intervals_hold_when_the_error_of_mujoco_is_counted(twin: Twin, multisin
 
     def identified(noise: float, seed: int) -> RobotFit:
         made = logged(records, theirs, noise, seed)
-        return identify_flexible_robot(twin.loop(), made).fit if multisine else identify_rigid_robot(twin.loop(), made)
+        return identify_flexible_robot(twin.loop(), made) if multisine else identify_rigid_robot(twin.loop(), made)
 
     clean = identified(1e-7, 0)
     truth = clean.parameters.group(RobotNumbers.of(twin.robot))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jointid.common.parameters import Parameter
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
@@ -111,9 +112,10 @@ def identified(
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
 ) -> Estimate:
     """Identify a robot without the checks."""
-    return identify(records, model, method, filtering=filtering, checks=False)
+    return identify(records, model, method, filtering=filtering, parameters=parameters, checks=False)
 
 
 def by_idim(

@@ -154,7 +154,7 @@ def _search_best(problem: ClosedLoopProblem, x: FloatArray, trials: Sequence[Tri
 def search(problem: ClosedLoopProblem, x: FloatArray, trial: Trial) -> FaultFit | None:
     """Identify the joint with a fault by a short search from a trial; None if it fails."""
     other = with_joint(problem, trial.joint)
-    rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
+    rough = least_squares(other, _ROUGHLY, _FEW)
     try:
         end = History(ignore_progress).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
         run = require_success(other.simulate(end.x))

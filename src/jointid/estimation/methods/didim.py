@@ -13,7 +13,7 @@ fixed point lie further apart than the deviations of either; the interval is the
 
 **A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
 Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
-by SciPy's bounded trust region with the output sensitivities. The paper's simplex is in `paper.form`.
+by the same descents. The paper's simplex is in `paper.form`.
 
 It begins as the paper does, with a rigid identification at low frequency. Its values are divided between the sides,
 by halves in the paper (13), and the stiffness follows from a known or guessed frequency: ``K12 = mu (2 pi f)^2`` with
@@ -211,9 +211,8 @@ class DIDIM(Method):
         refuse_idle(J[:, :joint], tuple(p.name for p in problem.free_joint))
         known = uncertainty_of_least_error(problem, x, run, error, J, history)
         return build_closed_loop_result(
-            task.record, problem, x, run, (end.message, end.converged), known, J, "DIDIM by least squares",
-            history.trace, history.tally.evaluations,
-        )  # fmt: skip
+            task.record, problem, x, run, (end.message, end.converged), known, J, history.tally.evaluations
+        )
 
     def _solve_rigid(self, task: Task, history: History, near: Sequence[Start]) -> Solved:
         assert task.loop is not None
@@ -247,17 +246,15 @@ class DIDIM(Method):
         if np.linalg.norm(error) > NOTHING * problem.size:
             stop = f"no answer: the search ended where the model explains little of the torque ({stop})"
             converged = False
-        names = [p.name for p in problem.free]
-        known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
+        known = uncertainty(J, J, error, problem.cells(run), problem.torque_unit)
         spring = visible(problem, x, J, known, starts, progress)
         history.tally.evaluations += spring.simulations
         if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
             force = allow_for_force(problem, x, -J, known.covariance.std, history)
             known = widened_for_force(known, problem, x, force)
         return build_closed_loop_result(
-            task.record, problem, x, run, (stop, converged), known, J, "DIDIM by least squares", history.trace,
-            history.tally.evaluations, spring=spring,
-        )  # fmt: skip
+            task.record, problem, x, run, (stop, converged), known, J, history.tally.evaluations, spring=spring
+        )
 
     def _solve_flexible(self, task: Task, history: History) -> Solved:
         loop, tolerance = task.loop, self.stopping_tolerance("flexible")

@@ -114,13 +114,12 @@ def uncertainty_of_least_error(
         J: (rows, free) the derivatives of the simulated torque, filtered.
         history: counts the simulations.
     """
-    names = [p.name for p in problem.free]
-    known = uncertainty(J, J, residual, problem.cells(run), names, problem.torque_unit)
+    known = uncertainty(J, J, residual, problem.cells(run), problem.torque_unit)
     known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history))
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
     held = find_active_bounds(problem.free, x, residual, J)
-    freely = np.array([name not in held for name in names])
+    freely = np.array([p.name not in held for p in problem.free])
     return widened_to_second(known, instruments(problem, run, J), J, residual, freely)
 
 
@@ -149,8 +148,7 @@ def widened_for_force(
         f"simulated with it, the fit gives {values}: the intervals hold both"
     )
     stated = (Message(InLoop.FORCE, said, {"rms": force.rms, "values": moved}),) if moved else ()
-    wide = known.widened_by(there - x, f"what a force of about {size} rms in the loop moves")
-    return replace(wide, warnings=(*known.warnings, *stated))
+    return replace(known.widened_by(there - x), warnings=(*known.warnings, *stated))
 
 
 def allow_for_force(

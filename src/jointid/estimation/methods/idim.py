@@ -6,24 +6,20 @@ instruments from a simulated loop, those of `linear`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from itertools import combinations
-from typing import Literal, TypeAlias
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
-from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.estimation.methods.linear import (
-    ESTIMATORS,
+    Estimator,
     Rows,
     Solution,
-    by_instruments,
-    describe_stop,
     simulated_instruments,
+    solve_rows,
 )
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
@@ -35,7 +31,7 @@ from jointid.estimation.problems.inverse_model import (
 )
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
-from jointid.estimation.result.build_result import build_data, build_rows, poor_fit
+from jointid.estimation.result.build_result import build_data, build_rows
 from jointid.estimation.result.estimate import relative_error
 from jointid.estimation.result.parts import Checks, Fit, Params, Settings
 from jointid.models.controllers import Controller
@@ -45,14 +41,10 @@ from jointid.models.disturbances import (
     effect_parameters,
     require_effects,
 )
-from jointid.models.joints import Joint, acts_on_whole
+from jointid.models.joints import Joint
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
-from jointid.uncertainty.covariance import FOR_MEASURED_MOTION, band_words, words
-from jointid.uncertainty.verdict import MOTION_MEASURED
-
-Estimator: TypeAlias = Literal["ols", "weighted", "iv"]
 
 _VARIANTS = {
     "ols": "IDIM by ordinary least squares",
@@ -61,7 +53,6 @@ _VARIANTS = {
 }
 _SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
 _SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as filters leave as much
-_ALIKE = 0.99  # a correlation that says two forces are known only together
 
 
 @add_settings_to_docstring
@@ -80,11 +71,6 @@ class IDIM(Method):
         "weighted for a robot",
     )
     effects: tuple[Effect, ...] = ()
-    fixed: Mapping[str, float] = field(
-        default_factory=dict,
-        hash=False,
-        metadata=declare("of a robot: by the symbols of parameters what they are known to be", systems=("robot",)),
-    )
 
     @classmethod
     def describe(cls, model: str) -> str:
@@ -109,65 +95,66 @@ class IDIM(Method):
         record, joint, loop = task.record, task.joint, task.loop
         record.require(("torque",), "IDIM")
         assert record.torque is not None
-        sample_time = record.torque.sample_time
+        sample_time, estimator = record.torque.sample_time, self.estimator or "ols"
         delay = loop.controller.law(sample_time).delay if loop else 0.0
         require_effects(self.effects, joint)
-        if self.estimator == "iv" and loop is None:
-            raise MethodError(
-                "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, "
-                "or use another estimator."
-            )
         limit = noise_limit_of(record, joint, idim_channels(joint.model)[1:])
         filtering = task.filtering.resolve(sample_time, joint.model, limit)
-        noise = describe_noise_limit(filtering, limit, sample_time, joint.model)
-
-        def regression(effects: tuple[Effect, ...]) -> _Regression:
-            model = motion_of(record, delay, filtering, joint, effects)
-            return _Regression.of((*task.parameters, *effect_parameters(effects)), model, filtering, sample_time)
 
         def solve_with(effects: tuple[Effect, ...]) -> _Found:
-            made = regression(effects)
-            if self.estimator != "iv":
-                return _Found(made, ESTIMATORS[self.estimator or "ols"](made.rows), effects)
-            assert loop is not None
-            columns = simulated_instruments(record, loop, made.model, made.parameters, filtering, effects)
-            return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
+            parameters = (*task.parameters, *effect_parameters(effects))
+            require_free(parameters)
+            model = motion_of(record, delay, filtering, joint, effects)
+            Y, W = model.decimate(filtering, sample_time, np.zeros(len(parameters)))
+            rows = Rows(Y, W, tuple(p.name for p in parameters), len(model.torque))
+            columns = None
+            if estimator == "iv" and loop is not None:
+                columns = simulated_instruments(record, loop, model, parameters, filtering, effects)
+            return _Found(
+                parameters, model, rows, solve_rows(rows, estimator, {p.name: p for p in parameters}, columns), effects
+            )
 
         own = self.effects
         if joint.model == "flexible" and EncoderOffset() not in own and _zeros_differ(solve_with):
             own = (*own, EncoderOffset())
-        return _answer(task, self, filtering, delay, solve_with(own), noise)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Regression:
-    """One record, ready for any estimator.
-
-    Attributes:
-        parameters: of joint and effects, in the order of the model's columns.
-        model: torque and columns, raw.
-        rows: of the free parameters, the fixed ones' torque taken off.
-        free: which parameters are estimated.
-        kept: (parameters,) values of the fixed parameters, 0 for the free ones.
-    """
-
-    parameters: tuple[Parameter, ...]
-    model: InverseModel
-    rows: Rows
-    free: list[int]
-    kept: FloatArray
-
-    @classmethod
-    def of(
-        cls, parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float
-    ) -> _Regression:
-        """Return the regression of a model on its free parameters."""
-        require_free(parameters)
+        found = solve_with(own)
+        model, fit, covariance = found.model, found.solution.fit, found.solution.covariance
+        held = found.solution.held
+        parameters = [p.fix(held[p.name]) if p.name in held else p for p in found.parameters]
         free = [i for i, p in enumerate(parameters) if p.free]
-        kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-        Y, W = model.decimate(filtering, sample_time, kept)
-        rows = Rows(Y, W[:, free], tuple(parameters[i].name for i in free), len(model.torque))
-        return cls(parameters, model, rows, free, kept)
+        values = dict(zip(found.rows.names, map(float, fit.values), strict=True))
+        std = {found.rows.names[i]: float(covariance.std[i]) for i in free}
+        correlation = covariance.correlation[np.ix_(free, free)]
+        measured, predicted = model.torque[0], model.columns[0] @ fit.values
+        read = ["torque", *(loop.controller.channels if loop is not None and estimator == "iv" else ())]
+        read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
+        return FitResult(
+            params=Params(
+                build_rows(parameters, values, std, joint.unit, values.keys(), held=held), tuple(std), correlation
+            ),
+            fit=Fit(
+                measured=measured,
+                predicted=predicted,
+                borders=filtering.borders,
+                relative_error=relative_error(measured, predicted, filtering.borders),
+                filtered_error=float(np.linalg.norm(fit.residual) / np.linalg.norm(found.rows.Y)),
+                rows=fit.residual.size,
+                conditioning=fit.conditioning,
+                simulations=found.solution.simulations,
+                stop=found.solution.stop,
+                converged=found.solution.converged,
+            ),
+            checks=Checks(
+                warnings=(
+                    *describe_noise_limit(filtering, limit, sample_time, joint.model),
+                    *_of_rest(model),
+                    *_warnings(record, filtering),
+                ),
+                tests=() if found.solution.test is None else (found.solution.test,),
+            ),
+            data=build_data(record, tuple(read), sample_time),
+            settings=Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay, found.effects),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,11 +162,14 @@ class _Found:
     """A regression and its solution.
 
     Attributes:
-        regression, solution: that belong together.
+        parameters: of joint and effects, in the order of the model's columns.
+        model: torque and columns, raw. rows: of all parameters. solution: of these.
         effects: whose columns follow the joint's.
     """
 
-    regression: _Regression
+    parameters: tuple[Parameter, ...]
+    model: InverseModel
+    rows: Rows
     solution: Solution
     effects: tuple[Effect, ...]
 
@@ -191,71 +181,10 @@ def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
         found = solve_with((offset,))
     except MethodError:  # nothing tells it from the other forces
         return False
-    rows, solution = found.regression.rows, found.solution
+    rows, solution = found.rows, found.solution
     at = rows.names.index(offset.parameters[0].name)
     least = max(_SHOWN * solution.covariance.std[at], _SLIGHT * float(np.sqrt(np.mean(rows.Y**2))))
     return bool(abs(solution.fit.values[at]) > least)
-
-
-def _answer(
-    task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found, noise: tuple[str, ...]
-) -> FitResult:
-    record, joint, loop = task.record, task.joint, task.loop
-    assert record.torque is not None
-    regression, solution = found.regression, found.solution
-    values = regression.kept.copy()
-    values[regression.free] = solution.fit.values
-    measured, predicted = regression.model.torque[0], regression.model.columns[0] @ values
-    driven = loop.controller.channels if loop is not None and settings.estimator == "iv" else ()
-    injected = ("injected",) if record.injected is not None else ()
-    named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True))
-    std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
-    return FitResult(
-        params=Params(
-            build_rows(regression.parameters, named, std, joint.unit, named.keys()),
-            regression.rows.names,
-            solution.covariance.correlation,
-            f"of the regression, {words(solution.covariance)}"
-            + (f", {band_words()} in the load's equation" if joint.model == "flexible" else "")
-            + ("" if settings.estimator == "iv" else FOR_MEASURED_MOTION),
-        ),
-        fit=Fit(
-            measured=measured,
-            predicted=predicted,
-            borders=filtering.borders,
-            relative_error=relative_error(measured, predicted, filtering.borders),
-            filtered_error=solution.fit.relative_error,
-            rows=solution.fit.residual.size,
-            conditioning=solution.fit.conditioning,
-            initial=None,
-            trace=solution.trace,
-            simulations=max(len(solution.trace) - 1, 0),
-            stop=describe_stop(settings.estimator or "ols", solution),
-            converged=solution.converged,
-        ),
-        checks=Checks(
-            warnings=(
-                *(() if settings.estimator == "iv" else (MOTION_MEASURED,)),
-                *noise,
-                *_of_rest(regression.model),
-                *_warnings(record, filtering, solution.fit.relative_error),
-                *_like_gravity(regression.rows.names, solution.covariance.correlation),
-            ),
-            tests=() if solution.test is None else (solution.test,),
-        ),
-        data=build_data(
-            record, ("torque", *driven, *idim_channels(joint.model)[1:], *injected), record.torque.sample_time
-        ),
-        settings=Settings(
-            method="idim",
-            variant=_VARIANTS[settings.estimator or "ols"],
-            system=joint,
-            loop=None,
-            filtering=filtering,
-            delay=delay,
-            effects=found.effects,
-        ),
-    )
 
 
 def _of_rest(model: InverseModel) -> tuple[str, ...]:
@@ -268,23 +197,9 @@ def _of_rest(model: InverseModel) -> tuple[str, ...]:
     )
 
 
-def _like_gravity(names: tuple[str, ...], correlation: FloatArray) -> tuple[str, ...]:
-    """Return a sentence on each two of the forces on the load, and the offset, that a short travel makes alike."""
-    forces = [i for i, name in enumerate(names) if acts_on_whole(name)]
-    return tuple(
-        f"{names[i]} and {names[j]} are hard to tell apart in this record (correlation {correlation[i, j]:+.3f}); let "
-        "the load travel further, or give one of them a value"
-        for i, j in combinations(forces, 2)
-        if abs(correlation[i, j]) > _ALIKE
-    )
-
-
-def _warnings(record: Record, filtering: Filtering, error: float) -> tuple[str, ...]:
+def _warnings(record: Record, filtering: Filtering) -> tuple[str, ...]:
     assert record.torque is not None
-    found = []
-    if filtering.timing == "as_sampled" and record.torque.timing is not Timing.SAMPLED:
-        found.append(
-            f"the torque is {record.torque.timing.value} but read as sampled, half a period early, as the published "
-            'results were; timing = "respected" is right'
-        )
-    return (*found, *poor_fit(error))
+    if filtering.timing != "as_sampled" or record.torque.timing is Timing.SAMPLED:
+        return ()
+    said = f"the torque is {record.torque.timing.value} but read as sampled, half a period early, as the published "
+    return (f'{said}results were; timing = "respected" is right',)

@@ -21,16 +21,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
-from jointid.estimation.result.parts import Iteration
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
@@ -48,6 +47,8 @@ _REWEIGHTINGS = 100
 _TINY = 1e-12  # of the torque: a size that no error falls below
 _CLOSE = 1e-3  # deviations: values that change by less between two simulations have settled
 _SIMULATIONS = 25  # of instruments, at most
+
+Estimator: TypeAlias = Literal["ols", "weighted", "iv"]
 
 Instruments: TypeAlias = Callable[[FloatArray], FloatArray]
 """The columns on the motion simulated with the values of all parameters, (rows, parameters)."""
@@ -86,30 +87,83 @@ class Solution:
 
     Attributes:
         fit: values, residual and conditioning; its relative error is of the rows as they are, not weighted.
-        covariance: robust to autocorrelation, and to what the weights are.
-        steps: reweightings, or simulations of instruments, that were made; 1 for none.
-        trace: of the simulations of instruments.
-        converged: whether these were enough.
+        covariance: robust to autocorrelation, and to what the weights are; of fixed parameters 0.
+        stop: how it ended, in a sentence. converged: whether that is a good end.
+        simulations: of instruments that were made.
+        held: values of the parameters that a bound holds, by name.
         test: whether least squares would have done in the place of instruments.
     """
 
     fit: Fit
     covariance: Covariance
-    steps: int
-    trace: tuple[Iteration, ...] = ()
+    stop: str = "a linear regression has one step"
     converged: bool = True
+    simulations: int = 0
+    held: Mapping[str, float] = field(default_factory=dict)
     test: ChiSquareTest | None = None
 
 
-def describe_stop(estimator: str, solution: Solution) -> str:
-    """Return how an estimator ended, in a sentence."""
-    if estimator == "iv":
-        how = "converged: nothing changes any more" if solution.converged else "still changing"
-        return f"{how} after {solution.steps} simulations"
-    if estimator == "ols":
-        return "a linear regression has one step"
-    how = "until nothing changes" if solution.converged else "and still changing"
-    return f"{solution.steps} reweightings {how}"
+def solve_rows(
+    rows: Rows, estimator: Estimator, known: Mapping[str, Parameter], instruments: Instruments | None = None
+) -> Solution:
+    """Return the solution of all parameters, with deviations of 0 for those that are fixed, or held by a bound.
+
+    The one that violates a bound most, in deviations, is held there, and the others are solved for again.
+
+    Args:
+        rows: of all parameters.
+        estimator: its name; one equation needs no weights.
+        known: values and bounds by name; of others there are none.
+        instruments: of "iv" alone, as from `simulated_instruments`.
+
+    Raises:
+        MethodError: all parameters are fixed, or the rows do not determine those that are not.
+    """
+    if estimator == "iv" and instruments is None:
+        raise MethodError(
+            'The estimator "iv" simulates the loop for its instruments; expected the controller of each joint: '
+            "give it, or use another estimator."
+        )
+    fixed = {name: p.start or 0.0 for name, p in known.items() if not p.free and name in rows.names}
+    held, simulations = dict[str, float](), 0
+    while True:
+        solution = _solve_free(rows, estimator, fixed | held, instruments)
+        simulations += solution.simulations
+        found, std = solution.fit.values, solution.covariance.std
+        beyond = dict[str, tuple[float, float]]()
+        for name, value, spread in zip(rows.names, found, std, strict=True):
+            p = known.get(name)
+            if p is None or name in fixed or name in held or p.lower <= value <= p.upper:
+                continue
+            if p.quantity is Quantity.INERTIA and value <= 0.0:  # for which no bound is a remedy
+                continue
+            bound = p.lower if value < p.lower else p.upper
+            beyond[name] = abs(value - bound) / (spread or abs(value) or 1.0), bound
+        if not beyond:
+            return replace(solution, simulations=simulations, held=held)
+        most = max(beyond, key=lambda name: beyond[name][0])
+        held[most] = beyond[most][1]
+
+
+def _solve_free(
+    rows: Rows, estimator: Estimator, fixed: Mapping[str, float], instruments: Instruments | None
+) -> Solution:
+    kept = np.array([fixed.get(name, 0.0) for name in rows.names])
+    free = [i for i, name in enumerate(rows.names) if name not in fixed]
+    if not free:
+        raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
+    left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
+    if instruments is not None and estimator == "iv":
+        solution = _by_instruments(left, instruments, kept, free)
+    else:
+        solution = ordinary(left) if estimator == "ols" or rows.equations == 1 else weighted_least_squares(left)
+    if not fixed:
+        return solution
+    std, correlation = np.zeros(kept.size), np.eye(kept.size)
+    kept[free], std[free] = solution.fit.values, solution.covariance.std
+    correlation[np.ix_(free, free)] = solution.covariance.correlation
+    covariance = replace(solution.covariance, std=std, correlation=correlation)
+    return replace(solution, fit=replace(solution.fit, values=kept), covariance=covariance)
 
 
 def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
@@ -132,20 +186,11 @@ def ordinary(rows: Rows) -> Solution:
     fit = least_squares(rows.W, rows.Y, rows.names)
     covariance = _covariance(rows, rows.W, rows.W, fit.residual)
     covariance = with_measured_motion(covariance, rows.W, rows.W, fit.residual, rows.equations)
-    return Solution(fit, covariance, 1)
+    return Solution(fit, covariance)
 
 
 def weighted_least_squares(rows: Rows) -> Solution:
-    """Return least squares with each equation divided by the size of its error, repeated until that is settled.
-
-    Raises:
-        MethodError: there is one equation, whose weight changes nothing; or as `least_squares`.
-    """
-    if rows.equations == 1:
-        raise MethodError(
-            "Weighting balances the two equations of a flexible joint; a rigid joint has one, whose weight changes "
-            'nothing: use estimator = "ols".'
-        )
+    """Return least squares with each equation divided by the size of its error, repeated until that is settled."""
     values, steps, settled = least_squares(rows.W, rows.Y, rows.names).values, 0, False
     while steps < _REWEIGHTINGS and not settled:
         scale = rows.spread_out(_sizes(rows, values))
@@ -156,14 +201,8 @@ def weighted_least_squares(rows: Rows) -> Solution:
     error = (rows.Y - rows.W @ values) / scale
     covariance = _covariance(rows, weighted, weighted, error)
     covariance = with_measured_motion(covariance, weighted, weighted, error, rows.equations)
-    return Solution(_plain_fit(rows, values, weighted), covariance, steps, converged=settled)
-
-
-ESTIMATORS: Mapping[str, Callable[[Rows], Solution]] = {
-    "ols": ordinary,
-    "weighted": weighted_least_squares,
-}
-"""The estimators without instruments, by name."""
+    stop = f"{steps} reweightings {'until nothing changes' if settled else 'and still changing'}"
+    return Solution(_plain_fit(rows, values, weighted), covariance, stop, settled)
 
 
 def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
@@ -190,7 +229,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
     covariance = _covariance(rows, Zs, Ws, Ys - Ws @ found)
-    return Solution(_plain_fit(rows, found, Ws), covariance, 1)
+    return Solution(_plain_fit(rows, found, Ws), covariance)
 
 
 def simulated_instruments(
@@ -233,12 +272,12 @@ def simulated_instruments(
     return columns
 
 
-def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:
+def _by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:
     """Return the fixed point of simulating and solving, from ordinary least squares, of several motors weighted.
 
     Args:
         rows: the regression of the free parameters.
-        instruments: as from `simulated_instruments`.
+        instruments: the columns of all parameters on the simulated motion.
         kept: (parameters,) values of the fixed parameters, 0 for the free ones.
         free: which parameters are free.
 
@@ -246,31 +285,18 @@ def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free:
         MethodError: a simulation fails, or the instruments do not determine the parameters.
     """
     solution, chosen = ordinary(rows) if rows.driven == 1 else weighted_least_squares(rows), list(free)
-    trace = [_line(0, rows, solution, None, None)]
-    Z = rows.W
-    for number in range(1, _SIMULATIONS + 1):
+    number, settled, Z = 0, False, rows.W
+    while number < _SIMULATIONS and not settled:
+        number += 1
         whole = kept.copy()
         whole[chosen] = solution.fit.values
         Z = instruments(whole)[:, chosen]
         before, solution = solution, instrumental(rows, Z, solution.fit.values)
-        trace.append(_line(number, rows, solution, before, trace[-1]))
         change = np.abs(solution.fit.values - before.fit.values)
         settled = bool(np.all(change <= _CLOSE * solution.covariance.std))
-        if settled:
-            break
     test = durbin_wu_hausman(rows.W, rows.Y, Z, rows.equations)
-    return replace(solution, steps=len(trace) - 1, trace=tuple(trace), converged=settled, test=test)
-
-
-def _line(number: int, rows: Rows, solution: Solution, before: Solution | None, last: Iteration | None) -> Iteration:
-    values = solution.fit.values
-    norm = float(np.linalg.norm(solution.fit.residual))
-    step = change = None
-    if before is not None and last is not None:
-        size = np.where(values == 0, 1.0, np.abs(values))
-        step = float(np.max(np.abs(values - before.fit.values) / size))
-        change = abs(norm / last.residual_norm - 1.0) if last.residual_norm else 0.0
-    return Iteration(number, dict(zip(rows.names, map(float, values), strict=True)), norm, change, step, number)
+    stop = f"{'converged: nothing changes any more' if settled else 'still changing'} after {number} simulations"
+    return replace(solution, stop=stop, simulations=number, converged=settled, test=test)
 
 
 def _plain_fit(rows: Rows, values: FloatArray, W: FloatArray) -> Fit:

@@ -36,9 +36,8 @@ from jointid.models.joints import acts_on_whole
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.prescribed import DriveSide
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Multistart, Step, Watch, solve
+from jointid.solvers.solve import Step, Watch, solve
 from jointid.uncertainty.covariance import sandwich, with_bands, with_measured_motion
-from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
@@ -111,24 +110,16 @@ class DriveSideFit(Method):
             # Of a light joint in noise the reversals may be all that tells of its inertia.
             problem = replace(problem, weights=weights_of(problem.motion))
         starts, simulations = grid_starts(problem, self)
-        solver = Multistart(LevenbergMarquardt(self.tolerance))
-        solution = solve(problem, solver, np.array(starts), _report_steps(task.progress))
+        solution = solve(problem, LevenbergMarquardt(self.tolerance), np.array(starts), _report_steps(task.progress))
         J, error = solution.jacobian, solution.residual
         covariance = with_measured_motion(with_bands(sandwich(J, J, error), J, J, error), J, J, error)
         resting = 1 - float(np.mean(weights_of(problem.motion)))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         limit = noise_limit_of(record, task.joint, ("motor_position",))
         noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
-        return build_prescribed_result(
-            record,
-            problem,
-            solution,
-            covariance,
-            ("torque", "motor_position"),
-            ("drive_side", "drive-side by least squares"),
-            earlier=simulations,
-            after=(*noise, *((rest,) if resting > SAID else ()), MOTION_MEASURED),
-        )
+        used = simulations + solution.evaluations
+        warnings = (*noise, *((rest,) if resting > SAID else ()))
+        return build_prescribed_result(record, problem, solution, covariance, used, warnings)
 
 
 def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:

@@ -72,14 +72,14 @@ def search_rigid_joint(
         velocity = moving["initial_velocity"]
         near = [moving] if wound_up(problem.experiment, velocity) else []
         for there in (*near, best.values | {"initial_velocity": velocity}):
-            best = or_moving(best, problem, there, solver, history)
+            best = or_moving(best, problem, there, tolerance, history)
         steps = np.diff(problem.experiment.inputs[:, REFERENCE])
         aside = _ASIDE * float(np.max(np.abs(steps))) / problem.experiment.law.period
         # A law that is off looks like a motion; what is free of it is found from rest.
         for velocity in (aside, -aside) if begins_badly(best) and not freed else ():
             home = beginning_position(problem, velocity)
             there = best.values | {"initial_velocity": velocity, "initial_position": home}
-            best = or_moving(best, problem, there, solver, history)
+            best = or_moving(best, problem, there, tolerance, history)
     if best.norm <= rounding:
         exact = replace(best.solution, status=Status.EXACT, message="the torque is reproduced to rounding")
         best = best._replace(solution=exact)

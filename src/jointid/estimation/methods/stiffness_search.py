@@ -371,7 +371,6 @@ def _from_beside(found: Solved, history: History) -> Solution:
     moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
     aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
-    # The way back is no part of the way there, and is not noted.
     return solve(history.count_evaluations(problem), roughly(problem), problem.vector(values | aside))
 
 
@@ -381,4 +380,4 @@ def _or_moving(resting: Solved, rigid: Solved, tolerance: float, history: Histor
         return resting
     values = resting.values | {p.name: rigid.values[p.name] for p in INITIAL_STATE}
     moving = resting.problem.replace_parameters({p.name: replace(p, start=values[p.name]) for p in INITIAL_STATE})
-    return or_moving(resting, moving, values, least_squares(moving, tolerance), history)
+    return or_moving(resting, moving, values, tolerance, history)

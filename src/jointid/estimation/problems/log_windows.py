@@ -7,7 +7,7 @@ share parameters as in `SumProblem`.
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
 is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice the settling
-time, so that the rows that count follow each other without a gap. How long it takes is measured (`measure_settling`):
+time, so that the rows that count follow each other without a gap. How long it takes is measured:
 0.3 s in the paper's stiff loop, seconds in a slow one with an integral.
 
 What every visit to a place errs alike is no noise, and no longer record averages it away. A window's residual, summed
@@ -185,6 +185,13 @@ class WindowModel(Protocol):
     def motion_measured(self) -> bool:
         """Whether the regressor has a measured motion, and so a bias by disturbances."""
 
+    @property
+    def simulates(self) -> bool:
+        """Whether a window is simulated."""
+
+    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
+        """Return how many samples a window takes to forget how it began."""
+
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window, of a record for each axis; None where it does not move.
 
@@ -208,12 +215,6 @@ class Member:
     model: WindowModel
     at: NDArray[np.intp]
     added: FloatArray
-
-    @classmethod
-    def of(cls, log: Sequence[LongRecord], model: WindowModel) -> Member:
-        """Return a log that has all parameters."""
-        size = len(model.free)
-        return cls(tuple(log), model, np.arange(size, dtype=np.intp), np.zeros(size))
 
     def pieces(self, length: int, overlap: int, every: int = 1) -> Iterable[tuple[Chunk, ...]]:
         """Yield the windows, a chunk for each axis."""
@@ -451,6 +452,7 @@ class LoopWindow:
 
     problem: ClosedLoopProblem
     motion_measured: bool = False
+    simulates: bool = True
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -477,6 +479,18 @@ class LoopWindow:
             [motion(problem)],
             response.at_limit,
         )
+
+    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
+        """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
+
+        A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample
+        of the torque by more than a hundredth.
+        """
+        problem = self.problem
+        other = begin_window(problem, records[0], disturbed=1.0)
+        apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
+        remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+        return remembers + ringing(problem.filtering, problem.sample_time)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -510,6 +524,7 @@ class InverseWindow:
     speeds: FloatArray
     ringing: int
     motion_measured: bool = True
+    simulates: bool = False
 
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
         """Return the rows of a window; see `WindowModel`. One slower than rest is of rest."""
@@ -521,6 +536,11 @@ class InverseWindow:
         W = found.W[..., list(self.places)]
         error = found.Y - found.W @ self.kept - W @ x
         return Seen(error, -W, found.Y, found.at, found.samples, found.keep, found.motion)
+
+    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
+        """Return how many samples its filters ring."""
+        del records, x
+        return self.ringing
 
 
 def is_braked(records: Sequence[Record]) -> bool:
@@ -574,23 +594,6 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     if seen is not None and record.motor_position is not None:
         problem = replace(problem, seen=seen, measured=seen.torque(record.motor_position.values)[: experiment.samples])
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
-
-
-def measure_settling(problem: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
-    """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
-
-    A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample of
-    the torque by more than a hundredth.
-
-    Args:
-        problem: of a window that moves.
-        record: that window.
-        x: its free parameters.
-    """
-    other = begin_window(problem, record, disturbed=1.0)
-    apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
-    remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-    return remembers + ringing(problem.filtering, problem.sample_time)
 
 
 def ringing(filtering: Filtering, sample_time: float) -> int:
@@ -653,7 +656,6 @@ def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
     return Repeatable(
         rms=math.sqrt(max(repeated, 0.0)),
         share=min(max(repeated, 0.0) * rows / square, 1.0) if square > 0 else 0.0,
-        correlation=None,
         p_value=p_value,
         unit=unit,
     )

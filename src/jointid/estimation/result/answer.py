@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from jointid.common.document import Mark
 from jointid.common.messages import Message
 from jointid.common.text import in_words, interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
@@ -21,7 +20,6 @@ from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import (
     AGAINST_EVERY_VALUE,
-    CHECK_DECLARED,
     MOTION_MEASURED,
     POOR_FIT,
     Reason,
@@ -198,8 +196,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     loop = loop_verdict(estimate)
     unchecked = estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN)
     if unchecked or _scale_is_declared(estimate):
-        words = (_IF_CONTROLLER if unchecked else _IF_SCALE) + _if_unit(estimate)
-        return Message(Trust.NOT_CHECKED, words, values)
+        return Message(Trust.NOT_CHECKED, _IF_CONTROLLER if unchecked else _IF_SCALE, values)
     words = "You can rely on it"
     if loop is not None and loop.status is Status.FAILED:
         words += ": what is wrong with loop or log moves it by less than its interval"
@@ -209,7 +206,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
 def _fit_only(estimate: EstimateParts) -> Message:
     left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
     reasons, words = list[str](), f"Checked by its fit only ({left}): validate it on another record"
-    if MOTION_MEASURED in estimate.checks.warnings:  # another record has the same bias
+    if estimate.motion_measured:  # another record has the same bias
         reasons, words = [str(Reason.MOTION_MEASURED)], f"Checked by its fit only ({left}): {MOTION_MEASURED}"
     return Message(Trust.NOT_CHECKED, words, {"reasons": reasons, "parameters": []})
 
@@ -250,28 +247,22 @@ def _trust_of_robot(estimate: EstimateParts) -> Message:
     if any(v.status is Status.FAILED for v in of_springs):
         words = "You can rely on it, but not on joints whose spring the record does not show"
         return Message(Trust.PARTLY, words, {"reasons": [str(Reason.STIFFNESS_NOT_SHOWN)], "parameters": refused})
-    if not estimate.require_robot().has_controllers or MOTION_MEASURED in estimate.checks.warnings:
+    if not estimate.require_robot().has_controllers or estimate.motion_measured:
         return _fit_only(estimate)
     loop = loop_verdict(estimate)
     if loop is None or loop.status is Status.UNKNOWN:
         untested = () if loop is None else loop.reasons[0].values.get("axes", ())
         which = f"controller of {join(untested)} is" if untested else "controllers are"
-        words = f"You can rely on it if the {which} as declared, which was not checked{_if_unit(estimate)}"
+        words = f"You can rely on it if the {which} as declared, which was not checked"
         return Message(Trust.NOT_CHECKED, words, values)
     if _scale_is_declared(estimate):
-        return Message(Trust.NOT_CHECKED, _IF_SCALE + _if_unit(estimate), values)
+        return Message(Trust.NOT_CHECKED, _IF_SCALE, values)
     return Message(Trust.RELIABLE, "You can rely on it", values)
 
 
 def _scale_is_declared(estimate: EstimateParts) -> bool:
     """Test whether the declared gains alone tell the scale of the torque."""
     return any(v.subject is Subject.SCALE and v.status is Status.UNKNOWN for v in estimate.checks.verdicts)
-
-
-def _if_unit(estimate: EstimateParts) -> str:
-    """Return a further condition, where a position may be in degrees."""
-    scales = [v.reasons[0].values for v in estimate.checks.verdicts if v.subject is Subject.SCALE]
-    return ", and if its position is in rad, not degrees" if any(values.get("turns") for values in scales) else ""
 
 
 class Against(StrEnum):
@@ -331,7 +322,6 @@ def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Mes
     yield from (one for v in checks.verdicts for one in v.reasons if one.code in AGAINST_EVERY_VALUE)
     if not fit.filtered_error <= POOR_FIT:  # nor is it where the error is no number
         left = f"{number(100 * fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
-        left += f": {CHECK_DECLARED}" if _scale_is_declared(estimate) else ""
         yield Message(Against.TORQUE_UNEXPLAINED, left, {"remaining": fit.filtered_error})
     if asked.at_bound is not None:
         yield Message(Against.AT_BOUND, "at a bound it does not follow the record")
@@ -401,27 +391,3 @@ def is_another_law(reasons: Sequence[Message]) -> bool:
 def _in_words(name: str) -> str:
     plain, _, record = name.partition("@")
     return plain.replace("_", " ").capitalize() + (f" of record {record}" if record else "")
-
-
-def spares_answer(estimate: EstimateParts, verdict: Verdict) -> bool:
-    """Return True if a failed check does not speak against the answer."""
-    answer = answer_of(estimate)
-    if any(str(one.code) in answer.trust.values["reasons"] for one in verdict.reasons):
-        return False
-    name = answer.found.values["parameter"]
-    return name is None or (estimate[name].value is not None and not _speaks_against(estimate[name], verdict))
-
-
-def mark_of(estimate: EstimateParts, verdict: Verdict) -> Mark:
-    """Return a check's mark: noted if it failed without effect on the answer."""
-    return "noted" if verdict.good is False and spares_answer(estimate, verdict) else verdict.good
-
-
-def _speaks_against(asked: EstimatedParameter, verdict: Verdict) -> bool:
-    """Return whether a failed check speaks against a value."""
-    return (
-        verdict.subject in (Subject.SOLVER, Subject.FIT, Subject.STIFFNESS)
-        or (verdict.subject is Subject.IDENTIFIABILITY and not asked.identifiable)
-        or (verdict.subject is Subject.BOUNDS and asked.at_bound is not None)
-        or any(one.code in AGAINST_EVERY_VALUE for one in verdict.reasons)
-    )

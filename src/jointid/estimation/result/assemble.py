@@ -11,9 +11,8 @@ from jointid.common.document import Documented
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
-from jointid.records.checks import EncoderLag
 from jointid.records.record import Record
-from jointid.uncertainty.verdict import Subject, Verdict, bounds_verdict
+from jointid.uncertainty.verdict import MOTION_MEASURED, Subject, Verdict, bounds_verdict
 
 if TYPE_CHECKING:
     from jointid.estimation.robots.problem import SolvedRobot
@@ -28,11 +27,8 @@ class FitResult(EstimateParts):
         record: the one record; None for several, for a log in windows or for a robot.
         records: of the joints of a robot.
         solved: of a robot that was simulated along one log; None elsewhere.
-        at_bounds: values of the parameters that were kept at a bound, by name.
-        before, after: warnings before and after those of the method.
-        encoder_lag: that hides the spring between both encoders, where they were read.
-        earlier: simulations of searches before the last one.
         undetermined: names of parameters that lose their values once all is checked.
+        shifts: (free,) each, by which the deviations of a joint's simulation were widened.
     """
 
     problem: ClosedLoopProblem | None = None
@@ -40,17 +36,12 @@ class FitResult(EstimateParts):
     record: Record | None = None
     records: tuple[Record, ...] = ()
     solved: SolvedRobot | None = None
-    at_bounds: Mapping[str, float] | None = None
-    before: tuple[str, ...] = ()
-    after: tuple[str, ...] = ()
-    encoder_lag: EncoderLag | None = None
-    earlier: int = 0
     undetermined: tuple[str, ...] = ()
+    shifts: tuple[FloatArray, ...] = ()
 
-    @property
-    def simulations(self) -> int:
-        """Simulations that were run, all of them."""
-        return self.earlier + self.fit.simulations
+    def warn(self, *said: str) -> FitResult:
+        """Return the fit with further warnings."""
+        return replace(self, checks=replace(self.checks, warnings=(*self.checks.warnings, *said)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +50,10 @@ class Widening:
 
     Attributes:
         by: how much it may move each parameter, by name, as one deviation.
-        why: the reason in words.
         warning: of the estimate; none where it is empty.
     """
 
     by: Mapping[str, float]
-    why: str
     warning: str = ""
 
 
@@ -97,7 +86,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
     rows = tuple(
         replace(p, value=None, stderr=None, identifiable=False)
         if p.name in undetermined
-        else _row(p, fit.at_bounds or {}, checked.widenings)
+        else _widen(p, checked.widenings)
         for p in fit.params.rows
     )
     held = bounds_verdict(tuple(p.name for p in rows if p.at_bound is not None))
@@ -107,16 +96,15 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
         for v in fit.checks.verdicts
         if v.subject not in subjects
     )
-    basis = ", and for ".join((fit.params.basis, *(widening.why for widening in checked.widenings)))
     warnings = (widening.warning for widening in checked.widenings if widening.warning)
+    measured = (MOTION_MEASURED,) if fit.motion_measured else ()
     return Estimate(
-        params=replace(fit.params, rows=rows, basis=basis),
-        fit=replace(fit.fit, simulations=fit.simulations),
+        params=replace(fit.params, rows=rows),
+        fit=fit.fit,
         checks=replace(
             fit.checks,
             verdicts=(*own, *checked.verdicts),
-            warnings=(*fit.before, *fit.checks.warnings, *fit.after, *warnings),
-            encoder_lag=fit.encoder_lag,
+            warnings=(*fit.checks.warnings, *measured, *warnings),
             diagnosis=checked.diagnosis,
         ),
         data=replace(
@@ -129,7 +117,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
     )
 
 
-def _row(p: EstimatedParameter, at_bounds: Mapping[str, float], widenings: tuple[Widening, ...]) -> EstimatedParameter:
-    """Return a parameter with its bound and its widened interval."""
+def _widen(p: EstimatedParameter, widenings: tuple[Widening, ...]) -> EstimatedParameter:
+    """Return a parameter with its widened interval."""
     wide = max((w.by.get(p.name, 0.0) for w in widenings), default=0.0) if p.stderr else 0.0
-    return replace(p, at_bound=at_bounds.get(p.name, p.at_bound), lack_of_fit=max(p.lack_of_fit, wide))
+    return replace(p, lack_of_fit=max(p.lack_of_fit, wide))

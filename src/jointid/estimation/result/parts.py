@@ -100,7 +100,6 @@ class Params(Mapping[str, EstimatedParameter]):
         names: of the free parameters, in the order of `correlation`; ``name@2`` is the second record's own.
         correlation: of the errors of the free parameters, all of them, or the joint's, which come first; empty where it
             is not known.
-        basis: how the standard errors were obtained, in a sentence.
         own: of several records, the parameters that are each record's own, by their plain names.
 
     Its keys are the names of the parameters, ``name@2`` for the second record's own.
@@ -110,7 +109,6 @@ class Params(Mapping[str, EstimatedParameter]):
     rows: tuple[EstimatedParameter, ...]
     names: tuple[str, ...]
     correlation: FloatArray
-    basis: str
     own: tuple[tuple[EstimatedParameter, ...], ...] = ()
 
     def __getitem__(self, name: str) -> EstimatedParameter:
@@ -193,27 +191,6 @@ def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> 
 # The other parts
 
 
-@dataclass(frozen=True, slots=True)
-class Iteration:
-    """One line of the trace.
-
-    Attributes:
-        number: 0 is the start.
-        values: of the parameters, by name.
-        residual_norm: of the filtered torque error at these values.
-        change: relative change of the residual norm since the last iteration; None at the start.
-        step: largest relative change of a parameter since the last iteration; None at the start.
-        simulations: so far.
-    """
-
-    number: int
-    values: dict[str, float]
-    residual_norm: float
-    change: float | None
-    step: float | None
-    simulations: int
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """How well the model reproduces the torque, and what it took to find out.
@@ -228,7 +205,6 @@ class Fit:
         residuals: tests of the filtered error: whiteness, repetition with the motion.
         conditioning: of the regressor, for a linear regression.
         initial: the motor's state at the first sample, for a simulation.
-        trace: every iteration.
         simulations: that were run, all of them, those for derivatives and deviations included.
         passes: over the whole of a long log.
         at_limit: share of the controller's periods at its limit, in a long log.
@@ -251,17 +227,11 @@ class Fit:
     residuals: ResidualReport | None = None
     conditioning: Conditioning | None = None
     initial: Initial | None = None
-    trace: tuple[Iteration, ...] = ()
     passes: int = 0
     at_limit: float = 0.0
     interrupted: bool = False
     axis_errors: Mapping[str, float] = field(default_factory=dict)
     position_rms: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def iterations(self) -> int:
-        """Steps that were taken."""
-        return max(len(self.trace) - 1, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -410,7 +380,6 @@ class Settings:
         filtering: as used.
         delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
         effects: torques beside the joint's own model; their parameters follow the joint's.
-        weighting: of the rows of several records, in words.
         timing: reading of a torque of unstated timing; None where it was stated, or nothing else tried.
         controller: of an estimate from a file the fingerprint of the law that it was identified under.
     """
@@ -423,7 +392,6 @@ class Settings:
     filtering: Filtering
     delay: float = 0.0
     effects: tuple[Effect, ...] = ()
-    weighting: str = ""
     timing: Timing | None = None
     controller: str = ""
 
@@ -482,6 +450,12 @@ class EstimateParts:
         """The name of the signal that the fit compares, such as a torque computed from the position."""
         computed = any(verdict.subject is Subject.SCALE for verdict in self.checks.verdicts)
         return f"torque{' computed from the position' if computed else ''}"
+
+    @property
+    def motion_measured(self) -> bool:
+        """True if the measured motion is taken as free of the error: on the drive side, and by IDIM without "iv"."""
+        method = self.settings.method
+        return method == "drive_side" or (method == "idim" and self.fit.simulations == 0)
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""

@@ -92,7 +92,7 @@ def visible(
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
     names = [p.name for p in rigid.free]
-    judged = uncertainty(slopes, slopes, error, where, names, problem.torque_unit)
+    judged = uncertainty(slopes, slopes, error, where, problem.torque_unit)
     reasons, said, made = _doubts(problem, x, J, known, error, together), "", None
     if not reasons:
         remains = problem.residual(x)
@@ -137,7 +137,7 @@ def visible(
     stated = zip(names, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
     std = {name: float(one) for name, one, determined in stated if determined}
     notes = tuple(one for one in judged.warnings if one.code is InLoop.FORCE)
-    return Visibility(verdict, values, std, error, bounds, runs, notes)
+    return Visibility(verdict, values, std, bounds, runs, notes)
 
 
 def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> list[str]:

@@ -21,7 +21,6 @@ from jointid.estimation.result.answer import (
     answer_of,
     is_another_law,
     loop_verdict,
-    mark_of,
     moved_by_loop,
     told_bounds,
 )
@@ -31,6 +30,7 @@ from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
 
 _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one
+_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
 
 
@@ -67,12 +67,10 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
 
 
 def _count_checks(estimate: EstimateParts) -> str:
-    """Return the numbers of passed and of noted checks, in words."""
-    marks = [mark_of(estimate, verdict) for verdict in estimate.checks.verdicts]
-    passed, noted = marks.count(True), marks.count("noted")
-    if passed == len(marks):
-        return f"all {passed} passed"
-    return f"{passed} of {len(marks)} passed{f', {noted} noted' if noted else ''}"
+    """Return the number of passed checks, in words."""
+    marks = [verdict.good for verdict in estimate.checks.verdicts]
+    passed = marks.count(True)
+    return f"all {passed} passed" if passed == len(marks) else f"{passed} of {len(marks)} passed"
 
 
 def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -190,12 +188,8 @@ def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
         simulated = f", {fit.simulations} windows simulated" if fit.simulations else ""
         yield "effort", f"{fit.passes} times over the whole{simulated}"
     elif fit.simulations:
-        steps = f"{fit.iterations} iterations, " if fit.trace else ""
-        yield "effort", f"{steps}{fit.simulations} simulations"
+        yield "effort", f"{fit.simulations} simulations"
     yield "stopped", fit.stop
-    if estimate.settings.weighting:
-        yield "weighting", estimate.settings.weighting
-    yield "intervals", estimate.params.basis
 
 
 def _limits(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
@@ -220,7 +214,7 @@ def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
     """Return the verdicts that did not pass, with the first of their reasons; or all of them."""
     listed = []
     for verdict in estimate.checks.verdicts:
-        mark, texts = mark_of(estimate, verdict), [*map(str, verdict.reasons)]
+        mark, texts = verdict.good, [*map(str, verdict.reasons)]
         if not details and verdict.status is Status.PASSED:
             continue
         if not details:
@@ -305,12 +299,12 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
     found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params.rows if p.at_bound is not None}
     for name, by in moved_by_loop(estimate, threshold=SHOWN_SHIFT).items():
         found.setdefault(name, []).append(f"loop: {format_signed(by, 3)}")
-    known, symbols = estimate.checks.known, {p.name: p.symbol for p in estimate.params.rows}
-    for limitation in () if known is None else known.limitations:
-        pair = [name for name in limitation.values.get("parameters", ()) if name in symbols]
-        if len(pair) == 2:  # of the joint, both of them
-            for name, other in (pair, pair[::-1]):
-                found.setdefault(name, []).append(f"only with {symbols[other]}")
+    symbols = {p.name: p.symbol for p in estimate.params.rows if p.of_joint and p.value is not None}
+    alike = np.argwhere(np.abs(estimate.params.correlation) > _INSEPARABLE) if estimate.robot is None else ()
+    for i, j in alike:
+        one, other = estimate.params.names[i], estimate.params.names[j]
+        if i != j and {one, other} <= symbols.keys():
+            found.setdefault(one, []).append(f"only with {symbols[other]}")
     drift = estimate.checks.drift
     for name in () if drift is None else drift.names:
         found.setdefault(name, []).append("changes")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,10 +14,7 @@ from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fi
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import FOR_MEASURED_MOTION, words
 from jointid.uncertainty.verdict import (
-    MOTION_MEASURED,
-    Verdict,
     axes_verdict,
     bounds_verdict,
     friction_verdict,
@@ -39,7 +36,6 @@ def build_robot_result(
     simulations: int,
     *,
     negative: Sequence[str] = (),
-    at_bounds: Mapping[str, float] | None = None,
     warnings: tuple[str, ...] = (),
 ) -> FitResult:
     """Return the fit of a robot.
@@ -56,7 +52,6 @@ def build_robot_result(
         end: why the search ended, and whether that is a good end.
         simulations: that were run.
         negative: joints whose friction comes out negative.
-        at_bounds: values of the parameters that a bound holds, by name.
         warnings: of the method.
     """
     model, (measured, predicted), (stop, converged) = part.model, torques, end
@@ -64,7 +59,7 @@ def build_robot_result(
     left = dict(zip(model.names, map(float, errors), strict=True))
     first = records[0].torque
     assert first is not None
-    bounds: Verdict = friction_verdict(negative) if negative else bounds_verdict(tuple(at_bounds or ()))
+    held = bounds_verdict([row.name for row in rows if row.at_bound is not None])
     torques_of = [record.torque.values for record in records if record.torque is not None]
     starts = range(0, len(torques_of), len(model))
     channels = dict.fromkeys(name for record in records for name in record.channels)
@@ -73,8 +68,6 @@ def build_robot_result(
             rows,
             tuple(rows[i].name for i in free),
             part.covariance.correlation[np.ix_(free, free)],
-            f"of the robot's parameters, {words(part.covariance)}"
-            + (FOR_MEASURED_MOTION if MOTION_MEASURED in warnings else ""),
         ),
         fit=Fit(
             measured=measured,
@@ -92,7 +85,7 @@ def build_robot_result(
             verdicts=(
                 solver_verdict(stop, converged),
                 axes_verdict(left),
-                bounds,
+                friction_verdict(negative) if negative else held,
                 *((springs_verdict([str(s) for s in part.springs if not s.shown]),) if part.springs else ()),
             ),
             warnings=(*model.remarks, *warnings),
@@ -108,5 +101,4 @@ def build_robot_result(
         settings=Settings(*method, system=model, loop=None, filtering=filtering),
         robot=part,
         records=tuple(records),
-        at_bounds=at_bounds,
     )

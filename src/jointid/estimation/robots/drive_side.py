@@ -16,10 +16,8 @@ Noise of the positions is not modelled: what the filter leaves of it pulls the v
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -27,23 +25,19 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
-from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.rest import moving_weights
-from jointid.estimation.robots.fit import fixed_point
+from jointid.estimation.robots.fit import RobotFit, fixed_point
 from jointid.estimation.robots.flexible import (
     SLOW,
-    FlexibleRobotFit,
     require_frequencies,
     require_springs,
     search_springs,
-    tell_time,
 )
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
-from jointid.estimation.starts.robot_springs import StartOfSprings
 from jointid.estimation.unknown_timing import all_stated
 from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
@@ -62,15 +56,9 @@ from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, Robot
 from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import RobotOutcome
 
-_LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the grid in which a link's frequency is searched, and its ratio
-_DAMPING = 0.1  # of critical, of springs that are searched: wide enough to be seen from the next of the row
-_GAIN, _CLEAR = 0.97, 0.75  # of a joint's torque error, that a spring leaves: it has one, and it needs no second look
-_LEAST = 1e-20  # of a torque, squared: what is left without noise
 _BEGINNINGS = 3  # steps to where the links are at the first sample, which the torques depend on nearly in a line
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
 _STILL = 20  # samples in a row, from the first on: a motor that rests there
-_LOOKED = 29, 27  # simulations of a search for frequencies, and for each spring
-_SWEEPS = 3  # over the joints, at most, each tried again at all frequencies
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
 _ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
 _BEGINNING = 4.0  # s of a record, along which the search begins
@@ -309,7 +297,7 @@ def identify_flexible_drive_side(
     delay: float | None = None,
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = lambda _: None,
-) -> FlexibleRobotFit:
+) -> RobotFit:
     """Identify a robot, of which some joints are flexible, from motor torques and positions; references are not read.
 
     Args:
@@ -348,152 +336,13 @@ def identify_flexible_drive_side(
         [replace(one, motion=replace(one.motion, moving=np.ones_like(one.motion.moving))) for one in slow_parts]
     )
     x = np.zeros(len(slow.free))
-    slow_parts[0].roughly().run(x)  # which loads or compiles the simulation
-    began = time.perf_counter()
-    run = slow.run(x)
-    seconds, looks = time.perf_counter() - began, _LOOKED[0] + _LOOKED[1] * sum(robot.flexible)
-    tell_time(problem, seconds, looks, progress)
-    rigid = fixed_point(slow, x, run, _ITERATIONS, progress).fit()
+    rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress).fit()
 
-    def search(problem: RobotProblem[Any], first: RobotDriveSideProblem) -> FlexibleRobotFit:
-        look = SearchOfSprings(first.roughly(), progress)
-        return search_springs(
-            problem, robot, rigid, lambda start: frequencies or look.frequencies(start), evaluations, progress
-        )
+    def search(problem: RobotProblem[Any]) -> RobotFit:
+        return search_springs(problem, robot, rigid, frequencies, evaluations, progress)
 
-    found = search(problem, parts[0])
+    found = search(problem)
     if any(one.shown for one in found.springs) or all(one.roughly() is one for one in parts):
         return found
-    whole = [replace(one, thorough=True) for one in parts]
-    problem = add_problems(whole)
     progress("no spring is seen by the beginning of the record; searching along all of it")
-    tell_time(problem, seconds, looks, progress)
-    return search(problem, whole[0])
-
-
-@dataclass(frozen=True, eq=False)
-class SearchOfSprings:
-    """The search for frequencies to begin with, joint after joint, where the motors move as they were measured.
-
-    A link swings behind a motor that is held at the frequency at which its torque is least, and a wrong one costs more
-    than none: a robot with all springs wrong is farther off than one without. So the joints are rigid at first, and in
-    each round every one that is not placed yet is tried with a spring, alone, at a row of frequencies. Its rotor,
-    friction, and the size of its spring's torque, which is that of its link's inertia, are fitted to its own torque
-    each time. Those that gain most are placed, and the others tried again beside them.
-
-    Attributes:
-        problem: of the drive side. progress: receives the results.
-    """
-
-    problem: RobotDriveSideProblem
-    progress: Progress
-    _known: dict[frozenset[tuple[int, float]], float] = field(default_factory=dict)
-
-    @cached_property
-    def _measured(self) -> FloatArray:
-        return self.problem.by_joint(self.problem.filtered_torque)
-
-    def frequencies(self, start: StartOfSprings) -> dict[str, float]:
-        """Return a frequency for each flexible joint, of rotor against link, Hz."""
-        cutoff = self.problem.filtering.cutoff
-        assert cutoff is not None
-        if cutoff < _LOWEST:
-            raise MethodError(
-                f"Links that swing behind their motors are searched from {_LOWEST:g} Hz on, and the torques are "
-                f"filtered at {cutoff:g} Hz; log faster, raise filtering.cutoff, or give frequencies."
-            )
-        highest = min(_HIGHEST, cutoff)
-        row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
-        ways = [self._place_in_rounds(start, row), self._together(start, row)]
-        costs = in_threads(lambda way: self._whole(start, way), ways)
-        placed = self._sweep(start, row, ways[int(np.argmin(costs))])
-        for joint, hertz in placed.items():
-            self.progress(f"{start.names[joint]}: its link swings behind its motor at {hertz:.3g} Hz")
-        shares = np.sqrt((start.rotors + start.links) / np.where(start.rotors > 0.0, start.rotors, 1.0))
-        return {
-            name: placed[j] * float(shares[j]) if j in placed else start.stiff for j, name in enumerate(start.names)
-        }
-
-    def _place_in_rounds(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
-        """Return the frequencies of joints that are placed in rounds, until no other one gains."""
-        left = [int(j) for j in np.flatnonzero(self.problem.parameters.base.flexible)]
-        placed = dict[int, float]()
-        while left:
-            cases: list[tuple[int, float | None]] = [(joint, hertz) for joint in left for hertz in (None, *row)]
-
-            def cost(case: tuple[int, float | None]) -> float:
-                joint, hertz = case
-                return float(self._costs(start, placed if hertz is None else placed | {joint: hertz}, (joint,))[0])
-
-            costs = np.sqrt(np.array(in_threads(cost, cases)).reshape(len(left), -1))
-            gains = np.min(costs[:, 1:], axis=1) / costs[:, 0]
-            if not np.min(gains) < _GAIN:
-                break
-            for joint, own, gain in zip(tuple(left), costs, gains, strict=True):
-                if gain < _CLEAR or gain == np.min(gains):
-                    placed[joint] = row[int(np.argmin(own[1:]))]
-                    left.remove(joint)
-        return placed
-
-    def _sweep(self, start: StartOfSprings, row: Sequence[float], placed: dict[int, float]) -> dict[int, float]:
-        """Return the frequencies after each joint was tried again, beside the others, while all torques gain by it."""
-        least = self._whole(start, placed)
-        for _ in range(_SWEEPS):
-            before = least
-            for joint in np.flatnonzero(self.problem.parameters.base.flexible):
-                ways = [placed | {int(joint): hertz} for hertz in row]
-                costs = in_threads(lambda way: self._whole(start, way), ways)
-                if min(costs) < _GAIN * least:
-                    least, placed = min(costs), ways[int(np.argmin(costs))]
-            if not least < before:
-                break
-        return placed
-
-    def _together(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
-        """Return the frequencies with which all joints are best off when all have the same, or each its own of those.
-
-        Joints that load each other swing together, at frequencies that none of them has alone.
-        """
-        flexible = [int(j) for j in np.flatnonzero(self.problem.parameters.base.flexible)]
-        same = [dict.fromkeys(flexible, hertz) for hertz in row]
-        costs = np.array(in_threads(lambda way: self._costs(start, way), same))
-        own = {j: row[int(np.argmin(costs[:, j]))] for j in flexible}
-        best = same[int(np.argmin(np.sum(np.log(costs), axis=1)))]
-        return min(own, best, key=lambda way: self._whole(start, way))
-
-    def _whole(self, start: StartOfSprings, placed: Mapping[int, float]) -> float:
-        """Return the error of all joints, each as good as another: the product of what is left of them."""
-        way = frozenset(placed.items())
-        if way not in self._known:  # a sweep comes back to what was tried
-            self._known[way] = float(np.exp(0.5 * np.sum(np.log(self._costs(start, placed)))))
-        return self._known[way]
-
-    def _costs(
-        self, start: StartOfSprings, placed: Mapping[int, float], joints: Sequence[int] | None = None
-    ) -> FloatArray:
-        """Return the squared residual share of each joint's torque for given springs.
-
-        Of all joints, or of some; 1 where the robot cannot be simulated.
-        """
-        problem, parameters = self.problem, self.problem.parameters
-        numbers = parameters.numbers(start.all_at(start.stiff))
-        rotors, springs = np.arange(numbers.rotors.size), np.zeros_like(numbers.springs)
-        for other, hertz in placed.items():
-            w = 2.0 * math.pi * hertz
-            rotors[other] = numbers.rotors[other]
-            springs[other, :2] = start.links[other] * w * np.array([w, 2.0 * _DAMPING])
-        run = run_drive_side(problem.prescribed, replace(numbers, rotors=rotors, springs=springs))
-        asked = range(rotors.size) if joints is None else joints
-        if run.outcome is not RobotOutcome.FINISHED:
-            return np.ones(len(asked))
-        return np.array([self._residual_share(run, joint) for joint in asked])
-
-    def _residual_share(self, run: RobotDriveSideRun, joint: int) -> float:
-        """Return the squared residual share of a joint's torque, fitted by rotor, friction and load."""
-        motor, measured = int(run.numbers.rotors[joint]), self._measured[joint]
-        own = [motion[:, motor] for motion in (run.motion.acceleration, run.motion.velocity, run.motion.direction)]
-        columns = np.column_stack([*own, np.ones(len(run.torque)), run.torque[:, joint]])
-        W = self.problem.decimate_joint(joint, self.problem.show_in_log(run, columns))
-        norms = column_norms(W)
-        left = measured - W / norms @ np.linalg.lstsq(W / norms, measured, rcond=None)[0]
-        return float(max(left @ left / (measured @ measured), _LEAST))
+    return search(add_problems([replace(one, thorough=True) for one in parts]))

@@ -14,6 +14,7 @@ from jointid.common.parameters import Bounds
 from jointid.common.text import join
 from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
+from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
 from jointid.models.robots.robot import Robot
@@ -42,6 +43,8 @@ class RobotFit:
         relative_error: (n,) of the filtered torques, a share each.
         iterations: that were made. converged: whether they settled.
         run: at the values. slopes: (rows, free) of its filtered torques by what is searched, not weighted.
+        springs: a verdict for each flexible joint; of one that is refused, and of its joint's two sides, no interval is
+            to be believed.
         information: (parameters, parameters) triangle R, of which ``R' R`` is the information on what is searched, for
             white errors. Beside it the covariance has lost what is known of the sum of two that are not known.
     """
@@ -56,6 +59,7 @@ class RobotFit:
     run: RobotRun | RobotDriveSideRun | RobotRuns
     slopes: FloatArray
     information: FloatArray
+    springs: tuple[SpringVerdict, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -23,18 +23,15 @@ gyroscopic torques are left out [Spong 1987].
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, describe_time, no_choice
-from jointid.common.parallel import threads
+from jointid.common.messages import Progress, no_choice
 from jointid.common.parameters import Parameter
-from jointid.common.text import pluralise
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.descents import OFF, UNSEEN, Descents
 from jointid.estimation.robots.didim import identify_rigid_robot
@@ -52,27 +49,7 @@ from jointid.solvers.solve import Status
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
-_DESCENTS = 36, 46  # simulations that rough descents and all other work along whole records take as long as
-_LOOKED = 8  # simulations before the first descent
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FlexibleRobotFit:
-    """The fit of a robot with flexible joints.
-
-    Attributes:
-        fit: all parameters; of a spring that is refused, and of its joint's two sides, no interval is to be believed.
-        springs: a verdict for each flexible joint.
-        rigid: the robot of rigid joints that the search began from.
-        evaluations: simulations with derivatives. message: how the search ended.
-    """
-
-    fit: RobotFit
-    springs: tuple[SpringVerdict, ...]
-    rigid: RobotFit
-    evaluations: int
-    message: str
 
 
 def identify_flexible_robot(
@@ -86,7 +63,7 @@ def identify_flexible_robot(
     known: Mapping[str, Parameter] | None = None,
     free: Sequence[str] = (),
     progress: Progress = lambda _: None,
-) -> FlexibleRobotFit:
+) -> RobotFit:
     """Identify a robot, of which some joints are flexible, from torques and references; positions are not read.
 
     Args:
@@ -125,25 +102,11 @@ def identify_flexible_robot(
         frequency_row(problem.sample_time)
     require_frequencies(frequencies, problem.sample_time)
     rigid = identify_rigid_robot(linear, records, SLOW, offsets=offsets, settled=NEAR, known=known, progress=progress)
-    began = time.perf_counter()
-    problem.simulate(rigid.run.numbers, keep=False)
-    tell_time(problem, time.perf_counter() - began, _LOOKED, progress)
-    found = search_springs(
-        problem, linear.robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
-    )
-    fit = search_laws(robot, found.fit, pose, known, evaluations, progress, delays=bool(late))
-    if fit is found.fit:
+    found = search_springs(problem, linear.robot, rigid, frequencies, evaluations, progress)
+    fit = search_laws(robot, found, pose, known, evaluations, progress, delays=bool(late))
+    if fit is found:
         return found
-    made = found.evaluations + fit.iterations
-    fit = replace(fit, iterations=made)
-    springs = judge_springs(fit, robot)
-    return replace(
-        found,
-        fit=fit,
-        springs=springs,
-        evaluations=made,
-        message="laws and delays were searched" if late else "the laws were searched",
-    )
+    return replace(fit, iterations=found.iterations + fit.iterations, springs=judge_springs(fit, robot))
 
 
 def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> None:
@@ -175,37 +138,21 @@ def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: fl
             )
 
 
-def tell_time(problem: RobotProblem[Any], seconds: float, looks: int, progress: Progress) -> None:
-    """Report the expected time of a search of springs.
-
-    Args:
-        problem: that is searched.
-        seconds: of one simulation along the whole records.
-        looks: simulations of the rough problem before the first descent, which threads share.
-        progress: receives the time.
-    """
-    rough, whole = _DESCENTS
-    share = len(problem.roughly().poses) / len(problem.poses)
-    expected = seconds * (share * (looks / threads() + rough) + whole)
-    springs = pluralise(int(sum(problem.parameters.base.flexible)), "spring")
-    progress(f"searching {springs} takes about {describe_time(expected)}")
-
-
 def search_springs(
     problem: RobotProblem[Any],
     robot: Robot,
     rigid: RobotFit,
-    look: Callable[[StartOfSprings], Mapping[str, float]],
+    frequencies: Mapping[str, float] | None,
     evaluations: int,
     progress: Progress,
-) -> FlexibleRobotFit:
+) -> RobotFit:
     """Search the flexible robot of the least torque error, from the rigid one; see the module.
 
     Args:
         problem: of the flexible robot.
         robot: that is identified.
         rigid: what was found of it with stiff joints, below the modes.
-        look: for the frequencies of the flexible joints at which the search is to begin, Hz, in the robot split.
+        frequencies: of the flexible joints at which the search is to begin, Hz; None to search them.
         evaluations: at most, of each descent.
         progress: receives the steps.
 
@@ -215,7 +162,7 @@ def search_springs(
     error = problem.error(rigid.run)
     problem = problem.reweight(error, rigid.values.size)
     start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
-    hertz = look(start)
+    hertz = frequencies or start.search(progress)
     problem = bound_springs(problem, start)
     rough = problem.roughly()
     error = rough.error(rough.simulate(rigid.run.numbers))
@@ -238,7 +185,7 @@ def search_springs(
             springs = tuple(
                 replace(one, shown=False, stiffness=None, deviation=None) for one in judge_springs(seen, robot)
             )
-            return FlexibleRobotFit(seen, springs, rigid, descents.made, "no joint shows a spring")
+            return replace(seen, springs=springs)
     end = descents.finish(problem, end)
     fit = end.fit(descents.made)
     if fit is None:
@@ -252,7 +199,7 @@ def search_springs(
             "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
             "ended at; leave the springs out of the robot file, or excite their modes by a multisine."
         )
-    return FlexibleRobotFit(fit, judge_springs(fit, robot), rigid, descents.made, end.solution.message)
+    return replace(fit, springs=judge_springs(fit, robot))
 
 
 def judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:

@@ -21,18 +21,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import no_choice
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.linear import (
-    ESTIMATORS,
-    Instruments,
-    Rows,
-    Solution,
-    by_instruments,
-    describe_stop,
-)
+from jointid.estimation.methods.linear import Instruments, Rows, solve_rows
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
@@ -58,60 +50,12 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.robot_numbers import RobotNumbers, robot_with
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
-from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _WORDS = {
     "ols": "ordinary least squares",
     "weighted": "least squares, each joint by the size of its error",
     "iv": "instruments from simulations of the closed loop, each joint by the size of its error",
 }
-
-
-def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = None) -> Solution:
-    """Return the solution of all parameters, with deviations of 0 for fixed ones; one joint needs no weights.
-
-    Args:
-        settings: of the method.
-        rows: of all parameters.
-        instruments: from `robot_instruments`, of "iv" alone.
-
-    Raises:
-        MethodError: a fixed parameter is none, or the rows do not determine the others.
-    """
-    for name in settings.fixed:
-        if name not in rows.names:
-            raise MethodError(f"A name in fixed{no_choice(name, rows.names)}")
-    kept = np.array([settings.fixed.get(name, 0.0) for name in rows.names])
-    free = [i for i, name in enumerate(rows.names) if name not in settings.fixed]
-    if not free:
-        raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
-    left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
-    if settings.estimator == "iv":
-        if instruments is None:
-            raise MethodError(
-                'The estimator "iv" simulates the robot under its controllers; expected a controller of each joint '
-                'in the loop: give one, or use "weighted".'
-            )
-        solution = by_instruments(left, instruments, kept, free)
-    else:
-        name = "ols" if rows.equations == 1 else settings.estimator or "weighted"
-        solution = ESTIMATORS[name](left)
-    return with_fixed_values(solution, kept, free) if settings.fixed else solution
-
-
-def with_fixed_values(solution: Solution, kept: FloatArray, free: Sequence[int]) -> Solution:
-    """Return a solution of the free parameters as one of all, the others at what they are kept at, without deviation.
-
-    Args:
-        solution: of the free parameters.
-        kept: (parameters,) values of the fixed ones.
-        free: which are free.
-    """
-    values, std, correlation = kept.copy(), np.zeros(kept.size), np.eye(kept.size)
-    values[list(free)], std[list(free)] = solution.fit.values, solution.covariance.std
-    correlation[np.ix_(free, free)] = solution.covariance.correlation
-    covariance = replace(solution.covariance, std=std, correlation=correlation)
-    return replace(solution, fit=replace(solution.fit, values=values), covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -197,19 +141,14 @@ def identify_robot(
     rows = replace(
         each[0], Y=join_rows([one.Y for one in each], len(robot)), W=join_rows([one.W for one in each], len(robot))
     )
-    require_slow_samples(robot, rows, settings.fixed)
+    limits, estimator = _select_motor_friction(robot, known or {}), settings.estimator or "weighted"
+    require_slow_samples(robot, rows, [name for name, one in limits.items() if not one.free])
     by_loop = None
-    if settings.estimator == "iv" and not isinstance(model, Robot):
+    if estimator == "iv" and not isinstance(model, Robot):
         by_loop = _instruments(model, logs, base, motions)
-    limits = _select_motor_friction(robot, known or {})
-    kept = {name: one.start for name, one in limits.items() if not one.free and one.start is not None}
-    settings = replace(settings, fixed={**settings.fixed, **kept})
-    solution = solve_rows(settings, rows, by_loop)
-    held = dict[str, float]()
-    while violated := _violated_bounds(rows.names, solution.fit.values, limits):
-        held |= {name: value for name, value in violated.items() if name not in held}
-        settings = replace(settings, fixed={**settings.fixed, **violated})
-        solution = solve_rows(settings, rows, by_loop)
+    solution = solve_rows(rows, estimator, limits, by_loop)
+    held = solution.held
+    fixed = {*held, *(name for name, one in limits.items() if not one.free)}
     nominal, values = _nominal(robot, base, rows), solution.fit.values
     terms = friction_terms(robot)
     symbols = (*base.symbols, *(term.symbol for term in terms))
@@ -227,8 +166,6 @@ def identify_robot(
     joints += [term.joint for term in terms]
     units = (*base.units, *(term.unit(robot) for term in terms))
     named = zip(rows.names, symbols, units, joints, values, solution.covariance.std, strict=True)
-    fixed = settings.fixed
-    estimator = settings.estimator or "weighted"
     wrong = [name for k, name in enumerate(robot.names) if drives(part, k)]
     soft = [joint.name for joint in robot.joints if joint.spring is not None]
     return build_robot_result(
@@ -243,6 +180,7 @@ def identify_robot(
                 stderr=None if name in fixed else float(std),
                 free=name not in fixed,
                 identifiable=True,
+                at_bound=held.get(name),
                 axis=robot.names[joint],
             )
             for name, symbol, unit, joint, value, std in named
@@ -252,12 +190,10 @@ def identify_robot(
         ("idim", f"IDIM of a robot, {_WORDS[estimator]}"),
         motions[0].filtering,
         solution.fit.residual.size,
-        (describe_stop(estimator, solution), solution.converged),
-        max(len(solution.trace) - 1, 0),
+        (solution.stop, solution.converged),
+        solution.simulations,
         negative=wrong,
-        at_bounds=held,
         warnings=(
-            *(() if estimator == "iv" else (MOTION_MEASURED,)),
             *describe_noise_limit(
                 motions[0].filtering, min(motion.limit for motion in motions), motions[0].sample_time, "rigid"
             ),
@@ -306,16 +242,6 @@ def _select_motor_friction(robot: Robot, known: Mapping[str, Parameter]) -> dict
             )
     # A spring's numbers, and a speed below which friction rises, are none of its parameters.
     return {name: parameter for name, parameter in known.items() if name in names}
-
-
-def _violated_bounds(names: Sequence[str], values: FloatArray, limits: Mapping[str, Parameter]) -> dict[str, float]:
-    """Return the bound of each value that violates it, by name."""
-    found = {}
-    for name, value in zip(names, values, strict=True):
-        one = limits.get(name)
-        if one is not None and one.free and not one.lower <= value <= one.upper:
-            found[name] = one.lower if value < one.lower else one.upper
-    return found
 
 
 def _instruments(

@@ -13,7 +13,7 @@ links. Where they differ by more than three deviations of the difference alone, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,15 +27,20 @@ from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit_robot
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.linear import Rows
+from jointid.estimation.methods.linear import Rows, solve_rows
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.record_warnings import robot_record_warnings
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import KNOWN
-from jointid.estimation.robots.idim import InverseModelRobot, solve_rows
+from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.regression import base_rows, join_rows, motions_of_logs, require_slow_samples
+from jointid.estimation.robots.regression import (
+    base_rows,
+    join_rows,
+    motions_of_logs,
+    require_slow_samples,
+    robot_record_warnings,
+)
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.estimation.unknown_timing import cover_both_readings, read_as_identified
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
@@ -259,14 +264,13 @@ def identify_payload(
         return found
 
     if by_rows:
-        # What is fixed is the empty robot's: with the payload it is another number.
         settings = method if isinstance(method, IDIM) else IDIM()
         if settings.estimator == "iv":
             raise MethodError(
                 'A payload is identified from two records without a simulation, so the estimator "iv" has no '
                 'instruments there; use "weighted" or "ols".'
             )
-        setup, free = robot, replace(settings, fixed={})
+        setup, free = robot, settings
     else:
         offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
         require_full_payload(payload_columns(robot_parameters(robot, offsets=offsets)))
@@ -311,26 +315,23 @@ def payload_of_both_records(
 
     Where the torques' timing is not stated, the intervals cover a torque held and one sampled.
     """
-    settings, own = settings or IDIM(), slice(-len(SYMBOLS), None)
+    estimator, own = (settings or IDIM()).estimator or "weighted", slice(-len(SYMBOLS), None)
 
     def fit(logs: Sequence[Sequence[Record]]) -> tuple[FloatArray, Covariance]:
-        solution = solve_rows(settings, both_records(robot, logs, filtering or Filtering(), settings.fixed))
+        solution = solve_rows(both_records(robot, logs, filtering or Filtering()), estimator, {})
         covariance = solution.covariance
         return solution.fit.values[own], covariance_of(covariance.matrix[own, own], covariance.bandwidth)
 
     return _payload(robot, *cover_both_readings((empty, loaded), fit))
 
 
-def both_records(
-    robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering, fixed: Collection[str] = ()
-) -> Rows:
+def both_records(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> Rows:
     """Return the regression of both records: base parameters, friction, and the payload's ten in the second alone.
 
     Args:
         robot: its geometry, gravity and coupling.
         logs: the records of the joints without the payload, and those with it.
         filtering: of positions and rows.
-        fixed: names of parameters that are known.
 
     Raises:
         RecordError, MethodError: as of `identify_robot`.
@@ -338,7 +339,7 @@ def both_records(
     base, n = base_parameters(robot), len(robot)
     without, carrying = motions_of_logs(robot, logs, filtering)
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
-    require_slow_samples(robot, first, fixed)
+    require_slow_samples(robot, first)
     columns = inverse_columns(robot, carrying.q, carrying.v, carrying.a)[:, :, 10 * (n - 1) : 10 * n]
     extra = carrying.decimate_columns(columns)
     W = [np.hstack([first.W, np.zeros((len(first.Y), 10))]), np.hstack([second.W, extra])]

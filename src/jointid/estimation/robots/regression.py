@@ -26,6 +26,7 @@ from jointid.models.robots.base_parameters import BaseParameters, inverse_column
 from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_columns, friction_terms
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
+from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
@@ -83,6 +84,36 @@ def require_one_log(records: Sequence[object]) -> None:
             "The records of the joints of one log are needed here, and these are no records, or of several logs: give "
             "those of one log."
         )
+
+
+def robot_record_warnings(records: Records, robot: Robot) -> tuple[str, ...]:
+    """Return warnings on the records of a robot's joints, one sentence each, which names its joint."""
+    found = (
+        f"{name}: {said}"
+        for log in each_log(records)
+        for name, record in zip(robot.names, log, strict=False)
+        for said in find_record_warnings(record, record.channels)
+    )
+    return tuple(dict.fromkeys(found))
+
+
+def check_robot_records(records: Records, robot: Robot) -> None:
+    """Check the units and scales of the records of a robot's joints, also by the limits of its model.
+
+    Raises:
+        RecordError: one cannot be in its units; each sentence names its joint.
+    """
+    back = np.linalg.inv(robot.coupling)
+    faults = []
+    for log in each_log(records):
+        for k, (name, record) in enumerate(zip(robot.names, log, strict=False)):
+            faults += [f"{name}: {said}" for said in scale_faults(record)]
+            limits, alone = robot.links[k].limits, np.count_nonzero(back[k]) == 1
+            position = record.motor_position or record.reference
+            if limits is not None and alone and position is not None:
+                faults += [f"{name}: {said}" for said in range_faults(position, limits)]
+    if faults:
+        raise RecordError(dict.fromkeys(faults))
 
 
 def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
@@ -290,7 +321,7 @@ def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) 
             raise MethodError(
                 f"The friction of {joint.name} is declared to rise below {joint.motor['stribeck_speed']:g} "
                 f"{robot.position_unit(term.joint)}/s, and beside reversals, which IDIM leaves out, this record has "
-                f"hardly a sample there; move it slowly, leave the speed out, or fix {name} by method.fixed."
+                f"hardly a sample there; move it slowly, leave the speed out, or fix {name} by its value."
             )
 
 

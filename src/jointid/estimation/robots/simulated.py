@@ -22,7 +22,7 @@ from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.outputs import position_rms
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict, Sums
+from jointid.estimation.result.robot import IdentifiedRobot, Sums
 from jointid.estimation.robots.build import build_robot_result
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
@@ -55,7 +55,6 @@ from jointid.simulation.robot_numbers import (
     with_values,
 )
 from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, motion_at
-from jointid.uncertainty.verdict import MOTION_MEASURED
 
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
@@ -185,35 +184,23 @@ def identify_simulated_robot(
     Raises:
         RecordError, MethodError: see `identify_rigid_robot`, `identify_flexible_robot`, `identify_flexible_drive_side`.
     """
-    springs: tuple[SpringVerdict, ...] = ()
     if isinstance(model, RobotDriveSide):
         side = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
-        found = identify_flexible_drive_side(
+        fit = identify_flexible_drive_side(
             model.robot, records, filtering, frequencies=side.frequencies or None, offsets=side.offsets,
             evaluations=side.evaluations, delay=side.log_delay, known=known, progress=progress,
         )  # fmt: skip
-        fit, springs = found.fit, found.springs
         method = "drive_side", "drive side of a robot, from motor torques and motor positions"
     else:
         didim = settings if isinstance(settings, DIDIM) else DIDIM()
+        asked: dict[str, Any] = {
+            "offsets": didim.offsets, "evaluations": didim.evaluations, "known": known, "free": didim.free,
+            "progress": progress,
+        }  # fmt: skip
         if any(model.robot.flexible):
-            found = identify_flexible_robot(
-                model, records, filtering, frequencies=didim.frequencies or None, offsets=didim.offsets,
-                evaluations=didim.evaluations, known=known, free=didim.free, progress=progress,
-            )  # fmt: skip
-            fit, springs = found.fit, found.springs
+            fit = identify_flexible_robot(model, records, filtering, frequencies=didim.frequencies or None, **asked)
         else:
-            fit = identify_rigid_robot(
-                model,
-                records,
-                filtering,
-                offsets=didim.offsets,
-                iterations=didim.iterations,
-                evaluations=didim.evaluations,
-                known=known,
-                free=didim.free,
-                progress=progress,
-            )
+            fit = identify_rigid_robot(model, records, filtering, iterations=didim.iterations, **asked)
         fit = replace(fit, parameters=begin_delays(fit.parameters, model))
         model = at_estimate(model, fit.parameters, fit.values)
         computed = any(record.computed for log in each_log(records) for record in log)
@@ -230,19 +217,19 @@ def identify_simulated_robot(
         nominal=parameters.group_all(RobotNumbers.of(robot)),
         nominal_errors=errors_of(problem, nominal),
         formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),
-        springs=springs,
+        springs=fit.springs,
         parameters=parameters,
     )
-    longer = "evaluations" if springs else "iterations"
-    steps = f"after {fit.iterations} {'simulations' if springs else 'iterations'}"
+    longer = "evaluations" if fit.springs else "iterations"
+    steps = f"after {fit.iterations} {'simulations' if fit.springs else 'iterations'}"
     stop = f"settled {steps}"
     if not fit.converged:
         stop = f"did not settle {steps}: allow more by method.{longer}, or record longer and livelier motions"
-    kind = "of springs, rotors and links" if springs else "of rigid joints"
+    kind = "of springs, rotors and links" if fit.springs else "of rigid joints"
     result = build_robot_result(
         [record for log in logs for record in log],
         part,
-        _rows(part, parameters),
+        _rows(part, parameters, _held_by_bounds(fit)),
         fit.relative_error,
         (problem.measured, problem.predict(fit.run)),
         (method[0], f"{method[1]}, {kind}"),
@@ -250,11 +237,7 @@ def identify_simulated_robot(
         problem.filtered_torque.size,
         (stop, fit.converged),
         fit.iterations,
-        at_bounds=_held_by_bounds(fit),
-        warnings=(
-            *((MOTION_MEASURED,) if method[0] == "drive_side" else ()),
-            *((_WITHOUT,) if springs and not any(one.shown for one in springs) else ()),
-        ),
+        warnings=(_WITHOUT,) if fit.springs and not any(one.shown for one in fit.springs) else (),
     )
     if len(logs) > 1:
         return result
@@ -282,7 +265,9 @@ def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
     return {p.name: min(p.lower, p.upper, key=lambda b: abs(x - b)) for p, x, at in pairs if at}
 
 
-def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedParameter, ...]:
+def _rows(
+    part: SimulatedRobot, parameters: RobotParameters, held: Mapping[str, float]
+) -> tuple[EstimatedParameter, ...]:
     """Return the table of the parameters; of a spring that is not shown, a bound at most."""
     robot, rotors = part.model, parameters.base.rotors
     hidden = [one for one in part.springs if not one.shown]
@@ -304,6 +289,7 @@ def _rows(part: SimulatedRobot, parameters: RobotParameters) -> tuple[EstimatedP
                 identifiable=determined,
                 lower_bound=refused.get(one.name),
                 of_joint=not place.is_of_record,
+                at_bound=held.get(one.name),
                 axis="" if joint is None else robot.names[joint],
             )
         )

@@ -355,31 +355,6 @@ def profiles_figure(estimate: Estimate, found: Intervals | ReportData) -> Figure
 
 
 @styled
-def convergence_figure(estimate: Estimate) -> Figure:
-    """Draw the residual and the parameters over the iterations."""
-    trace = estimate.fit.trace
-    if len(trace) < 2:
-        raise RecordError("The search has fewer than two steps; there is no way to draw.")
-    numbers, norms = [step.number for step in trace], np.array([step.residual_norm for step in trace])
-    last, ways = trace[-1].values, dict[str, FloatArray]()
-    for p in estimate.params.rows:
-        way = np.array([step.values.get(p.name, math.nan) for step in trace])
-        if p.of_joint and p.free and last.get(p.name) and np.all(np.isfinite(way)):
-            ways[p.symbol] = way / last[p.name]
-    columns = 2 if ways and all(p.value is not None for p in estimate.params.rows) else 1
-    figure, (axes, *others) = panels([280] * columns, columns)
-    axes.plot(numbers, norms, color=ERROR, marker="o")
-    axes.set(xlabel="iteration", ylabel=f"residual norm [{AxisSignals.of(estimate).unit}]")
-    if norms.min() > 0 and norms.max() > 10 * norms.min():
-        axes.set_yscale("log")
-    for place in others:
-        for (symbol, way), colour in zip(ways.items(), OTHERS * 2, strict=False):
-            place.plot(numbers, way, color=colour, label=symbol)
-        place.set(xlabel="iteration", ylabel="parameter over its last value")
-    return figure
-
-
-@styled
 def bounds_figure(estimate: Estimate) -> Figure:
     """Draw the lower bound of a refused stiffness, by the load's share of the inertia."""
     known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]

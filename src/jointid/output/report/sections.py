@@ -77,12 +77,6 @@ _PICTURES = {
         "criterion has risen. The interval ends where the line passes 2; the dashed line is that of the table's "
         "interval. Where the two part, the profile is to be believed.",
     ),
-    "convergence": (
-        "Convergence",
-        "How the search went. Where the residual jumps up it goes on with another problem or from other values: a "
-        "wider band, other gains of the simulated loop, or a motor that may be moving at the first sample. Every "
-        "parameter ends at 1: one that still moves there is not settled.",
-    ),
     "tuning": (
         "Tuned loop",
         "The joint's response, the loop cut open at the torque, and its Nyquist plot; the bands are the estimate's "
@@ -164,7 +158,6 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
         every["bounds"] = lambda: charts.bounds_figure(estimate)
         every["correlation"] = lambda: charts.correlation_figure(estimate)
         every["profiles"] = lambda: charts.profiles_figure(estimate, given)
-        every["convergence"] = lambda: charts.convergence_figure(estimate)
         if given.response is not None:
             every["response"] = partial(charts.response_figure, estimate, given.response)
         if tuned is not None:
