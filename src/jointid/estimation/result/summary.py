@@ -8,9 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Tone, Verdicts
-from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import format_signed, in_words, interval, number
 from jointid.estimation.problems.base import INITIAL
@@ -25,7 +23,7 @@ from jointid.estimation.result.answer import (
     told_bounds,
 )
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
-from jointid.models.robots.robot import Robot
+from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
 
@@ -42,9 +40,22 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
         details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
             that did not pass, a line each.
     """
-    if estimate.robot is not None:
-        return describe_robot_estimate(estimate, tuple(_verdicts(estimate, details=details)), details=details)
-    fit, checks = estimate.fit, estimate.checks
+    fit, checks, part = estimate.fit, estimate.checks, estimate.robot
+    verdicts = tuple(_verdicts(estimate, details=details))
+    warnings = [("warning", warning) for warning in checks.warnings]
+    if part is not None:
+        answer = answer_of(estimate)
+        return Document(
+            f"{part.model.name}: {len(part.names)} parameters of {len(part.model)} joints",
+            (
+                Paragraph(str(answer), lead=True, tone=_TONES.get(Trust(answer.trust.code), "open")),
+                *verdicts,
+                Facts(tuple(warnings)),
+                *(Paragraph(f"{one}.") for one in part.springs),
+                Facts((("method", estimate.settings.variant), ("search", fit.stop), *_position_error(estimate))),
+                *_robot_tables(estimate, part, details=details),
+            ),
+        )
     facts = [*_results(estimate, details=details)]
     if details:
         facts += _effort(estimate)
@@ -54,12 +65,11 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
     if checks.verdicts:
         facts += [("checks", _count_checks(estimate))]
     notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
-    warnings = [("warning", warning) for warning in checks.warnings]
     return Document(
         str(answer_of(estimate)),
         (
             *_tables(estimate, details=details),
-            *_verdicts(estimate, details=details),
+            *verdicts,
             Facts((*warnings, *notes)),
             Facts((*facts, *_sources(estimate))),
         ),
@@ -157,14 +167,13 @@ def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, s
             f"{raw}{100 * fit.filtered_error:.4f} % filtered{rows}"
             f"{estimate.signal.removeprefix('torque').replace(' comp', ', comp')}",
         )
-    if fit.position_rms:
-        yield "position error", describe_positions(estimate)
+    yield from _position_error(estimate)
     if checks.drift is not None:
         yield "drift", describe_drift(checks.drift, estimate.params.rows)
 
 
-def describe_positions(estimate: EstimateParts) -> str:
-    """Return the errors of the simulated motor positions, in mm or degrees."""
+def _position_error(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
+    """Yield the errors of the simulated motor positions, in mm or degrees, where there are any."""
     each = []
     for name, rms in estimate.fit.position_rms.items():
         robot = None if estimate.robot is None else estimate.robot.model
@@ -175,7 +184,8 @@ def describe_positions(estimate: EstimateParts) -> str:
         )
         factor, shown = (1e3, "mm") if unit == "m" else (180 / math.pi, "deg")
         each.append(f"{name} {number(factor * rms, 3)} {shown}".strip())
-    return f"{', '.join(each)} rms"
+    if each:
+        yield "position error", f"{', '.join(each)} rms"
 
 
 def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -316,7 +326,6 @@ def parameters_table(
     *,
     details: bool = True,
     truth: Mapping[str, float] | None = None,
-    verdicts: Mapping[str, str] | None = None,
     caption: str = "",
 ) -> Table:
     """Return the parameters with their intervals.
@@ -325,12 +334,11 @@ def parameters_table(
         estimate: whose parameters are shown.
         details: whether to show the state at the first sample, and what a robot's record does not tell from 0.
         truth: true values by name, others are not shown.
-        verdicts: a word on each by name; others are not shown.
         caption: of the table; else it counts what is not shown of a robot.
     """
-    every, part, chosen = estimate.params.rows, estimate.robot, truth or verdicts
-    if chosen is not None:
-        shown = [i for i, p in enumerate(every) if p.name in chosen]
+    every, part = estimate.params.rows, estimate.robot
+    if truth is not None:
+        shown = [i for i, p in enumerate(every) if p.name in truth]
     elif part is None:
         shown = [i for i, p in enumerate(every) if details or p.name not in INITIAL]
     else:
@@ -347,8 +355,6 @@ def parameters_table(
         columns.append(("nominal", [number(float(part.nominal[i]), 4) for i in shown], False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
-    if verdicts is not None:
-        columns.append(("verdict", [verdicts[p.name] for p in rows], True))
     return _table(rows, columns, caption)
 
 
@@ -450,61 +456,23 @@ _KNOWN = 1.0  # relative standard error: a parameter that is known worse stands 
 _TONES: dict[Trust, Tone] = {Trust.RELIABLE: "good", Trust.NOT_YET: "bad"}
 
 
-def robot_blocks(estimate: EstimateParts, *, details: bool = False) -> tuple[Block, ...]:
-    """Return errors by axis, parameters and sums.
-
-    Args:
-        estimate: of a robot.
-        details: whether the parameters that this record does not tell from 0 are listed, and the sums behind all.
-    """
-    part = estimate.require_robot()
-    errors = {"estimate": np.array([*estimate.fit.axis_errors.values()])}
+def _robot_tables(estimate: EstimateParts, part: IdentifiedRobot, *, details: bool) -> Iterator[Block]:
+    """Yield errors by axis, parameters and sums."""
+    columns = {"estimate": np.array([*estimate.fit.axis_errors.values()])}
     if part.model.has_masses:
-        errors["nominal"] = part.nominal_errors
+        columns["nominal"] = part.nominal_errors
+    rows = tuple(
+        (name, *(f"{100 * errors[k]:.3g}" if np.isfinite(errors[k]) else "runs away" for errors in columns.values()))
+        for k, name in enumerate(part.model.names)
+    )
+    header = ("joint", *(f"{name}, %" for name in columns))
+    yield Table(header, rows, "filtered torque that is left, of the record it was identified from")
+    yield parameters_table(estimate, details=details)
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     sums = tuple(
         f"{row.name} is {formula}"
         for row, formula in zip(estimate.params.rows, part.formulas, strict=True)
         if row.symbol != formula and (details or row.name != row.symbol)
     )
-    positions = Facts((("position error", describe_positions(estimate)),)) if estimate.fit.position_rms else None
-    return (
-        errors_table(part.model, errors, "of the record it was identified from"),
-        *((positions,) if positions is not None else ()),
-        parameters_table(estimate, details=details),
-        *((Heading("Sums that the parameters stand for"), Listing(sums)) if sums else ()),
-    )
-
-
-def describe_robot_estimate(estimate: EstimateParts, verdicts: tuple[Block, ...], *, details: bool = False) -> Document:
-    """Return the estimate of a robot as a document; see `describe_estimate`."""
-    part, answer = estimate.require_robot(), answer_of(estimate)
-    tone = _TONES.get(Trust(answer.trust.code), "open")
-    return Document(
-        f"{part.model.name}: {len(part.names)} parameters of {len(part.model)} joints",
-        (
-            Paragraph(str(answer), lead=True, tone=tone),
-            *verdicts,
-            Facts(tuple(("warning", warning) for warning in estimate.checks.warnings)),
-            *(Paragraph(f"{one}.") for one in part.springs),
-            Facts((("method", estimate.settings.variant), ("search", estimate.fit.stop))),
-            *robot_blocks(estimate, details=details),
-        ),
-    )
-
-
-def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) -> Table:
-    """Return the errors of the joints as a table, a column for each model, in per cent.
-
-    Raises:
-        MethodError: a joint has no torque to explain.
-    """
-    for errors in columns.values():
-        if np.any(np.isnan(errors)):
-            raise MethodError("A joint's torque is 0 throughout; expected a torque of every motor: check the channels.")
-    rows = tuple(
-        (name, *(f"{100 * errors[k]:.3g}" if np.isfinite(errors[k]) else "runs away" for errors in columns.values()))
-        for k, name in enumerate(robot.names)
-    )
-    header = ("joint", *(f"{name}, %" for name in columns))
-    return Table(header, rows, f"filtered torque that is left, {of_what}")
+    if sums:
+        yield from (Heading("Sums that the parameters stand for"), Listing(sums))
