@@ -108,9 +108,9 @@ def test_the_solution_by_instruments_solves_its_equation() -> None:
     W = Z + 0.5 * error[:, np.newaxis]
     rows = Rows(W @ [3.0, -1.0] + error, W, ("a", "b"), 1)
     found = instrumental(rows, Z, np.zeros(2))
-    assert np.abs(Z.T @ found.fit.residual).max() <= 1e-8
-    assert np.all(np.abs(found.fit.values - [3.0, -1.0]) <= 3 * found.covariance.std)
-    assert np.all(np.abs(ordinary(rows).fit.values - [3.0, -1.0]) > 5 * ordinary(rows).covariance.std)
+    assert np.abs(Z.T @ found.residual).max() <= 1e-8
+    assert np.all(np.abs(found.values - [3.0, -1.0]) <= 3 * found.covariance.std)
+    assert np.all(np.abs(ordinary(rows).values - [3.0, -1.0]) > 5 * ordinary(rows).covariance.std)
 
 
 @pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])

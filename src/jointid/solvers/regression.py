@@ -27,56 +27,24 @@ class Conditioning:
     scaled: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """The least-squares solution of ``Y = W x``.
-
-    Attributes:
-        values: (parameters,) the solution.
-        std: (parameters,) standard deviations, for a white residual of `sigma`.
-        residual: (rows,) Y - W x.
-        sigma: standard deviation of the residual.
-        relative_error: ``||Y - W x|| / ||Y||``, a ratio.
-        conditioning: of W.
-    """
-
-    values: FloatArray
-    std: FloatArray
-    residual: FloatArray
-    sigma: float
-    relative_error: float
-    conditioning: Conditioning
+def conditioning(W: FloatArray, values: FloatArray) -> Conditioning:
+    """Return the condition numbers of a regressor, (rows, parameters), at estimates, (parameters,)."""
+    norms = np.linalg.norm(W, axis=0)
+    R, scale = np.asarray(np.linalg.qr(W / norms, mode="r")), np.where(values == 0.0, 1.0, np.abs(values))
+    return Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
 
 
-def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
-    """Solve ``Y = W x`` by QR with column scaling.
+def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Solve ``Y = W x`` by QR with column scaling; return x, (parameters,).
 
     Args:
         W: (rows, parameters).
         Y: (rows,).
         names: of the parameters, for the error.
 
-    The variance of the residual is ``||Y - W x||^2 / (r - b)`` for r rows and b parameters. (The EMPS report takes
-    the sample variance, r - 1: a relative difference of (b - 1) / 2r in the deviations, 0.06 % there.)
+    Raises:
+        MethodError: the rows are too few, or do not determine the parameters.
     """
-    rows, count = W.shape
-    values, norms, R = _solve(W, Y, names)
-    residual = Y - W @ values
-    sigma = float(np.linalg.norm(residual) / np.sqrt(rows - count))
-    spread = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
-    error = float(np.linalg.norm(residual) / np.linalg.norm(Y))
-    scale = np.where(values == 0.0, 1.0, np.abs(values))
-    conditioning = Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
-    return Fit(values, sigma * spread, residual, sigma, error, conditioning)
-
-
-def solution(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Solution of `least_squares`, parameters only, (parameters,)."""
-    return _solve(W, Y, names)[0]
-
-
-def _solve(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the solution, the column norms and the triangle of the scaled columns."""
     rows, count = W.shape
     if rows <= count:
         raise MethodError(
@@ -92,7 +60,7 @@ def _solve(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatA
             f"{', '.join(involved)} cannot be distinguished in this record (their columns are collinear); fix one of "
             "them."
         )
-    return np.linalg.solve(R, Q.T @ Y) / norms, norms, R
+    return np.asarray(np.linalg.solve(R, Q.T @ Y) / norms)
 
 
 def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:

@@ -45,6 +45,7 @@ from jointid.models.joints import Joint
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
+from jointid.solvers.regression import conditioning
 
 _VARIANTS = {
     "ols": "IDIM by ordinary least squares",
@@ -118,14 +119,14 @@ class IDIM(Method):
         if joint.model == "flexible" and EncoderOffset() not in own and _zeros_differ(solve_with):
             own = (*own, EncoderOffset())
         found = solve_with(own)
-        model, fit, covariance = found.model, found.solution.fit, found.solution.covariance
-        held = found.solution.held
+        model, solved, covariance = found.model, found.solution, found.solution.covariance
+        held = solved.held
         parameters = [p.fix(held[p.name]) if p.name in held else p for p in found.parameters]
         free = [i for i, p in enumerate(parameters) if p.free]
-        values = dict(zip(found.rows.names, map(float, fit.values), strict=True))
+        values = dict(zip(found.rows.names, map(float, solved.values), strict=True))
         std = {found.rows.names[i]: float(covariance.std[i]) for i in free}
         correlation = covariance.correlation[np.ix_(free, free)]
-        measured, predicted = model.torque[0], model.columns[0] @ fit.values
+        measured, predicted = model.torque[0], model.columns[0] @ solved.values
         read = ["torque", *(loop.controller.channels if loop is not None and estimator == "iv" else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
         return FitResult(
@@ -137,12 +138,12 @@ class IDIM(Method):
                 predicted=predicted,
                 borders=filtering.borders,
                 relative_error=relative_error(measured, predicted, filtering.borders),
-                filtered_error=float(np.linalg.norm(fit.residual) / np.linalg.norm(found.rows.Y)),
-                rows=fit.residual.size,
-                conditioning=fit.conditioning,
-                simulations=found.solution.simulations,
-                stop=found.solution.stop,
-                converged=found.solution.converged,
+                filtered_error=float(np.linalg.norm(solved.residual) / np.linalg.norm(found.rows.Y)),
+                rows=solved.residual.size,
+                conditioning=conditioning(found.rows.W[:, free], solved.values[free]),
+                simulations=solved.simulations,
+                stop=solved.stop,
+                converged=solved.converged,
             ),
             checks=Checks(
                 warnings=(
@@ -150,7 +151,7 @@ class IDIM(Method):
                     *_of_rest(model),
                     *_warnings(record, filtering),
                 ),
-                tests=() if found.solution.test is None else (found.solution.test,),
+                tests=() if solved.test is None else (solved.test,),
             ),
             data=build_data(record, tuple(read), sample_time),
             settings=Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay, found.effects),
@@ -184,7 +185,7 @@ def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
     rows, solution = found.rows, found.solution
     at = rows.names.index(offset.parameters[0].name)
     least = max(_SHOWN * solution.covariance.std[at], _SLIGHT * float(np.sqrt(np.mean(rows.Y**2))))
-    return bool(abs(solution.fit.values[at]) > least)
+    return bool(abs(solution.values[at]) > least)
 
 
 def _of_rest(model: InverseModel) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
-from jointid.solvers.regression import Fit, least_squares
+from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
 from jointid.uncertainty.covariance import robust as robust_covariance
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
@@ -86,7 +86,7 @@ class Solution:
     """The result of an estimator.
 
     Attributes:
-        fit: values, residual and conditioning; its relative error is of the rows as they are, not weighted.
+        values: (parameters,) of all. residual: (rows,) of the rows as they are, not weighted.
         covariance: robust to autocorrelation, and to what the weights are; of fixed parameters 0.
         stop: how it ended, in a sentence. converged: whether that is a good end.
         simulations: of instruments that were made.
@@ -94,7 +94,8 @@ class Solution:
         test: whether least squares would have done in the place of instruments.
     """
 
-    fit: Fit
+    values: FloatArray
+    residual: FloatArray
     covariance: Covariance
     stop: str = "a linear regression has one step"
     converged: bool = True
@@ -129,7 +130,7 @@ def solve_rows(
     while True:
         solution = _solve_free(rows, estimator, fixed | held, instruments)
         simulations += solution.simulations
-        found, std = solution.fit.values, solution.covariance.std
+        found, std = solution.values, solution.covariance.std
         beyond = dict[str, tuple[float, float]]()
         for name, value, spread in zip(rows.names, found, std, strict=True):
             p = known.get(name)
@@ -160,10 +161,10 @@ def _solve_free(
     if not fixed:
         return solution
     std, correlation = np.zeros(kept.size), np.eye(kept.size)
-    kept[free], std[free] = solution.fit.values, solution.covariance.std
+    kept[free], std[free] = solution.values, solution.covariance.std
     correlation[np.ix_(free, free)] = solution.covariance.correlation
     covariance = replace(solution.covariance, std=std, correlation=correlation)
-    return replace(solution, fit=replace(solution.fit, values=kept), covariance=covariance)
+    return replace(solution, values=kept, covariance=covariance)
 
 
 def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
@@ -183,26 +184,27 @@ def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> 
 
 def ordinary(rows: Rows) -> Solution:
     """Return ordinary least squares."""
-    fit = least_squares(rows.W, rows.Y, rows.names)
-    covariance = _covariance(rows, rows.W, rows.W, fit.residual)
-    covariance = with_measured_motion(covariance, rows.W, rows.W, fit.residual, rows.equations)
-    return Solution(fit, covariance)
+    values = least_squares(rows.W, rows.Y, rows.names)
+    residual = rows.Y - rows.W @ values
+    covariance = _covariance(rows, rows.W, rows.W, residual)
+    covariance = with_measured_motion(covariance, rows.W, rows.W, residual, rows.equations)
+    return Solution(values, residual, covariance)
 
 
 def weighted_least_squares(rows: Rows) -> Solution:
     """Return least squares with each equation divided by the size of its error, repeated until that is settled."""
-    values, steps, settled = least_squares(rows.W, rows.Y, rows.names).values, 0, False
+    values, steps, settled = least_squares(rows.W, rows.Y, rows.names), 0, False
     while steps < _REWEIGHTINGS and not settled:
         scale = rows.spread_out(_sizes(rows, values))
         weighted = rows.W / scale[:, np.newaxis]
-        before, values = values, least_squares(weighted, rows.Y / scale, rows.names).values
+        before, values = values, least_squares(weighted, rows.Y / scale, rows.names)
         steps += 1
         settled = bool(np.all(np.abs(values - before) <= _SETTLED * np.abs(values)))
     error = (rows.Y - rows.W @ values) / scale
     covariance = _covariance(rows, weighted, weighted, error)
     covariance = with_measured_motion(covariance, weighted, weighted, error, rows.equations)
     stop = f"{steps} reweightings {'until nothing changes' if settled else 'and still changing'}"
-    return Solution(_plain_fit(rows, values, weighted), covariance, stop, settled)
+    return Solution(values, rows.Y - rows.W @ values, covariance, stop, settled)
 
 
 def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
@@ -229,7 +231,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
     covariance = _covariance(rows, Zs, Ws, Ys - Ws @ found)
-    return Solution(_plain_fit(rows, found, Ws), covariance)
+    return Solution(found, rows.Y - rows.W @ found, covariance)
 
 
 def simulated_instruments(
@@ -289,23 +291,14 @@ def _by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free
     while number < _SIMULATIONS and not settled:
         number += 1
         whole = kept.copy()
-        whole[chosen] = solution.fit.values
+        whole[chosen] = solution.values
         Z = instruments(whole)[:, chosen]
-        before, solution = solution, instrumental(rows, Z, solution.fit.values)
-        change = np.abs(solution.fit.values - before.fit.values)
+        before, solution = solution, instrumental(rows, Z, solution.values)
+        change = np.abs(solution.values - before.values)
         settled = bool(np.all(change <= _CLOSE * solution.covariance.std))
     test = durbin_wu_hausman(rows.W, rows.Y, Z, rows.equations)
     stop = f"{'converged: nothing changes any more' if settled else 'still changing'} after {number} simulations"
     return replace(solution, stop=stop, simulations=number, converged=settled, test=test)
-
-
-def _plain_fit(rows: Rows, values: FloatArray, W: FloatArray) -> Fit:
-    """Return given values as a `Fit`, with the error of the rows as they are and the conditioning of W."""
-    shape = least_squares(W, rows.Y, rows.names)
-    residual = rows.Y - rows.W @ values
-    sigma = float(np.linalg.norm(residual) / math.sqrt(rows.Y.size - values.size))
-    error = float(np.linalg.norm(residual) / np.linalg.norm(rows.Y))
-    return Fit(values, shape.std, residual, sigma, error, shape.conditioning)
 
 
 def _sizes(rows: Rows, values: FloatArray) -> FloatArray:

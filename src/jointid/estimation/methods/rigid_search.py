@@ -17,7 +17,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning
 from jointid.estimation.starts.rigid_joint import Start
 from jointid.models.controllers import REFERENCE
 from jointid.simulation.closed_loop import Outcome, simulate, wound_up
-from jointid.solvers.regression import solution as linear_solution
+from jointid.solvers.regression import least_squares as linear_least_squares
 from jointid.solvers.solve import Status
 
 RESTING = {"initial_velocity": 0.0}
@@ -123,7 +123,9 @@ def _scale_gains(problem: ClosedLoopProblem, x: FloatArray, nominal: float, hist
         if run.outcome is not Outcome.FINISHED:
             raise unstable(problem, x)
         torque = problem.filter(problem.measured - problem.fixed_torque(run))
-        x = np.concatenate([linear_solution(problem.filter(problem.regressor(run)), torque, names), x[len(names) :]])
+        x = np.concatenate(
+            [linear_least_squares(problem.filter(problem.regressor(run)), torque, names), x[len(names) :]]
+        )
     return x
 
 

@@ -149,7 +149,7 @@ def identify_robot(
     solution = solve_rows(rows, estimator, limits, by_loop)
     held = solution.held
     fixed = {*held, *(name for name, one in limits.items() if not one.free)}
-    nominal, values = _nominal(robot, base, rows), solution.fit.values
+    nominal, values = _nominal(robot, base, rows), solution.values
     terms = friction_terms(robot)
     symbols = (*base.symbols, *(term.symbol for term in terms))
     part = InverseModelRobot(
@@ -189,7 +189,7 @@ def identify_robot(
         (np.vstack([motion.torque for motion in motions]), np.vstack([one @ values for one in columns])),
         ("idim", f"IDIM of a robot, {_WORDS[estimator]}"),
         motions[0].filtering,
-        solution.fit.residual.size,
+        solution.residual.size,
         (solution.stop, solution.converged),
         solution.simulations,
         negative=wrong,

@@ -320,7 +320,7 @@ def payload_of_both_records(
     def fit(logs: Sequence[Sequence[Record]]) -> tuple[FloatArray, Covariance]:
         solution = solve_rows(both_records(robot, logs, filtering or Filtering()), estimator, {})
         covariance = solution.covariance
-        return solution.fit.values[own], covariance_of(covariance.matrix[own, own], covariance.bandwidth)
+        return solution.values[own], covariance_of(covariance.matrix[own, own], covariance.bandwidth)
 
     return _payload(robot, *cover_both_readings((empty, loaded), fit))
 

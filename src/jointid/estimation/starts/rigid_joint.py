@@ -25,7 +25,7 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.joints import RigidJoint
 from jointid.records.record import Channel, Timing
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.regression import solution as linear_solution
+from jointid.solvers.regression import least_squares as linear_least_squares
 from jointid.solvers.solve import solve
 
 _EVALUATIONS = 10  # enough for two parameters that act almost linearly on the torque
@@ -139,7 +139,7 @@ def _regress(
     kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
     Y, W = model.decimate(filtering, sample_time, kept, compiled=True)
     names = tuple(p.name for p in free)
-    found = linear_solution(W[:, [p.free for p in parameters]], Y, names)
+    found = linear_least_squares(W[:, [p.free for p in parameters]], Y, names)
     return dict(zip(names, map(float, found), strict=True))
 
 
