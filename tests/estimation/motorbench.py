@@ -63,8 +63,8 @@ class Bench:
             wider = InverseModel(model.torque, np.concatenate([model.columns, zero], axis=2), model.inside, model.motor)
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
             Y, W = wider.decimate(resolved, PERIOD, np.zeros(len(names)))
-            fit = least_squares(W, Y, names)
-            return float(np.linalg.norm(fit.residual)), fit.values
+            values = least_squares(W, Y, names)
+            return float(np.linalg.norm(Y - W @ values)), values
 
         best = minimize_scalar(
             lambda delay: regression(delay)[0], bounds=(-1e-3, 1.5e-3), method="bounded", options={"xatol": 1e-6}
