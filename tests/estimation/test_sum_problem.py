@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.base import INITIAL_STATE, SumProblem
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.several_records import several
+from jointid.estimation.problems.several_records import RecordsProblem, several
 from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
@@ -49,7 +49,7 @@ def two(
     return [problem_of(axis, axis.truth, free), problem_of(axis, heavier, free, loop)], heavier
 
 
-def at(criterion: SumProblem, values: dict[str, float]) -> np.ndarray:
+def at(criterion: RecordsProblem, values: dict[str, float]) -> np.ndarray:
     """The free parameters of that value, those of a record under their plain name too."""
     plain = [p.name.partition("@")[0] for p in criterion.free]
     return np.array([values.get(p.name, values.get(name, 0.0)) for p, name in zip(criterion.free, plain, strict=True)])
@@ -120,7 +120,7 @@ def test_the_vector_of_several_starts_is_their_mean_without_what_was_added(axis:
     criterion = several(problems, [(), FRICTION], ADDED)
     found = [p.vector(v | {"initial_position": 0.0}) for p, v in zip(problems, (axis.truth, heavier), strict=True)]
     found[1][0] += 2.0  # of the motor's inertia
-    x = dict(zip([p.name for p in criterion.free], criterion.vector(found), strict=True))
+    x = dict(zip([p.name for p in criterion.free], criterion.join(found), strict=True))
     assert x["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
     assert x["motor_inertia"] == pytest.approx(axis.truth["motor_inertia"] + 1.0)
     assert x["load_coulomb@2"] == axis.truth["load_coulomb"]

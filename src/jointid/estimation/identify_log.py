@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
-from jointid.estimation.problems.base import SumProblem
 from jointid.estimation.problems.log_windows import (
     FEW,
     NO_MOTION,
@@ -42,6 +40,7 @@ from jointid.estimation.problems.log_windows import (
     moves,
     repeats,
 )
+from jointid.estimation.problems.several_records import RecordsProblem
 from jointid.estimation.result.agreement import Segment, drift
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import find_active_bounds, find_lost, warn_of_limit
@@ -92,7 +91,7 @@ class Windowed:
     filtering: Filtering
     weighted: Weighted = "none"
     loops: Sequence[ClosedLoop] = ()
-    together: Callable[[Sequence[Start]], SumProblem[Any]] | None = None
+    together: Callable[[Sequence[Start]], RecordsProblem] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,9 +242,9 @@ def _pose(
     free: tuple[Parameter, ...] = models[0].free
     x, at, added = starts[0].x, [np.arange(len(free), dtype=np.intp)] * len(logs), [np.zeros(len(free))] * len(logs)
     if method.together is not None:
-        criterion = method.together(starts)
-        free, x = criterion.free, criterion.vector([one.x for one in starts])
-        at, added = list(criterion.places), list(criterion.added)
+        whole = method.together(starts)
+        free, x = whole.free, whole.join([one.x for one in starts])
+        at, added = list(whole.places), list(whole.added)
     parts = zip(logs, models, at, added, strict=True)
     members = tuple(Member(tuple(log), model, where, known) for log, model, where, known in parts)
     weighted = method.weighted if len(logs) > 1 or len(seen.error) > 1 else "none"

@@ -72,16 +72,16 @@ def identify_several(
         alone.append(BySelf.of(record, fit, layout, k))
     starts = fill_starts([one.values for one in alone], [p.name for p in alone[0].problem.parameters])
     problems = [one.together(parameters) for one in alone]
-    criterion = several(problems, own, layout.added).weighing([1.0 / one.level for one in alone])
+    whole = several(problems, own, layout=layout).weighing([1.0 / one.level for one in alone])
     gain = _gain(layout, starts)
-    progress(f"{len(records)} records together, {len(criterion.free)} parameters")
+    progress(f"{len(records)} records together, {len(whole.free)} parameters")
     begin = [
         problem.vector(one.acting(start, gain)) for problem, one, start in zip(problems, alone, starts, strict=True)
     ]
-    end = solve(criterion, _SOLVER, criterion.vector(begin))
+    end = solve(whole, _SOLVER, whole.join(begin))
     progress(Detail(end.message))
     simulations = sum(one.fit.fit.simulations for one in alone) + (end.evaluations + 3) * len(records)
-    return _build_result(_Solved(RecordsProblem.of(layout, criterion), end, alone), simulations)
+    return _build_result(_Solved(whole, end, alone), simulations)
 
 
 def require_distinct(records: Sequence[Record]) -> None:
@@ -258,9 +258,9 @@ def _build_result(solved: _Solved, simulations: int) -> FitResult:
 
 def _judge_together(solved: _Solved) -> Uncertainty:
     """Return the uncertainty before the records are compared."""
-    criterion, end = solved.problem.criterion, solved.end
-    each = criterion.problems
-    runs = [p.simulate(criterion.of_member(end.x, k)) for k, p in enumerate(each)]
+    problem, end = solved.problem, solved.end
+    each = problem.problems
+    runs = [p.simulate(problem.of_member(end.x, k)) for k, p in enumerate(each)]
     positions = [run.motor_position[p.kept] for p, run in zip(each, runs, strict=True)]
     velocities = [run.motor_velocity[p.kept] for p, run in zip(each, runs, strict=True)]
     where, rows = cells(np.concatenate(positions), np.concatenate(velocities)), [at.size for at in positions]
@@ -278,14 +278,14 @@ def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
         solved: what was solved.
         ends: the first rows of the second record and of those that follow.
     """
-    criterion, J = solved.problem.criterion, solved.end.jacobian
+    problem, J = solved.problem, solved.end.jacobian
     answers, total = np.split(projection(J, J), ends, axis=1), np.zeros(J.shape[1])
     for k, (one, rows, answer) in enumerate(zip(solved.alone, np.split(J, ends), answers, strict=True)):
         steps = np.zeros_like(total)
         for shift in one.fit.shifts:
             by = one.acting(dict(zip((p.name for p in one.problem.free), shift, strict=True)), solved.gain)
-            its = [by.get(p.name, 0.0) if p.name != "drive_gain" else 0.0 for p in criterion.problems[k].free]
-            steps = np.hypot(steps, answer @ (rows[:, criterion.places[k]] @ np.array(its)))
+            its = [by.get(p.name, 0.0) if p.name != "drive_gain" else 0.0 for p in problem.problems[k].free]
+            steps = np.hypot(steps, answer @ (rows[:, problem.places[k]] @ np.array(its)))
         total += steps
     return total
 
@@ -312,8 +312,8 @@ def _compare(solved: _Solved) -> Agreement:
 
 def _record_fit(solved: _Solved, number: int) -> RecordFit:
     """Return the estimate from one record, and the fit of the common model to it."""
-    problem, one = solved.problem.criterion.problems[number], solved.alone[number]
-    x, record = solved.problem.criterion.of_member(solved.end.x, number), one.record
+    problem, one = solved.problem.problems[number], solved.alone[number]
+    x, record = solved.problem.of_member(solved.end.x, number), one.record
     values, predicted = problem.values(x), problem.torque(x)
     error = problem.filter(problem.measured - predicted)
     assert record.torque is not None

@@ -27,7 +27,6 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method, default_method
-from jointid.estimation.problems.base import SumProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.inverse_model import motion_of
 from jointid.estimation.problems.log_windows import (
@@ -113,9 +112,8 @@ def loop_in_windows(
         window = window_problem(records[0], loop, filtering, wanted, free)
         return LoopWindow(window), window.vector({p.name: p.value for p in fit.params.rows if p.value is not None})
 
-    def together(starts: Sequence[Start]) -> SumProblem[ClosedLoopProblem]:
-        assert layout is not None
-        return several([_problem(start) for start in starts], own, layout.added)
+    def together(starts: Sequence[Start]) -> RecordsProblem:
+        return several([_problem(start) for start in starts], own, layout=layout)
 
     def answer(solved: Solved) -> Told:
         window, x = _problem(solved.starts[0]), solved.x
@@ -124,7 +122,7 @@ def loop_in_windows(
         if layout is None:
             params = of(window, fixed=False)
         else:
-            both = RecordsProblem.of(layout, together(solved.starts))
+            both = together(solved.starts)
             params = of(both, records=len(solved.starts))
             records = tuple(_tell_record(k, solved, both) for k in range(len(solved.starts)))
         found = window.loop_at(x[solved.problem.members[0].at])

@@ -13,29 +13,23 @@ that stands beside those of the joint:
   joint; a known mass can;
 - ``log_gain``: the torque in the log, over the torque the law put out: log and law disagree;
 - ``log_delay``: how much later than its stamps the torque channel shows the torque.
-
-A sum of problems that share parameters is a problem, too. A parameter of a member is one that all members share, or
-that plus a number that is known (a mass that was added to the load, say), or its own. The residuals stand one after the
-other, each through a filter of its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.parameters import Parameter, Quantity
 from jointid.models.controllers import LONGEST_DELAY, Controller, numbers_of
 from jointid.models.joints import Joint
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.solve import Problem
 
 INITIAL_STATE = (
     Parameter("initial_position", "q(0)", Quantity.POSITION),
@@ -133,8 +127,6 @@ def of_law(name: str) -> bool:
 
 # The problems
 
-_Member = TypeVar("_Member", bound=Problem)
-
 FAILED = 1e3  # times the measured signal: the error of a candidate that cannot be simulated
 
 
@@ -210,58 +202,3 @@ class RecordProblem:
     def all_free(self) -> Self:
         """Return the problem with every parameter free, so that every derivative is there."""
         return self.replace_parameters({p.name: replace(p, free=True) for p in self.parameters})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SumProblem(Generic[_Member]):
-    """Several problems in one, which share parameters.
-
-    Attributes:
-        problems: the members.
-        free: the parameters that are identified: those that are shared, then those of each member, called
-            ``name@number`` with the number of the member, from 1.
-        places: for each member, where each of its free parameters stands among those, (its free,).
-        added: for each member, what is known to come on top of each, (its free,).
-        weights: of each member's rows.
-    """
-
-    problems: tuple[_Member, ...]
-    free: tuple[Parameter, ...]
-    places: tuple[NDArray[np.intp], ...]
-    added: tuple[FloatArray, ...]
-    weights: tuple[float, ...]
-
-    def of_member(self, x: FloatArray, number: int) -> FloatArray:
-        """Return the free parameters of one member, numbered from 0, in its own order."""
-        return np.asarray(x[self.places[number]] + self.added[number])
-
-    def vector(self, found: Sequence[FloatArray]) -> FloatArray:
-        """Return the parameters that the members' own come from: means of those that are shared, within bounds."""
-        total, count = np.zeros(len(self.free)), np.zeros(len(self.free))
-        for place, added, own in zip(self.places, self.added, found, strict=True):
-            np.add.at(total, place, own - added)
-            np.add.at(count, place, 1.0)
-        return Bounds.of(self.free).clip(total / count)
-
-    def weighing(self, weights: Sequence[float]) -> SumProblem[_Member]:
-        """Return the same problem with other weights; they are made relative to their mean.
-
-        The residual keeps the unit of the members' that way.
-        """
-        mean = math.sqrt(sum(weight**-2 for weight in weights) / len(weights))
-        return replace(self, weights=tuple(mean * weight for weight in weights))
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the weighted residuals, one member after the other, (rows,)."""
-        members = enumerate(zip(self.problems, self.weights, strict=True))
-        return np.concatenate([weight * p.residual(self.of_member(x, k)) for k, (p, weight) in members])
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        errors, slopes = [], []
-        for k, (problem, weight) in enumerate(zip(self.problems, self.weights, strict=True)):
-            error, J = problem.linearise(self.of_member(x, k))
-            errors.append(weight * error)
-            slopes.append(np.zeros((error.size, len(self.free))))
-            slopes[-1][:, self.places[k]] = weight * J
-        return np.concatenate(errors), np.concatenate(slopes)

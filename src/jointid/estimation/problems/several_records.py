@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
-from jointid.estimation.problems.base import INITIAL, RecordProblem, SumProblem, of_law
+from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, Quantity, unit_of
+from jointid.estimation.problems.base import INITIAL, RecordProblem, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import ClosedLoop, Joint
 
@@ -117,40 +118,35 @@ class RecordLayout:
 class RecordsProblem(RecordProblem):
     """Several records as one problem: what they share, fixed parameters too, then what is each record's own.
 
+    A parameter of a record is one that all share, or that plus a number that is known, or its own, called
+    ``name@number`` with the number of the record, from 1. The residuals stand one after the other, each through a
+    filter of its own.
+
     Attributes:
         layout: how they belong together.
-        criterion: what is solved.
+        problems: of each record.
+        free: the parameters that are identified: those that are shared, then those of each record.
+        places: for each record, where each of its free parameters stands among those, (its free,).
+        added: for each record, what is known to come on top of each, (its free,).
+        weights: of each record's rows.
     """
 
     layout: RecordLayout
-    criterion: SumProblem[ClosedLoopProblem]
-
-    @classmethod
-    def of(cls, layout: RecordLayout, criterion: SumProblem[ClosedLoopProblem]) -> RecordsProblem:
-        """Return the problem of records that were added up."""
-        first, added, free = criterion.problems[0], layout.added[0], {p.name: p for p in criterion.free}
-        shared = {
-            p.name: free.get(p.name) or p.fix((p.start or 0.0) - added.get(p.name, 0.0))
-            for p in first.parameters
-            if p.name in free or not (p.free or p.name in INITIAL)
-        }
-        measured = np.concatenate([problem.measured for problem in criterion.problems])
-        return cls(tuple((shared | free).values()), measured, first.filtering, layout, criterion)
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified, in the criterion's order; the table's may be another."""
-        return self.criterion.free
+    problems: tuple[ClosedLoopProblem, ...]
+    free: tuple[Parameter, ...]
+    places: tuple[NDArray[np.intp], ...]
+    added: tuple[FloatArray, ...]
+    weights: tuple[float, ...]
 
     @property
     def joint(self) -> Joint:
         """The joint."""
-        return self.layout.joint
+        return self.problems[0].joint
 
     @property
     def sample_time(self) -> float:
         """Of the first record's torque, seconds."""
-        return self.criterion.problems[0].sample_time
+        return self.problems[0].sample_time
 
     @property
     def units(self) -> dict[str, str]:
@@ -159,32 +155,69 @@ class RecordsProblem(RecordProblem):
 
     def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals of all records, (samples,) or (samples, columns), each through its own filter."""
-        borders = np.cumsum([problem.measured.size for problem in self.criterion.problems])[:-1]
-        parts = zip(self.criterion.problems, np.split(columns, borders), strict=True)
+        borders = np.cumsum([problem.measured.size for problem in self.problems])[:-1]
+        parts = zip(self.problems, np.split(columns, borders), strict=True)
         return np.concatenate([problem.filter(part) for problem, part in parts])
 
     def of_record(self, number: int) -> tuple[Parameter, ...]:
         """Return the free parameters that a record has, numbered from 0: shared ones, and ``name@number`` its own."""
-        return tuple(self.criterion.free[i] for i in self.criterion.places[number])
+        return tuple(self.free[i] for i in self.places[number])
+
+    def of_member(self, x: FloatArray, number: int) -> FloatArray:
+        """Return the free parameters of one record, numbered from 0, in its own order."""
+        return np.asarray(x[self.places[number]] + self.added[number])
+
+    def join(self, found: Sequence[FloatArray]) -> FloatArray:
+        """Return the parameters that the records' own come from: means of those that are shared, within bounds."""
+        total, count = np.zeros(len(self.free)), np.zeros(len(self.free))
+        for place, added, own in zip(self.places, self.added, found, strict=True):
+            np.add.at(total, place, own - added)
+            np.add.at(count, place, 1.0)
+        return Bounds.of(self.free).clip(total / count)
+
+    def weighing(self, weights: Sequence[float]) -> RecordsProblem:
+        """Return the same problem with other weights; they are made relative to their mean.
+
+        The residual keeps the unit of the records' that way.
+        """
+        mean = math.sqrt(sum(weight**-2 for weight in weights) / len(weights))
+        return replace(self, weights=tuple(mean * weight for weight in weights))
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the weighted residuals, one record after the other, (rows,)."""
+        members = enumerate(zip(self.problems, self.weights, strict=True))
+        return np.concatenate([weight * p.residual(self.of_member(x, k)) for k, (p, weight) in members])
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        errors, slopes = [], []
+        for k, (problem, weight) in enumerate(zip(self.problems, self.weights, strict=True)):
+            error, J = problem.linearise(self.of_member(x, k))
+            errors.append(weight * error)
+            slopes.append(np.zeros((error.size, len(self.free))))
+            slopes[-1][:, self.places[k]] = weight * J
+        return np.concatenate(errors), np.concatenate(slopes)
 
 
 def several(
     problems: Sequence[ClosedLoopProblem],
     own: Sequence[Sequence[str]] | None = None,
     added: Sequence[Mapping[str, float]] | None = None,
-) -> SumProblem[ClosedLoopProblem]:
-    """Return the criterion of several records; their residuals have equal weight, see `SumProblem.weighing`.
+    layout: RecordLayout | None = None,
+) -> RecordsProblem:
+    """Return the problem of several records; their residuals have equal weight, see `RecordsProblem.weighing`.
 
     Args:
         problems: one for each record, of one model of joint.
         own: for each record, names of its parameters that the others do not share.
         added: for each record, what is known to come on top of the shared value, by name, in the parameter's unit.
+        layout: how they belong together, which says the same, and the units.
 
     Raises:
         MethodError: the joints are not of one model; a name is not one of a record's parameters; a parameter is its
             record's own and has something known added; or nothing tells the drive's gain.
     """
-    own, added = own or [()] * len(problems), added or [{}] * len(problems)
+    own, added = own or [()] * len(problems), added or (layout.added if layout else [{}] * len(problems))
     names = {tuple(p.name for p in problem.loop.joint.parameters) for problem in problems}
     if len(names) != 1 or len({problem.loop.joint.kind for problem in problems}) != 1:
         raise MethodError("Records that are fitted together have one model of joint, of one kind; give them the same.")
@@ -210,9 +243,19 @@ def several(
         lower, upper = max(p.lower for p in each), min(p.upper for p in each)
         return replace(each[0], name=label, symbol=symbol, lower=lower, upper=upper)
 
-    return SumProblem(
+    first, free = problems[0], {label: common(label, members[label]) for label in order}
+    shared = {
+        p.name: free.get(p.name) or p.fix((p.start or 0.0) - added[0].get(p.name, 0.0))
+        for p in first.parameters
+        if p.name in free or not (p.free or p.name in INITIAL)
+    }
+    return RecordsProblem(
+        tuple((shared | free).values()),
+        np.concatenate([problem.measured for problem in problems]),
+        first.filtering,
+        layout or RecordLayout(tuple(problem.loop for problem in problems), tuple(map(dict, added)), ()),
         tuple(problems),
-        tuple(common(label, members[label]) for label in order),
+        tuple(free.values()),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
         tuple(np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, added, strict=True)),
         (1.0,) * len(problems),
