@@ -125,7 +125,7 @@ class RecordsProblem(RecordProblem):
     Attributes:
         layout: how they belong together.
         problems: of each record.
-        free: the parameters that are identified: those that are shared, then those of each record.
+        order: the parameters that are identified: those that are shared, then those of each record.
         places: for each record, where each of its free parameters stands among those, (its free,).
         added: for each record, what is known to come on top of each, (its free,).
         weights: of each record's rows.
@@ -133,10 +133,15 @@ class RecordsProblem(RecordProblem):
 
     layout: RecordLayout
     problems: tuple[ClosedLoopProblem, ...]
-    free: tuple[Parameter, ...]
+    order: tuple[Parameter, ...]
     places: tuple[NDArray[np.intp], ...]
     added: tuple[FloatArray, ...]
     weights: tuple[float, ...]
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified; the table's order may be another."""
+        return self.order
 
     @property
     def joint(self) -> Joint:
