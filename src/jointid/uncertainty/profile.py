@@ -169,23 +169,17 @@ class ByCompliance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Changed:
-    """A problem with changed rows and the same parameters."""
+class _Held:
+    """A problem with a further row, ``stiffness (weights' x - value)``."""
 
     problem: Problem
+    weights: FloatArray
+    stiffness: float
+    value: float
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         return self.problem.free
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Held(_Changed):
-    """A problem with a further row, ``stiffness (weights' x - value)``."""
-
-    weights: FloatArray
-    stiffness: float
-    value: float
 
     def _row(self, x: FloatArray) -> float:
         return self.stiffness * float(self.weights @ x - self.value)
@@ -221,18 +215,15 @@ def profile(
         covariance: of the free parameters; autocorrelation-robust when None.
         settings: see `Profiling`.
     """
-    from scipy.stats import t as student
-
-    settings = settings or Profiling()
+    settings, counted = settings or Profiling(), Counted(problem)
     weights = combination.vector(problem.free)
-    counted = Counted(problem)
     residual, J = counted.linearise(x)
     std = (covariance or robust(J, J, residual)).std_of(weights)
     direction, flat = _least_rise(J, weights)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
     found, threshold = [centre], 0.0
     if flat is not None and std > 0.0:
-        quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
+        quantile = _quantile(settings, residual.size - x.size)
         threshold, stiffness = quantile**2 * std**2 / flat, _HELD / math.sqrt(flat)
 
         solver = LevenbergMarquardt(settings.tolerance, settings.evaluations)
@@ -289,16 +280,13 @@ def is_parabola(
     The covariance's interval then holds. A bound in the interval or an invisible quantity gives False. Arguments as for
     `profile`.
     """
-    from scipy.stats import t as student
-
-    settings = settings or Profiling()
     weights = combination.vector(problem.free)
     residual, J = problem.linearise(x)
     std = covariance.std_of(weights)
     direction, flat = _least_rise(J, weights)
     if flat is None or std == 0.0:
         return False
-    quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
+    quantile = _quantile(settings or Profiling(), residual.size - x.size)
     threshold, lowest, bounds = quantile**2 * std**2 / flat, float(residual @ residual), Bounds.of(problem.free)
     for sign in (-1.0, 1.0):
         there = x + sign * quantile * std * direction
@@ -333,6 +321,13 @@ def profile_compliance(
     by = ByCompliance(problem, _LEAST / float(x[at]))
     wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
     return profile(by, by.exchange(x), wanted, turned, settings)
+
+
+def _quantile(settings: Profiling, degrees: int) -> float:
+    """Return that of Student's distribution of so many degrees of freedom, of a two-sided interval."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(degrees, 1), 0.5 + 0.5 * settings.level))
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
