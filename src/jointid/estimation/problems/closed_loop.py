@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import (
@@ -36,8 +36,6 @@ from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from jointid.uncertainty.position_dependent_error import Cells, cells
-
-_FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,17 +231,6 @@ class ClosedLoopProblem(RecordProblem):
         assert isinstance(joint, RigidJoint)
         kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
         return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
-
-    def scales(self, x: FloatArray, columns: FloatArray, size: float) -> FloatArray:
-        """Return the size a change of each joint parameter is measured against: its value, or a small torque's.
-
-        Args:
-            x: free parameters.
-            columns: (rows, free of the joint) of the torque, filtered.
-            size: norm of the torque, filtered.
-        """
-        norms = column_norms(columns)
-        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / norms))
 
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)
