@@ -10,7 +10,7 @@ from jointid.common.parameters import Bounds
 from jointid.estimation.problems.log_windows import Place, Places, repeats
 from jointid.uncertainty.resampling import Sums, left_out, step_of, total
 
-ANYWHERE = Bounds.infinite(3)
+ANYWHERE = Bounds(np.full(3, -np.inf), np.full(3, np.inf))
 
 
 def drawn(seed: int, groups: int = 12, rows: int = 30) -> list[tuple[FloatArray, FloatArray]]:

@@ -1,14 +1,14 @@
-"""What problems of one record share: values and vectors by name, parameters kept and freed; and their sum."""
+"""What problems of one record share: values and vectors by name, parameters kept and freed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import RecordProblem, SumProblem
+from jointid.estimation.problems.base import RecordProblem
 from jointid.models.joints import Joint, RigidJoint
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
@@ -60,16 +60,3 @@ def test_one_verb_solves_it() -> None:
     assert end.x == pytest.approx([1.0, 2.0])
     kept = solve(line(1.0, 2.0).keeping({"a": 1.0}), LevenbergMarquardt(), np.zeros(1))
     assert kept.x == pytest.approx([2.0])
-
-
-def test_a_sum_shares_what_is_one_and_adds_what_is_known() -> None:
-    first, second = line(1.0, 2.0), line(5.0, 2.5)
-    shared = replace(first.parameters[1], name="b")
-    apart = tuple(replace(first.parameters[0], name=f"a@{k}") for k in (1, 2))
-    added = (np.zeros(2), np.array([0.0, 0.5]))
-    together = SumProblem((first, second), (shared, *apart), (np.array([1, 0]), np.array([2, 0])), added, (1.0,) * 2)
-    end = solve(together, LevenbergMarquardt(), np.zeros(3))
-    assert end.x == pytest.approx([2.0, 1.0, 5.0])
-    assert together.of_member(end.x, 1) == pytest.approx([5.0, 2.5])
-    assert together.vector([np.array([1.0, 1.0]), np.array([5.0, 3.5])]) == pytest.approx([2.0, 1.0, 5.0])
-    assert end.residual.size == 2 * TIME.size

@@ -2,7 +2,7 @@
 
 What a window says at a candidate, `Seen`, is a model's (`WindowModel`): a loop that is simulated, or the inverse model
 of a joint or a robot. Everything else is the same for all of them. Several records are members of one problem, which
-share parameters as in `SumProblem`.
+share parameters as in `RecordsProblem`.
 
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing

@@ -323,7 +323,7 @@ def build_prescribed_result(
             converged=solution.converged,
             simulations=simulations,
         ),
-        checks=Checks(warnings=warnings),
+        checks=Checks(warnings=tuple(warnings)),
         data=build_data(record, ("torque", "motor_position"), problem.sample_time),
         settings=Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, delay),
     )
