@@ -31,7 +31,6 @@ EVERY = Document(
                 ("fit", True, ("4 % remains",)),
                 ("whiteness", False, ("one", "two")),
                 ("loop", None, ("-",)),
-                ("repeats", "noted", ("it is small",)),
             )
         ),
         Paragraph("a paragraph"),

@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from rich.console import Console, RenderableType
 
-Mark: TypeAlias = bool | Literal["noted"] | None
-"""The answer to a question; None if undecided, noted if it is no but changes nothing."""
-
-_MARKS: Mapping[Mark, tuple[str, str]] = {
-    True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow"), "noted": ("noted", "cyan"),
-}  # fmt: skip
+_MARKS: Mapping[bool | None, tuple[str, str]] = {
+    True: ("yes", "green"),
+    False: ("no", "bold red"),
+    None: ("?", "yellow"),
+}
 WIDTH = 80
 """Characters of a line of plain text."""
 
@@ -81,7 +80,7 @@ class Listing:
 class Verdicts:
     """Questions, each with an answer and reasons."""
 
-    rows: tuple[tuple[str, Mark, tuple[str, ...]], ...]
+    rows: tuple[tuple[str, bool | None, tuple[str, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
