@@ -111,7 +111,7 @@ def identify(
         MethodError: the method does not fit the model, the record does not determine the parameters, or it gives an
             inertia that is not positive; records are one only, or one twice, or the lists about them are not as long.
 
-    A parameter that comes out outside its bounds is kept at the bound, with a warning, and the others identified anew.
+    A parameter that comes out outside its bounds is kept at the bound, and the others identified anew.
 
     Example:
         >>> import jointid as ji
