@@ -282,7 +282,7 @@ def test_a_bad_log_of_a_joint_and_of_a_robot_is_named(text: str, folder: Path) -
     np.savetxt(folder / "x.csv", table, delimiter=",", header="ref,q,tau", comments="")
     assert any("it is unwrapped" in said for said in records(positions).remarks)
     np.savetxt(folder / "x.csv", table * [1, 180 / np.pi, 1], delimiter=",", header="ref,q,tau", comments="")
-    with pytest.raises(ji.RecordError, match="as if motor_position were in deg and read as rad; check both units"):
+    with pytest.raises(ji.RecordError, match="as if motor_position were in deg and read as rad; check units"):
         records(positions)
 
 
