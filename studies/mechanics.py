@@ -184,9 +184,9 @@ def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[
     first = float(experiment.inputs[0, 0])
     state = experiment.state + experiment.memory[:, 0] * first
     out, wound = _run(
-        row, feedback.A[0], feedback.Bq[0], feedback.C[0, law.output], float(feedback.D[0, law.output]), state,
-        np.ascontiguousarray(experiment.feedforward[law.output]), feedback.driven, after, int(experiment.lags[0]),
-        law.period, steps, first,
+        row, feedback.A[0, 0], feedback.Bq[0, 0], feedback.C[0, 0, law.output], float(feedback.D[0, 0, law.output]),
+        state, np.ascontiguousarray(experiment.feedforward[law.output]), feedback.driven[0], after,
+        int(experiment.lags[0]), law.period, steps, first,
     )  # fmt: skip
     return out, experiment, float(wound)
 

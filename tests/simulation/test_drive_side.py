@@ -29,7 +29,7 @@ def torque_of(motion: PrescribedMotion, values: dict[str, float], parts: int) ->
 
 
 @pytest.mark.parametrize("coulomb", [10.4, 60.0])
-def test_two_parts_of_a_sample_are_enough(coulomb: float) -> None:
+def test_four_parts_of_a_sample_are_enough(coulomb: float) -> None:
     values = TABLE_2 | {"load_coulomb": coulomb}
     exact = torque_of(prescribed_motion(wave(), T, 32), values, 32)
     coarse, fine = (

@@ -106,7 +106,7 @@ def solve_rows(
 ) -> Solution:
     """Return the solution of all parameters, with deviations of 0 for those that are fixed, or held by a bound.
 
-    The one that violates a bound most, in deviations, is held there, and the others are solved for again.
+    Unless an inertia is below 0, what violates a bound most, in deviations, is held there, and the rest solved again.
 
     Args:
         rows: of all parameters.
@@ -133,8 +133,8 @@ def solve_rows(
             p = known.get(name)
             if p is None or name in fixed or name in held or p.lower <= value <= p.upper:
                 continue
-            if p.quantity is Quantity.INERTIA and value <= 0.0:  # for which no bound is a remedy
-                continue
+            if p.quantity is Quantity.INERTIA and value <= 0.0:  # no bound, nor one of another, is a remedy
+                return replace(solution, simulations=simulations, held=held)
             bound = p.lower if value < p.lower else p.upper
             beyond[name] = abs(value - bound) / (spread or abs(value) or 1.0), bound
         if not beyond:
