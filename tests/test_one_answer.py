@@ -61,7 +61,7 @@ def _told(answer: dict[str, Any]) -> tuple[Any, ...]:
 
 @pytest.mark.parametrize(("gain", "trust"), [(100.0, "reliable"), (60.0, "not_reliable_yet")])
 def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sections, "_picture", lambda *_: [])  # drawing takes as long as all else
+    monkeypatch.setattr(sections, "svg", lambda *_: b"")  # drawing takes as long as all else
     file, joint, run = _recorded(tmp_path, gain), tmp_path / "joint.toml", tmp_path / "run.csv"
     record = file.record(run)
     notebook = ji.identify(record, ji.ClosedLoop(file.joint, file.loop.controller), shown=file.declared_numbers)

@@ -15,7 +15,7 @@ from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.robot import Tree
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels import engine
-from jointid.simulation.kernels.drive import IntArray, SampledLoop
+from jointid.simulation.kernels.drive import IntArray, SampledLoop, passing
 from jointid.simulation.kernels.drive_sensitivities import LANES, Columns, Slopes
 from jointid.simulation.kernels.engine import (
     BEGIN,
@@ -36,6 +36,8 @@ AnyArray: TypeAlias = NDArray[Any]
 
 IMAGINARY = 1e-30
 """A complex step: its square is nothing beside any value."""
+HEAVY = 1e18
+"""Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
 _MORE = 2  # rows of a tape per step and part, beside a thousand
 
 
@@ -120,6 +122,14 @@ def plant_of(joint: Joint, values: Mapping[str, Any]) -> Plant:
     return assemble(masses, springs, places, [(0, 1), (1, 2)][: len(springs)], [0], [-1, 0, 1][: len(masses)])
 
 
+def heavy_plant(joint: Joint, values: Mapping[str, Any]) -> Plant:
+    """Return the joint with a motor so heavy that it follows the prescribed motion."""
+    plant = plant_of(joint, values)
+    plant.masses[0, :, :HIGH] = 0.0
+    plant.masses[0, :, INERTIA] = HEAVY
+    return plant
+
+
 def plant_seeds(make: Callable[[Mapping[str, Any]], Plant], values: Mapping[str, float], name: str) -> Plant:
     """Return the derivatives of the numbers that `make` returns by a parameter, by a complex step."""
     moved = make({**values, name: complex(values[name], IMAGINARY)})
@@ -183,6 +193,31 @@ def integrate(
         excess[j, -(-done // int(every)) :] = 0.0
     np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)  # divergence may overflow
     return Integrated(status, command, excess, tape[: counts[1]], counts)
+
+
+def move_motors(
+    plant: Plant, tree: Tree | None, inertials: FloatArray, joined: FloatArray, step: float, start: FloatArray,
+    speeds: FloatArray, steps: int = 0,
+) -> Integrated:  # fmt: skip
+    """Simulate masses behind motors whose inertia is `HEAVY`, along velocities, (edges, n), from a first state.
+
+    One more part follows the last one, so that its end is on the tape, too. Other arguments are those of `integrate`.
+    """
+    held = np.diff(joined, axis=0) / step
+    torques = HEAVY * np.vstack([held, held[-1:]]).T[:, np.newaxis]
+    n = len(torques)
+    return integrate(
+        plant, tree, inertials, pass_on(torques, step), np.zeros(n), np.full(n, math.inf), np.zeros((n, 0)), start,
+        speeds, np.sign(speeds), keep=True, steps=steps,
+    )  # fmt: skip
+
+
+def pass_on(torques: FloatArray, step: float) -> SampledLoop:
+    """Return torques, (joints, 1, parts), that each act in one part of `step` seconds, as the kernels take them."""
+    joints, _, parts = torques.shape
+    lags, every = np.zeros((joints, 1), dtype=np.int64), np.ones(joints, dtype=np.int64)
+    given = np.ascontiguousarray(torques)
+    return SampledLoop(np.array([step]), lags, every, passing(joints), given, np.zeros((joints, parts)))
 
 
 def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

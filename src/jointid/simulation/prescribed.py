@@ -15,29 +15,24 @@ error is below 1e-5 (tests/simulation/test_drive_side.py). A rigid joint's torqu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.drive import FINISHED, SampledLoop, passing
-from jointid.simulation.kernels.drive_sensitivities import LANES, Columns, Slopes
-from jointid.simulation.kernels.engine import HIGH, INERTIA, Plant
-from jointid.simulation.plant import Integrated, follow_plant, integrate, is_possible, motion_of, plant_of, plant_seeds
 from jointid.simulation.sensitivities import start_slope
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
+    from jointid.simulation.kernels.engine import Plant
+    from jointid.simulation.plant import Integrated
+
 PARTS = 4  # of a sample: with 2 a viscous friction of loads that stick errs by 2e-3 instead of 1e-3
-HEAVY = 1e18
-"""Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
 _DEGREE = 7  # of the spline, odd: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
 LOAD_STATE = ("initial_load_position", "initial_load_velocity")
 """The load's state at the first sample, beside where steady motion has it."""
@@ -118,23 +113,6 @@ def motion_at_edges(
     return np.asarray(spline(edges) + home), velocity, np.asarray(spline.derivative(2)(edges)), joined
 
 
-def move_motors(
-    plant: Plant, tree: Tree | None, inertials: FloatArray, joined: FloatArray, step: float, start: FloatArray,
-    speeds: FloatArray, steps: int = 0,
-) -> Integrated:  # fmt: skip
-    """Simulate masses behind motors whose inertia is `HEAVY`, along velocities, (edges, n), from a first state.
-
-    One more part follows the last one, so that its end is on the tape, too. Other arguments are those of `integrate`.
-    """
-    held = np.diff(joined, axis=0) / step
-    torques = HEAVY * np.vstack([held, held[-1:]]).T[:, np.newaxis]
-    n = len(torques)
-    return integrate(
-        plant, tree, inertials, pass_on(torques, step), np.zeros(n), np.full(n, math.inf), np.zeros((n, 0)), start,
-        speeds, np.sign(speeds), keep=True, steps=steps,
-    )  # fmt: skip
-
-
 def spline_of(position: FloatArray, sample_time: float) -> BSpline:
     """Interpolating spline through positions, (samples, ...), with accurate second derivative.
 
@@ -197,10 +175,9 @@ def simulate_drive_side(
         names: parameters, and entries of `LOAD_STATE`, to differentiate by.
     """
     acceleration = np.diff(motion.velocity) / motion.step
-    friction = mean_friction(joint, motion.velocity)
     inertia, prefix = ("motor_inertia", "motor_") if joint.model == "flexible" else ("inertia", "")
     own = [inertia, *(p.name for p in joint.friction.parameters(prefix, "")), "offset"]
-    columns = np.column_stack([acceleration, friction, np.ones(acceleration.size)])
+    columns = np.column_stack([acceleration, mean_friction(joint, motion.velocity), np.ones(acceleration.size)])
     if joint.gravity is not None and joint.model == "rigid":
         own += [p.name for p in joint.gravity.parameters]
         columns = np.column_stack([columns, joint.gravity.columns(motion.mean_position)])
@@ -209,9 +186,8 @@ def simulate_drive_side(
         columns = np.column_stack([columns, joint.ripple.columns_at(motion.mean_position)])
     torque = columns @ np.array([values[name] for name in own])
     derivatives = np.zeros((torque.size, len(names)))
-    for i, name in enumerate(names):
-        if name in own:
-            derivatives[:, i] = columns[:, own.index(name)]
+    for name in set(own).intersection(names):
+        derivatives[:, names.index(name)] = columns[:, own.index(name)]
     if not isinstance(joint, FlexibleJoint):
         return DriveSideRun(torque, derivatives, None, None, values[inertia] > 0)
     load = _Load.simulate(joint, motion, values)
@@ -244,7 +220,10 @@ class _Load:
     @classmethod
     def simulate(cls, joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> _Load | None:
         """Simulate the load; None for impossible values or too fast dynamics."""
-        plant, edges = _heavy_plant(joint, values), motion.position.size
+        from jointid.simulation.kernels.drive import FINISHED
+        from jointid.simulation.plant import heavy_plant, is_possible, motion_of, move_motors
+
+        plant, edges = heavy_plant(joint, values), motion.position.size
         if not (values["motor_inertia"] > 0 and is_possible(plant, edges * motion.step)):
             return None
         start, joined = _start(joint, motion, values), motion.joined[:, np.newaxis]
@@ -262,8 +241,7 @@ class _Load:
         force = stiffness * stretch + damping * slip
         if not names:
             return force, np.zeros((stretch.size, 0))
-        blocks = (names[i : i + LANES] for i in range(0, len(names), LANES))
-        moved, moved_velocity = np.concatenate([self._differentiate(block) for block in blocks], axis=2).swapaxes(0, 1)
+        moved, moved_velocity = self._differentiate(names).swapaxes(0, 1)
         moved, moved_slip = part_means(moved, moved_velocity, self.motion.step)
         slopes = -stiffness * moved - damping * moved_slip
         for name, column in (("stiffness", stretch), ("damping", slip)):
@@ -273,38 +251,25 @@ class _Load:
 
     def _differentiate(self, names: list[str]) -> FloatArray:
         """Derivatives of the load's position and velocity at the edges, (edges, 2, names)."""
+        from jointid.simulation.kernels.drive_sensitivities import LANES, Columns, Slopes
+        from jointid.simulation.plant import follow_plant, heavy_plant, pass_on, plant_seeds
+
+        if len(names) > LANES:
+            return np.dstack([self._differentiate(names[:LANES]), self._differentiate(names[LANES:])])
         edges, start = len(self.states), np.zeros((4, LANES))
-        own, seeds = {p.name for p in self.joint.parameters}, list[Plant | None]()
+        own, make = {p.name for p in self.joint.parameters}, partial(heavy_plant, self.joint)
+        seeds = [plant_seeds(make, self.values, name) if name in own else None for name in names]
         for j, name in enumerate(names):
-            seeds.append(plant_seeds(partial(_heavy_plant, self.joint), self.values, name) if name in own else None)
             if name in own:
                 start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             else:
                 start[2 + LOAD_STATE.index(name), j] = 1.0
         states = np.empty((edges, 4, LANES))
-        columns = Columns(
-            np.zeros((edges, 1, 0)), LANES, np.zeros(LANES), np.zeros((1, LANES)), start, np.zeros((0, LANES))
-        )
+        columns = Columns(np.zeros((edges, 1, 0)), LANES, np.zeros(LANES), np.zeros((1, LANES)), start, start[:0])
         loop, command = pass_on(self.run.command[:, np.newaxis], self.motion.step), self.run.command[0]
         slopes = Slopes(np.empty((LANES, edges)), states)
         follow_plant(self.plant, seeds, loop, 0.0, command, np.empty((0, 1)), self.run.tape, columns, slopes)
         return states[:, 2:, : len(names)]
-
-
-def pass_on(torques: FloatArray, step: float) -> SampledLoop:
-    """Return torques, (joints, 1, parts), that each act in one part of `step` seconds, as the kernels take them."""
-    joints, _, parts = torques.shape
-    lags, every = np.zeros((joints, 1), dtype=np.int64), np.ones(joints, dtype=np.int64)
-    given = np.ascontiguousarray(torques)
-    return SampledLoop(np.array([step]), lags, every, passing(joints), given, np.zeros((joints, parts)))
-
-
-def _heavy_plant(joint: FlexibleJoint, values: Mapping[str, Any]) -> Plant:
-    """Return the joint with a motor so heavy that it follows the prescribed motion."""
-    plant = plant_of(joint, values)
-    plant.masses[0, :, :HIGH] = 0.0
-    plant.masses[0, :, INERTIA] = HEAVY
-    return plant
 
 
 def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> FloatArray:

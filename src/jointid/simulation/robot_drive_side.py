@@ -21,8 +21,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.kernels.engine import STATE
-from jointid.simulation.plant import motion_of
-from jointid.simulation.prescribed import HEAVY, motion_at_edges, move_motors, part_means, pass_on
+from jointid.simulation.plant import HEAVY, motion_of, move_motors, pass_on
+from jointid.simulation.prescribed import motion_at_edges, part_means
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import columns_of, rows_of, seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start

@@ -47,7 +47,7 @@ def compile_drive() -> None:
 def compile_derivatives() -> None:
     """Compile their derivatives by a call without a period."""
     from jointid.simulation.kernels import drive, drive_sensitivities
-    from jointid.simulation.prescribed import pass_on
+    from jointid.simulation.plant import pass_on
 
     lanes, none = drive_sensitivities.LANES, np.zeros(0)
     counts, modes = np.zeros(4, dtype=np.int64), np.zeros(0, dtype=np.int16)
