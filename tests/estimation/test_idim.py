@@ -17,8 +17,10 @@ from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.model_tests import durbin_wu_hausman
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
+from tests.text import unwrapped
 
 SEEDS = range(1, 11)
 
@@ -41,6 +43,7 @@ def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop() -> None:
     for name in truth:
         assert abs(bias(instrumented, truth, name)[1]) <= 3.5, name  # 3.5 of t with 9 degrees of freedom: 0.7 %
     assert abs(bias(instrumented, truth, "motor_inertia")[0]) < 0.002
+    assert all(estimate.checks.tests[0].rejected for estimate in instrumented)
     assert all(estimate.fit.converged and estimate.fit.simulations <= 6 for estimate in instrumented)
     inside = [
         abs(estimate.values[p.name] - truth[p.name]) <= 2 * float(p.stderr or 0.0)
@@ -63,7 +66,39 @@ def test_instruments_on_a_rigid_axis() -> None:
         instrumented.append(identify(made, loop, IDIM("iv")))
     assert abs(bias(plain, truth, "inertia")[1]) > 6
     assert all(abs(bias(instrumented, truth, name)[1]) <= 3.5 for name in truth)
+    assert all(estimate.checks.tests[0].rejected for estimate in instrumented)
     assert instrumented[0].data.channels == ("torque", "reference", "motor_position")
+    assert "its least-squares values are biased; use IV or DIDIM" in unwrapped(instrumented[0].summary(details=True))
+
+
+@pytest.mark.slow
+def test_noise_on_the_log_alone_raises_no_alarm() -> None:
+    axes = (twin("L30", noise="white", seed=seed) for seed in range(1, 41))
+    alarms = [identify(axis.record, axis.loop, IDIM("iv")).checks.tests[0].rejected for axis in axes]
+    assert np.mean(alarms) <= 0.1
+
+
+def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
+    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
+
+
+@pytest.mark.parametrize(("share", "lowest", "highest"), [(0.0, 0.0, 0.08), (0.6, 0.95, 1.0)])
+def test_the_test_of_endogeneity_keeps_its_level_and_has_power(share: float, lowest: float, highest: float) -> None:
+    """Errors and columns are correlated from row to row, as the low-pass makes them; `share` also with each other."""
+    random, rejected = np.random.default_rng(5), 0
+    for _ in range(200):
+        Z = np.column_stack([low_passed(random, 800), np.ones(800)])
+        error = low_passed(random, 800)
+        W = Z + np.column_stack([share * error + (1 - share) * low_passed(random, 800), np.zeros(800)])
+        rejected += durbin_wu_hausman(W, W @ [2.0, 1.0] + error, Z).rejected
+    assert lowest <= rejected / 200 <= highest
+
+
+def test_instruments_that_are_the_columns_say_nothing() -> None:
+    random = np.random.default_rng(6)
+    W = random.normal(size=(300, 2))
+    same = durbin_wu_hausman(W, W @ [1.0, 2.0] + random.normal(size=300), 3.0 * W)
+    assert (same.statistic, same.degrees, same.p_value, same.rejected) == (0.0, 0, 1.0, False)
 
 
 def test_the_solution_by_instruments_solves_its_equation() -> None:

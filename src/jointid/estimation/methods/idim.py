@@ -151,6 +151,7 @@ class IDIM(Method):
                     *_of_rest(model),
                     *_warnings(record, filtering),
                 ),
+                tests=() if solved.test is None else (solved.test,),
             ),
             data=build_data(record, tuple(read), sample_time),
             settings=Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay, found.effects),

@@ -39,6 +39,7 @@ from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
 from jointid.uncertainty.covariance import robust as robust_covariance
+from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
 _SETTLED = 1e-8  # relative change of the values that ends a reweighting
@@ -90,6 +91,7 @@ class Solution:
         stop: how it ended, in a sentence. converged: whether that is a good end.
         simulations: of instruments that were made.
         held: values of the parameters that a bound holds, by name.
+        test: whether least squares would have done in the place of instruments.
     """
 
     values: FloatArray
@@ -99,6 +101,7 @@ class Solution:
     converged: bool = True
     simulations: int = 0
     held: Mapping[str, float] = field(default_factory=dict)
+    test: ChiSquareTest | None = None
 
 
 def solve_rows(
@@ -284,7 +287,7 @@ def _by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free
         MethodError: a simulation fails, or the instruments do not determine the parameters.
     """
     solution, chosen = ordinary(rows) if rows.driven == 1 else weighted_least_squares(rows), list(free)
-    number, settled = 0, False
+    number, settled, Z = 0, False, rows.W
     while number < _SIMULATIONS and not settled:
         number += 1
         whole = kept.copy()
@@ -293,8 +296,9 @@ def _by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free
         before, solution = solution, instrumental(rows, Z, solution.values)
         change = np.abs(solution.values - before.values)
         settled = bool(np.all(change <= _CLOSE * solution.covariance.std))
+    test = durbin_wu_hausman(rows.W, rows.Y, Z, rows.equations)
     stop = f"{'converged: nothing changes any more' if settled else 'still changing'} after {number} simulations"
-    return replace(solution, stop=stop, simulations=number, converged=settled)
+    return replace(solution, stop=stop, simulations=number, converged=settled, test=test)
 
 
 def _sizes(rows: Rows, values: FloatArray) -> FloatArray:

@@ -25,6 +25,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.identifiability import Identifiability
+from jointid.uncertainty.model_tests import ChiSquareTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 from jointid.uncertainty.verdict import StiffnessBound, Subject, Verdict
@@ -240,6 +241,7 @@ class Checks:
     Attributes:
         verdicts: on the solver, the fit, the residual, identifiability, bounds, stiffness; one question each.
         known: which parameters and combinations the record determines, and how well.
+        tests: of the method's assumptions.
         bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
         repeatable: the part of the residual that repeats with the motion, in a long log.
         agreement: whether several records, each by itself, agree.
@@ -253,6 +255,7 @@ class Checks:
     in_json = "-diagnosis"
     verdicts: tuple[Verdict, ...] = ()
     known: Identifiability | None = None
+    tests: tuple[ChiSquareTest, ...] = ()
     bounds: tuple[StiffnessBound, ...] = ()
     repeatable: Repeatable | None = None
     agreement: Agreement | None = None

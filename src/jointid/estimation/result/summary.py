@@ -61,7 +61,7 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
         facts += _effort(estimate)
     elif fit.interrupted or not (fit.converged or checks.verdicts):  # no verdict says why it ended so
         facts += [("stopped", fit.stop)]
-    facts += _limits(estimate)
+    facts += _limits(estimate, details=details)
     if checks.verdicts:
         facts += [("checks", _count_checks(estimate))]
     notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
@@ -202,8 +202,8 @@ def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
     yield "stopped", fit.stop
 
 
-def _limits(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
-    """Return the facts without a verdict: residual and limitations of a long log."""
+def _limits(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
+    """Return the facts without a verdict: residual and limitations of a long log, and tests of the method."""
     checks, windows = estimate.checks, estimate.data.windows
     if windows is not None and checks.repeatable is not None:
         said = str(checks.repeatable)
@@ -216,6 +216,8 @@ def _limits(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
         yield "residual", said
     if windows is not None and checks.known is not None:
         yield from (("limitation", str(one)) for one in checks.known.limitations)
+    if details:
+        yield from (("test", f"{test.name}: {test.sentence}") for test in checks.tests)
 
 
 def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
