@@ -17,7 +17,7 @@ from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from tests.plants import prismatic
-from tests.simulation.test_friction_in_pieces import RISES, rigid, slow
+from tests.smooth_laws import RISES, rigid, slow
 
 compare_frictions = partial(ji.compare, among="frictions")
 

@@ -100,7 +100,8 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     assert [row.stderr for row in back.params.rows] == [row["std"] for row in stored["parameters"].values()]
     # The joint's record has no noise: its deviations are rounding, which differs from machine to machine.
     np.testing.assert_allclose(back.params.correlation, stored["correlation"], atol=1e-6)
-    assert back.settings.filtering == now.settings.filtering and back.data.fingerprints == now.data.fingerprints
+    assert back.settings.filtering == now.settings.filtering
+    assert set(back.data.fingerprints) == {stored["record"]["torque_sha256"]}
     assert back.fit.position_rms == pytest.approx(now.fit.position_rms)
     assert kind == "joint" or back.sentence == now.sentence
     one, other = (read_report(path) for path in (tmp_path / "old.json", now.save(tmp_path / "new.json")))
