@@ -208,7 +208,7 @@ def plain_console(**options: Any) -> Console:
     """Return a console of rich to which names of files are plain text, whatever they hold."""
     from rich.console import Console
 
-    return Console(markup=False, emoji=False, highlight=False, **options)
+    return Console(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
 
 
 def _render(block: Block, console: Console) -> RenderableType:

@@ -208,6 +208,11 @@ class File:
         computed = any(axis.computes_torque for axis in self.axes)
         found = self._fed_forward(found) if self.simulates or (judged and whole) or computed else found
         found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
+        run = self._listed_as(path)
+        if run is not None and run.added_inertia:
+            said = f"{run.added_inertia:g} (records.added_inertia, on the load) were added"
+            remark = f"{said}: the inertia that this record alone determines includes them"
+            found = tuple(replace(one, remarks=(*one.remarks, remark)) for one in found)
         return self._of_axes(found)
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> Any:

@@ -50,7 +50,7 @@ from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 
 LARGEST = 600_000
-"""Samples of a joint's records that are identified at once, in about 1 GiB; of a robot's joints four times as many."""
+"""Samples of a joint's records that are identified at once, in about 1 GiB; of n joints 4/n times as many in all."""
 
 _PARTS, _CHECKED = 3, 0.375  # windows in what may be taken at once; of a window of a joint, which is checked
 _ROBOTS = Robot | RobotLoop | RobotDriveSide
@@ -70,15 +70,21 @@ class Planned:
     said: str
 
 
-def plan_windows(record: object, model: object, method: Method | None) -> Planned | None:
+def plan_windows(
+    record: object, model: object, method: Method | None, several: SeveralRecords | None = None
+) -> Planned | None:
     """Return for a long record the part to check, the windows, and a sentence on them; None of another.
+
+    Records that windows do not identify are none either.
 
     The part is the first with half the most travel or more.
     """
     records, robot = _flat(record), isinstance(model, _ROBOTS)
     samples = sum(max((len(channel) for _, channel in one.items()), default=0) for one in records)
-    share = samples / ((4 if robot else 1) * LARGEST)
-    if share <= 1.0:
+    share = samples / LARGEST
+    if isinstance(model, _ROBOTS):
+        share *= len(model if isinstance(model, Robot) else model.robot) / 4
+    if share <= 1.0 or not _in_windows(records, model, method, several):
         return None
     step = InMemory(records[0]).sample_time
     logs = [list(log) for log in each_log(cast("Records", record))] if robot else [[one] for one in records]
@@ -104,6 +110,25 @@ def _flat(record: object) -> list[Record]:
     if isinstance(record, Record):
         return [record]
     return [one for each in record for one in _flat(each)] if isinstance(record, list | tuple) else []
+
+
+def _in_windows(
+    records: Sequence[Record], model: object, method: Method | None, several: SeveralRecords | None
+) -> bool:
+    """Test whether these records, model and method can be identified in windows."""
+    one_rate = len({round(channel.sample_time, 12) for one in records for _, channel in one.items()}) == 1
+    if not one_rate or any(len({len(channel) for _, channel in one.items()}) != 1 for one in records):
+        return False
+    robot, free = isinstance(model, _ROBOTS), isinstance(method, DIDIM) and method.free and len(records) > 1
+    if free or (several and several.free):
+        return False
+    if isinstance(method, IDIM) and (method.effects or method.estimator not in (None, "weighted" if robot else "ols")):
+        return False  # which needs all rows at once
+    if robot or (len(records) == 1 and (isinstance(method, IDIM) or (method is None and isinstance(model, Joint)))):
+        return True
+    loops = list(model) if isinstance(model, Sequence) else [model]
+    simulated = isinstance(method, DIDIM | None) and all(one.reference is not None for one in records)
+    return simulated and all(isinstance(one, ClosedLoop) and not one.joint.friction.follows_time for one in loops)
 
 
 def _travel(records: Sequence[Record]) -> float:

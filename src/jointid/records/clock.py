@@ -277,5 +277,5 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     return [
         f"{name} jumps {pluralise(jumps.size, 'time')}, first after sample {jumps[0]} (t = {stamps[jumps[0]]:g} s) by "
         f"{steps[jumps[0]]:g} s (expected {sample_time:g} s); give part = 0 for the longest part between the jumps, "
-        "resample to bridge short gaps, or sample_time without time if only the stamps are wrong."
+        "or resample to bridge short gaps; if only the stamps are wrong, give sample_time without time."
     ]

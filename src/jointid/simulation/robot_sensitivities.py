@@ -1,6 +1,6 @@
 """Derivatives of a robot's torques by its parameters: by variation of a run, or as columns at a known motion.
 
-The variation is that of `kernels.robot_sensitivities`.
+The variation is that of `kernels.robot_variation`.
 """
 
 from __future__ import annotations

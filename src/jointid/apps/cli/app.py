@@ -132,7 +132,9 @@ def _explain(error: BaseException) -> tuple[str, int]:
     if isinstance(error, JointidError):
         return str(error), USERS_MISTAKE
     if isinstance(error, CycloptsError):
-        return f"{error} A key of the joint file is given by --set. See jointid --help.", USERS_MISTAKE
+        options = [name for one in getattr(error, "argument_collection", ()) for name in one.names]
+        hint = "A key of the joint file is given by --set. " if "--set" in options else ""
+        return f"{error} {hint}See jointid --help.", USERS_MISTAKE
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename} cannot be used ({error.strerror}); name another file.", USERS_MISTAKE
     return (

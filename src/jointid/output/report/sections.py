@@ -79,8 +79,8 @@ _PICTURES = {
     ),
     "tuning": (
         "Tuned loop",
-        "The joint's response, the loop cut open at the torque, and its Nyquist plot; the bands are the estimate's "
-        "interval, the circle about -1 the distance that was asked.",
+        "The joint's response, the loop cut open at the torque, and its Nyquist plot; the circle about -1 is the "
+        "distance that was asked.",
     ),
 }
 """The titles of the pictures, and what to see in them; in the order of the appendix."""

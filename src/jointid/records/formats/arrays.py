@@ -33,7 +33,8 @@ _HDF5, _HEADER_73 = b"\x89HDF\r\n\x1a\n", 512  # the signature, and the bytes of
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
 _PACKED_MOST, _ANY_FILE = 10_000, 2**27  # bytes of numbers that a byte of a file, and any file, may declare
-_MEMBERS = 100_000  # datasets and groups of a file
+_CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
+_MEMBERS, _ELEMENTS = 100_000, 10_000  # datasets and groups of a file, elements of an array of structures
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
 
 Member: TypeAlias = Any
@@ -155,6 +156,8 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
             found.passed[called] = why
         elif h5py.check_ref_dtype(member.dtype) is None:
             _take_dataset(found, called, member, matlab)
+        elif member.size > _ELEMENTS:
+            found.passed[called] = f"an array of more than {_ELEMENTS} structures"
         else:  # the elements of an array of structures
             above, _, field = name.rpartition("/")
             for index, reference in enumerate(member[()].ravel()):
@@ -192,7 +195,8 @@ def _refuse(h5py: Any, dataset: Member) -> str:
         return "a sparse matrix"
     if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
         return "its numbers are in another file"
-    return ""
+    packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    return f"its chunks are declared as {packed / 2**30:.3g} GiB each" if packed > _CHUNK else ""
 
 
 def _text_of(member: Member, key: str) -> str:
