@@ -41,7 +41,7 @@ _METADATA = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}, 
 
 
 def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
-    """Return a function that draws in the one look, with a legend where lines have names."""
+    """Return a drawing function with the common style and a legend."""
 
     @wraps(draw)
     def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Figure:

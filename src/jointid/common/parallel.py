@@ -111,7 +111,7 @@ def _end_with_parent() -> None:
 
 @contextlib.contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Block Ctrl-C, also in a process that starts meanwhile, so that its start cannot print a traceback."""
+    """Block Ctrl-C, also in processes that start meanwhile."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

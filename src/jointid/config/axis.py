@@ -299,7 +299,7 @@ def _build(
 
 
 def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any) -> Any:
-    """Return what is made, its faults at a place."""
+    """Return what a function makes, and locate its faults at a place."""
     try:
         return make(*arguments, **given)
     except JointidError as error:

@@ -120,7 +120,7 @@ def _file(raw: Mapping[str, Any], path: Path, axis: str | None) -> File:
 
 
 def _keep_settings(tables: Any, path: list[str], method: str) -> None:
-    """Keep the settings of [method] that a method has, where the table names no other one."""
+    """Keep the settings of [method] that a method has."""
     for name in path[:-1]:
         tables = tables[int(name) - 1] if name.isdecimal() else tables[name]
     old = tables.get("method", {})

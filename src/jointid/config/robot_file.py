@@ -228,7 +228,7 @@ def _build_joint(tables: FileTable, number: int, axis: Axis, joint: RobotJoint) 
 
 
 def _find_faults(tables: FileTable, axes: Sequence[Axis]) -> Iterator[Fault]:
-    """Yield what the joints of a robot do not have, or do not share."""
+    """Yield the faults of channels that joints lack or do not share."""
     units = {str(axis.name): axis.joint.torque_unit for axis in axes if axis.joint.torque_unit}
     if units:
         raise MethodError(

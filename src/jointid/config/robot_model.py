@@ -192,7 +192,7 @@ def parse_model(text: str, called: str) -> ET.Element:
 
 
 def _refuse_elements(root: ET.Element, called: str) -> None:
-    """Refuse elements that make joints or bodies in a way that is not read."""
+    """Refuse elements that generate joints or bodies."""
     for one in root.iter():
         kind = f" of the type {one.get('type')}" if one.tag == "joint" and one.get("type") in _FREE else ""
         if kind or one.tag in _REFUSED or one.tag.startswith("xacro:"):

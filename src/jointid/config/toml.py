@@ -95,7 +95,7 @@ def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str
 
 
 def parse_change(change: str) -> Change:
-    """Return what a change does, see `apply_changes`.
+    """Return the function that applies a change; see `apply_changes`.
 
     Raises:
         JointFileError: it is not ``key=value``.

@@ -132,7 +132,7 @@ class Solved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Told:
-    """What all windows say.
+    """The sums of all windows.
 
     Attributes:
         params, settings, robot, records: of the estimate.

@@ -137,7 +137,7 @@ class BySelf:
 
     @property
     def repeatable(self) -> Repeatable:
-        """What of the residual repeats with the motion."""
+        """The part of the residual that repeats with the motion."""
         report = self.fit.fit.residuals
         assert report is not None and report.repeatable is not None
         return report.repeatable

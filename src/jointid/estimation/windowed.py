@@ -418,7 +418,7 @@ class SimulatedRobotWindow:
         )
 
     def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return the samples after which a window and a later part of it are alike."""
+        """Return the number of samples after which two beginnings agree."""
         whole = self.look(records, x)
         assert whole is not None
         first = whole.samples // (4 * whole.keep) * whole.keep

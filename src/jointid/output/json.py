@@ -91,7 +91,7 @@ def simulation_answer(simulation: Simulation | RobotSimulation, record: str, val
 
 @contextlib.contextmanager
 def _undamaged(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Say of a document in which something is missing or of another type that it is damaged."""
+    """Refuse a document with a missing part or one of another type."""
     try:
         yield
     except RecordError:

@@ -242,7 +242,7 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) 
 
 
 def _units_like(declared: str) -> Iterator[Unit]:
-    """Yield the units that measure what a unit does."""
+    """Yield the units of the same quantity."""
     yield from map(unit, units_of(unit(declared).dimension))
 
 

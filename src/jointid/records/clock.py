@@ -51,7 +51,7 @@ class Clock:
     first: float = 0.0
 
     def over(self, samples: int) -> Clock:
-        """Return the clock of a column with so many samples, which may be shorter where there is no time column."""
+        """Return the clock of a column's first samples."""
         return self if self.column else replace(self, stamps=self.stamps[:samples])
 
     def pick(self, rows: NDArray[np.bool_]) -> Clock:
@@ -253,7 +253,7 @@ def measure_irregularity(stamps: FloatArray) -> Irregularity:
 
 @np.errstate(over="ignore", invalid="ignore")
 def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
-    """Fault of a clock that is none, or jumps.
+    """Return the fault of a clock that repeats, runs backward or jumps.
 
     The sample time is the median step. A step off by more than half a sample time is a jump, otherwise jitter.
 

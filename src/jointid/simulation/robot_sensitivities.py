@@ -144,7 +144,7 @@ def _follow(
 
 
 def rows_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> IntArray:
-    """Return what each parameter is a number of, in which row of the kernels' arrays, and which column."""
+    """Return of each parameter the array of the kernels, its row and its column."""
     spring = np.cumsum(numbers.flexible) - 1
     found = [(p.of, spring[p.row] if p.of is NumberOf.SPRING else p.row, p.column) for p in places]
     return np.array(found, dtype=np.int64).reshape(-1, 3)

@@ -38,7 +38,7 @@ _HEADERS = {
 
 
 def _guard(app: ASGIApp, token: str) -> ASGIApp:
-    """Return an application that refuses requests without the token, and bounds what browsers may do.
+    """Return an application that refuses requests without the token.
 
     A page elsewhere can have a browser send requests here. It does not know the token.
     """

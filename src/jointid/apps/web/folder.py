@@ -56,7 +56,7 @@ class Draft:
 
     @property
     def texts(self) -> dict[str, str]:
-        """What is entered in the forms, by the keys of the fields."""
+        """Texts of the forms by the keys of their fields."""
         return {key: text for key, text in self.json("_texts.json").items() if type(text) is str}
 
     def enter(self, texts: Mapping[str, str]) -> None:

@@ -78,7 +78,7 @@ class Page:
 
     @contextlib.asynccontextmanager
     async def receiving(self) -> AsyncIterator[Draft]:
-        """Yield a folder for files that come in, which take the place of those before unless they are refused."""
+        """Yield a folder for uploads, which replace the files before if accepted."""
         with TemporaryDirectory(prefix="upload-", dir=self.path, ignore_cleanup_errors=True) as place:
             fresh = Path(place, "now")
             fresh.mkdir()

@@ -54,7 +54,7 @@ def preview() -> None:
 
 
 def example() -> None:
-    """Simulate the digital twin, and write its record and what the forms say of it."""
+    """Simulate the digital twin, and write its record and forms."""
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 

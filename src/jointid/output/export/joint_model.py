@@ -150,7 +150,7 @@ class JointModel:
 
     @property
     def weight(self) -> tuple[float, float, float, float]:
-        """Of ``a + b cos(angle q) + c sin(angle q) + d q``, what the torque has to carry, a, b, c and d."""
+        """Coefficients a, b, c, d of the load ``a + b cos(angle q) + c sin(angle q) + d q``."""
         return (0.0, 0.0, 0.0, 0.0) if self.gravity is None else self.gravity.coefficients(self.values)
 
     @property

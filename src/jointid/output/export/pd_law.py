@@ -85,7 +85,7 @@ def controllers_of(estimate: object) -> Sequence[Controller | None]:
 
 
 def in_steps(seconds: float, step: float) -> tuple[int, list[str]]:
-    """Return a delay as a number of steps of a simulation, and the loss of what is no whole step, in s both."""
+    """Return a delay in whole simulation steps, and the remainder, both in s."""
     steps = round(seconds / step)
     if abs(steps * step - seconds) <= 1e-9:
         return steps, []
