@@ -50,7 +50,7 @@ def demo(
     `jointid identify FOLDER/joint.toml` to see what follows.
 
     Args:
-        folder: where to write, a new one; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
+        folder: where to write, new or empty; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
         robot: a robot of two joints instead, one of them flexible, from torques alone.
         fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
         quiet: say nothing of the progress.
@@ -58,8 +58,8 @@ def demo(
     if robot and fleet:
         raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
     folder = folder or Path("jointid-demo-robot" if robot else "jointid-demo-fleet" if fleet else "jointid-demo")
-    if folder.exists():
-        raise RecordError(f"{folder} exists, and a demo might replace what it holds; name another folder.")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RecordError(f"{folder} is not empty, and a demo might replace what it holds; name another folder.")
     require_room(folder)
     listener = listen(quiet)
     with explain(folder), TemporaryDirectory(prefix=".jointid-", dir=folder.parent) as room:
@@ -72,15 +72,17 @@ def demo(
         else:
             name, truth = _write_robot(fresh) if robot else _write_axis(fresh)
             said = _identify(fresh, name, truth, listener)
+        if folder.exists():
+            folder.rmdir()
         fresh.rename(folder)
     show(said)
     show(f"\nWritten to {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+    file = folder / ("campaign.toml" if fleet else "robot.toml" if robot else "joint.toml")
     if fleet:
-        show(f"See what changed, which takes minutes: jointid campaign {folder / 'campaign.toml'}")
-        return
-    file = folder / ("robot.toml" if robot else "joint.toml")
-    show(f"All of it on one page: jointid report {file} --html report.html")
-    show(f"Change the {file.stem} file, then: jointid identify {file}")
+        show(f"See what changed, which takes minutes: jointid campaign {file}")
+    else:
+        show(f"All of it on one page: jointid report {file} --html report.html")
+        show(f"Change the {file.stem} file, then: jointid identify {file}")
 
 
 def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
