@@ -52,7 +52,7 @@ def noisy(loop: RobotLoop, records: tuple[Record, ...], share: float = 0.02) -> 
 def identified(loop: RobotLoop, records: tuple[Record, ...]) -> RobotFit:
     """Return the fit of a robot by DIDIM."""
     if any(loop.robot.flexible):
-        return identify_flexible_robot(loop, records).fit
+        return identify_flexible_robot(loop, records)
     return identify_rigid_robot(loop, records)
 
 
