@@ -24,7 +24,6 @@ from jointid.apps.web.routes import HANDLERS, ROUTES, Page
 
 _GRACE = 2  # seconds that an open connection is given when the page ends
 _CONNECTIONS = 200  # more are refused
-_OWNER_ALONE = 0o077
 
 _HEADERS = {
     "content-security-policy": (
@@ -95,7 +94,7 @@ def run(application: Starlette, listening: socket.socket) -> None:
         application, http="h11", ws="none", limit_concurrency=_CONNECTIONS, log_level="warning",
         timeout_graceful_shutdown=_GRACE, server_header=False,
     )  # fmt: skip
-    before = os.umask(_OWNER_ALONE)
+    before = os.umask(0o077)  # the owner alone
     try:
         uvicorn.Server(config).run(sockets=[listening])
     finally:

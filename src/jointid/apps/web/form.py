@@ -36,7 +36,6 @@ _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _OF_READING = ("sample_time", "optional", "time")  # of a channel, in the further lines
 _LONGEST, _MOST = 300, 100_000  # characters of a field, and of the further lines
 _NAME = 80  # characters of a file's name
-_OTHER = re.compile(r"[^\w .()+-]")
 
 Tables = dict[str, Any]
 Texts = Mapping[str, str]
@@ -251,5 +250,5 @@ def place_faults(error: Exception | None, shown: Collection[str]) -> dict[str, l
 
 def clean_name(raw: str) -> str:
     """Return the last part of a path without any character that has a meaning, and unlike names of the page's own."""
-    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])[-_NAME:].strip(" ._") or "record"
+    name = re.sub(r"[^\w .()+-]", "_", re.split(r"[/\\]", raw)[-1])[-_NAME:].strip(" ._") or "record"
     return f"record-{name}" if name.lower() in ("answer.json", "report.html") else name

@@ -13,7 +13,7 @@ import shutil
 from collections.abc import AsyncIterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from python_multipart.exceptions import FormParserError
 from starlette.concurrency import run_in_threadpool
@@ -26,8 +26,7 @@ from tomlkit import dumps
 
 from jointid import __version__
 from jointid.apps.web import folder, form
-from jointid.apps.web.folder import MODELS, Draft, PageError
-from jointid.apps.web.jobs import Jobs, work
+from jointid.apps.web.folder import MODELS, Draft, Jobs, PageError, work
 from jointid.common.document import templates, typeset
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import write_whole
@@ -38,7 +37,6 @@ from jointid.records.formats import FORMATS
 
 _FORM = 2**19  # bytes of a form beside its files
 _FILES = 50  # of one upload
-_DAMAGED = (HTTPException, FormParserError)  # of a form that cannot be parsed
 _DOWNLOADS = ("joint.toml", "robot.toml", "answer.json", "report.html")
 _REPORT = {
     "content-security-policy": "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
@@ -46,7 +44,6 @@ _REPORT = {
 }
 """A report runs no script: its sandbox reaches neither the page nor the network."""
 _SUFFIXES = (*(suffix for entry in FORMATS for suffix in entry.suffixes), ".toml", *MODELS)
-_NUMBER = re.compile("[0-9]{1,9}")
 
 
 class Page:
@@ -73,7 +70,7 @@ class Page:
     @property
     def runs(self) -> list[Draft]:
         """All identifications, the latest first."""
-        paths = [path for path in (self.path / "runs").glob("*") if _NUMBER.fullmatch(path.name) and path.is_dir()]
+        paths = [path for path in (self.path / "runs").glob("*") if path.name.isdecimal() and path.is_dir()]
         return [Draft(path) for path in sorted(paths, key=lambda path: -int(path.name))]
 
     @contextlib.asynccontextmanager
@@ -130,8 +127,7 @@ class Page:
 
 
 def _page(request: Request) -> Page:
-    page: Page = request.app.state.page
-    return page
+    return cast("Page", request.app.state.page)
 
 
 async def show_step(request: Request) -> Response:
@@ -151,11 +147,7 @@ async def refuse(request: Request, error: Exception) -> Response:
 
 
 async def _save(request: Request) -> Draft:
-    """Keep the entries of a form.
-
-    Raises:
-        PageError: the form is too large or damaged.
-    """
+    """Keep the entries of a form."""
     entries, now = await _receive(request, _FORM, None), _page(request).now
     now.enter(now.texts | entries)
     return now
@@ -202,20 +194,17 @@ async def check_channels(request: Request) -> Response:
     """Check step 2 by reading the record as it says, whatever is known of the controller."""
     page, now = _page(request), await _save(request)
     async with page.files:
-        if now.records:
-            texts = {key: text for key, text in now.texts.items() if not key.startswith("controller.")}
-            await _load(now, texts, learn=True)
-            await work(now.path, folder.READING, "_log.txt", "check")
+        texts = {key: text for key, text in now.texts.items() if not key.startswith("controller.")}
+        await _load(now, texts, learn=True)
+        await work(now.path, folder.READING, "_log.txt", "check")
     return page.redirect("/joint")
 
 
 async def identify(request: Request) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
     page, now = _page(request), await _save(request)
+    learn = now.texts.get(form.LAW) == form.LEARN
     async with page.files:
-        if not now.records:
-            return page.redirect("/")
-        learn = now.texts.get(form.LAW) == form.LEARN
         text = await _load(now, now.texts, learn=learn)
         page.jobs.require_idle()
         run = page.new_run(text)
@@ -293,7 +282,7 @@ async def _receive(request: Request, bound: int, place: Path | None) -> dict[str
                 with (place / name).open("wb") as target:
                     await run_in_threadpool(shutil.copyfileobj, file.file, target)
             return form.take((name, value) for name, value in sent.multi_items() if isinstance(value, str))
-    except _DAMAGED:
+    except (HTTPException, FormParserError):
         raise PageError("The form or its files did not arrive whole; load the page again, and send it again.") from None
 
 

@@ -11,7 +11,7 @@ import os
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,14 +19,16 @@ from jointid.apps.cli.app import app, run
 from jointid.apps.web.folder import Draft
 from jointid.apps.web.form import TEXT, make_tables, show_tables
 from jointid.common.arrays import FloatArray
+from jointid.common.charts import MEASURED, panels, styled, svg
 from jointid.common.errors import JointidError
-from jointid.common.text import number
 from jointid.config.toml import parse_toml
 from jointid.records.inspection import find_band
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 150, 74, 8, 10, 24
-_LINE = "#0072B2"  # that of what is measured, in all our figures
+_STRETCHES, _LARGEST = 640, 1e300  # of a column that are drawn, and a number that is drawn
 
 
 def preview() -> None:
@@ -39,7 +41,7 @@ def preview() -> None:
     if not found.channels:
         raise JointidError(f"{found.file} holds no column with more than one number; choose another file.")
     for k, channel in enumerate(found.channels[:_DRAWN]):
-        (draft.path / f"_plot-{k}.svg").write_text(draw_column(channel.values), encoding="utf-8")
+        (draft.path / f"_plot-{k}.svg").write_bytes(svg(draw_column(channel.values), "column"))
     listed = [
         {"name": channel.name, "samples": channel.rows, "plot": f"{k}.svg" if k < _DRAWN else ""}
         for k, channel in enumerate(found.channels[:_LISTED])
@@ -59,9 +61,8 @@ def example() -> None:
     from jointid.paper.twin import JOINT_FILE
 
     write(twin().record, "example.csv")
-    Draft(Path.cwd()).enter(
-        show_tables(parse_toml(JOINT_FILE.replace(", optional = true", "")))
-    )  # it has every channel
+    tables = parse_toml(JOINT_FILE.replace(", optional = true", ""))  # it has every channel
+    Draft(Path.cwd()).enter(show_tables(tables))
 
 
 def check() -> None:
@@ -76,26 +77,16 @@ def check() -> None:
     draft.write_json("_checked.json", size)
 
 
-def draw_column(values: FloatArray) -> str:
-    """Return a column as SVG, which a browser shows without running anything: a line through lows and highs."""
-    finite, base = values[np.isfinite(values)], _HEIGHT - _BOTTOM
-    body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
-    if finite.size:
-        low, high = float(finite.min()), float(finite.max())
-        bottom, span = (low, high - low) if high > low else (low - 0.5, 1.0)
-        sides = np.stack(find_band(np.where(np.isfinite(values), values, np.nan), _WIDTH), axis=1)
-        ends = np.repeat(np.arange(len(sides)), 2), sides.ravel()
-        across, up = (_LEFT + (_WIDTH - _LEFT - _RIGHT) * ends[0] / max(ends[0][-1], 1), (ends[1] - bottom) / span)
-        points = [(x, base - (base - _TOP) * y) for x, y in zip(across, up, strict=True) if np.isfinite(y)]
-        body = f'<polyline fill="none" stroke="{_LINE}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
-        for value, y in ((high, _TOP + 8), (low, base)) if high > low else ((low, (_TOP + base) / 2),):
-            body += f'<text x="{_LEFT - 6}" y="{y:g}" text-anchor="end">{number(value, 4)}</text>'
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
-        f'font-size="13" fill="#4a545e"><path d="M{_LEFT} {_TOP}V{base}H{_WIDTH - _RIGHT}" fill="none" '
-        f'stroke="#8a949e"/><text x="{_LEFT}" y="{_HEIGHT - 6}">0</text><text x="{_WIDTH - _RIGHT}" '
-        f'y="{_HEIGHT - 6}" text-anchor="end">{values.size} rows</text>{body}</svg>'
-    )
+@styled
+def draw_column(values: FloatArray) -> Figure:
+    """Draw a column: a line through the lows and highs of its stretches."""
+    figure, (axes,) = panels([150], width=6.4)
+    drawn = np.where(np.abs(values) < _LARGEST, values, np.nan)  # neither is what is no number
+    low, high = find_band(drawn, _STRETCHES)
+    across = np.linspace(0.0, values.size, low.size)
+    axes.plot(np.repeat(across, 2), np.stack([low, high], axis=1).ravel(), color=MEASURED)
+    axes.set_xlabel("row")
+    return figure
 
 
 def _end_with_the_page() -> None:

@@ -93,8 +93,5 @@ async function follow() {
 }
 if (run) setTimeout(follow, 1000);
 
-for (const wrong of all('[aria-invalid="true"]').reverse()) {
-  for (let part = wrong.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
-}
 const faults = document.querySelector("[data-focus]") || document.querySelector('[aria-invalid="true"]');
 if (faults) faults.focus();
