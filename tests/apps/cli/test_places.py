@@ -139,10 +139,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "serve": ("", {"--folder": "x"}),
     "simulate": ("joint.toml", {"--json": "x.json", "--out": "x.csv"}),
     "tune": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
-    "validate": (
-        "joint.toml --estimate estimate.json",
-        {"--json": "x.json", "--figure": "x.png"},
-    ),
+    "validate": ("joint.toml --estimate estimate.json", {"--json": "x.json", "--figure": "x.png"}),
 }
 """Where every command writes, and what else it is given."""
 
