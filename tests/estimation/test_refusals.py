@@ -95,7 +95,6 @@ def resting() -> None:
         (lambda: ji.identify(records_of(ARM, 1)[0], ARM), ji.MethodError),
         (lambda: ji.identify(records_of(ARM, 1)[:1], ARM), ji.RecordError),
         (lambda: ji.identify(records_of(ARM, 1), ARM, ji.IDIM("iv")), ji.MethodError),
-        (lambda: ji.identify_payload(ARM, records_of(ARM, 1), records_of(ARM, 2), ji.IDIM("iv")), ji.MethodError),
         (lambda: ji.identify_payload(LOOP, [RECORD], [RECORD]), ji.MethodError),  # type: ignore[arg-type]
     ],
 )

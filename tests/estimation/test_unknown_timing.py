@@ -7,9 +7,7 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.identify_record import identify_record
-from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.unknown_timing import fit_unstated_timing
-from jointid.models.friction import FRICTIONS
 from jointid.records.record import Timing
 from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
@@ -59,92 +57,6 @@ def test_validation_reads_a_fresh_record_as_the_estimate_did():
         for timing, stated in (("held", False), ("sampled", True), ("held", True))
     ]
     assert errors[0] == errors[1] < errors[2]
-
-
-def _delay(record, samples, stated):
-    """Return a record whose log shows the torque later by that many samples."""
-    assert record.torque is not None
-    inside = slice(abs(samples), len(record.torque) - abs(samples))
-    torque = replace(record.torque, values=np.roll(record.torque.values, samples)[inside], stated=stated)
-    position = replace(record.motor_position, values=record.motor_position.values[inside])
-    return replace(record, torque=torque, motor_position=position)
-
-
-@pytest.mark.parametrize(("robot", "samples", "stated"), [(False, 2, True), (False, -3, False), (True, 2, True)])
-def test_the_delay_of_a_late_log_is_estimated_and_taken_off(robot, samples, stated, tmp_path):
-    rate = 200.0
-    late, fresh = ([_delay(one, samples, stated) for one in logged(rate, True, seed, arm=robot)] for seed in (1, 2))
-    model = ARM if robot else ji.RigidJoint("revolute")
-    found = ji.identify(late if robot else late[0], model, ji.IDIM(), checks=False)
-    said = [one for one in found.checks.warnings if one.startswith("the log shows the torque")]
-    assert len(said) == 1 and ("later" if samples > 0 else "earlier") in said[0]
-    assert found.settings.delay == pytest.approx(-samples / rate, abs=0.4 / rate)
-    if robot:
-        part = found.require_robot()
-        away = (part.values - part.parameters_of(ARM)) / part.covariance.std
-    else:
-        away = np.array([(found[name].value - true) / found[name].stderr for name, true in TRUE.items()])
-    assert np.abs(away).max() < 3.5
-    error = ji.validate(found, fresh if robot else fresh[0]).filtered_error
-    assert error == pytest.approx(found.fit.filtered_error, rel=0.5)
-    found.save(tmp_path / "found.json")
-    again = ji.validate(ji.load_estimate(tmp_path / "found.json", model), fresh if robot else fresh[0])
-    assert again.filtered_error == pytest.approx(error, rel=1e-6)
-
-
-@pytest.mark.parametrize("samples", [2, 4])
-def test_a_late_torque_of_one_joint_is_not_taken_off_every_joint(samples):
-    first, second = logged(200.0, True, 1, arm=True)
-    stated = replace(second, torque=replace(second.torque, stated=True))
-    values = np.roll(first.torque.values, samples)
-    values[:samples] = values[samples]
-    late = replace(first, torque=replace(first.torque, values=values, stated=True))
-    found = ji.identify([late, stated], ARM, ji.IDIM(), checks=False)
-    assert found.settings.delay == 0.0
-    assert "the torque of joint1 seems logged" in found.checks.warnings[0] and "later" in found.checks.warnings[0]
-    part = found.require_robot()
-    assert np.abs((part.values - part.parameters_of(ARM)) / part.covariance.std).max() < 3.0
-
-
-AXIS = {"inertia": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}  # kg, N s/m, N, N
-
-
-def _axis(friction="symmetric", **more) -> ji.Record:
-    """Return a rigid axis of the package's simulation, its torque held and stated."""
-    joint = ji.RigidJoint("prismatic", FRICTIONS[friction]())
-    loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=40.0, velocity_gain=500.0))
-    reference = ji.excitation.trapezoids(
-        (0.1, 0.3), acceleration=2.0, travel=0.6, sample_time=1e-3, rest=0.1, duration=8.0
-    )
-    made = ji.simulated_record(loop, reference, AXIS | more, sample_time=1e-3)
-    noisy = made.torque.values + 0.5 * np.random.default_rng(1).standard_normal(len(made.torque))
-    return replace(made, torque=replace(made.torque, values=noisy, stated=True), reference=None)
-
-
-def _by_idim(record):
-    """Return the estimate of a rigid axis, and its deviations from the truth in intervals."""
-    found = ji.identify(record, ji.RigidJoint("prismatic"), ji.IDIM(), checks=False)
-    return found, {name: (found[name].value - true) / (2 * found[name].stderr) for name, true in AXIS.items()}
-
-
-@pytest.mark.parametrize("stated", [True, False])
-@pytest.mark.parametrize("error", ["load", "sag"])
-def test_a_delay_is_no_refuge_of_other_errors_of_the_torque(error, stated):
-    record = _axis("load-dependent", friction_per_torque=0.05) if error == "load" else _axis()
-    values = record.torque.values
-    if error == "sag":
-        values = values * (1 - 0.05 * np.abs(values) / np.abs(values).max())
-    found, away = _by_idim(replace(record, torque=replace(record.torque, values=values, stated=stated)))
-    assert found.settings.delay == 0.0
-    assert "nothing is taken off" in found.checks.warnings[0]
-    assert max(map(abs, away.values())) < 1.0, away
-
-
-@pytest.mark.parametrize("samples", [2, 4])
-def test_a_truly_late_log_of_an_axis_is_found(samples):
-    found, away = _by_idim(_delay(_axis(), samples, True))
-    assert found.settings.delay == pytest.approx(-1e-3 * samples, abs=1e-4)
-    assert max(map(abs, away.values())) < 1.5, away
 
 
 @pytest.mark.parametrize("late", [None, 0.0])
@@ -237,19 +149,6 @@ def test_a_reading_that_cannot_be_fitted_is_said(fails):
     found, told = fit_unstated_timing([record], fit), fit([stated])
     assert "the other reading is as possible" in found.checks.warnings[0]
     assert (found.params["viscous"].stderr > 1.05 * told.params["viscous"].stderr) == (fails == "averaged")
-
-
-def test_no_delay_is_searched_where_a_torque_has_the_wrong_sign():
-    records, tried = [*logged(50.0, True, 1, arm=True)], []
-    torque = records[1].torque
-    records[1] = replace(records[1], torque=replace(torque, values=-torque.values))
-
-    def fit(read):
-        tried.append(read)
-        return identify_robot(ARM, [read])
-
-    fit_unstated_timing(records, fit)
-    assert len(tried) == 3  # held, sampled, averaged
 
 
 def test_a_parameter_that_only_one_reading_has_is_no_fault():

@@ -28,7 +28,7 @@ from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.regression import RobotMotion, base_rows, motion_of_robot
 from jointid.estimation.robots.simulated import SimulatedRobot, solve_again
-from jointid.estimation.unknown_timing import read_as_identified
+from jointid.estimation.unknown_timing import read_as
 from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.friction_terms import Friction, friction_terms
 from jointid.models.robots.inertial import SYMBOLS
@@ -116,7 +116,7 @@ def torques_of_robot(
     """
     part, filtering = part or estimate.require_robot(), estimate.settings.filtering
     if isinstance(part, InverseModelRobot):
-        return _by_inverse_model(part, filtering, read_as_identified(records, estimate.settings))
+        return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
     assert isinstance(part, SimulatedRobot)
     solved = estimate.solved if isinstance(estimate, FitResult) else None
     return _by_simulation(part, solved or solve_again(part, records, filtering))

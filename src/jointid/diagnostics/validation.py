@@ -28,7 +28,7 @@ from jointid.common.transmission import Transmission
 from jointid.diagnostics.model_free import compare_law, compare_robot_laws
 from jointid.diagnostics.record_prediction import Predicted, Refit, predict_joint, predict_robot
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, fingerprint, relative_error
-from jointid.estimation.unknown_timing import read_as, read_as_identified
+from jointid.estimation.unknown_timing import read_as
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
@@ -361,7 +361,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
                 "of each joint, in order."
             )
         given = _with_torques(record, getattr(setup, "loops", [None] * len(robot)))
-        records = read_as_identified(given, estimate.settings)
+        records = read_as(given, estimate.settings.timing)
         found = predict_robot(estimate, records)
         method, source, prints = estimate.settings.method, estimate.data.record, estimate.data.fingerprints
         gear: Transmission | None = None

@@ -66,7 +66,6 @@ class Channel:
         timing: what a value says about the time around its sample.
         source: where the values came from, for reports.
         stated: whether the timing was stated, and is no default of a reader.
-        late: seconds by which the log shows a torque later than it acted, as an identification found.
     """
 
     values: FloatArray
@@ -75,7 +74,6 @@ class Channel:
     timing: Timing = Timing.SAMPLED
     source: str = ""
     stated: bool = True
-    late: float = 0.0
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=np.float64)

@@ -12,9 +12,7 @@ from jointid.diagnostics.validation import validate
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.consistent import consistent_robot, least_inertia
 from jointid.estimation.robots.idim import InverseModelRobot
-from jointid.estimation.robots.payload import payload_difference, payload_of_both_records
 from jointid.models.robots.inertial import (
-    MassProperties,
     from_log_cholesky,
     is_physical,
     log_cholesky,
@@ -25,7 +23,7 @@ from jointid.output.export import export
 from jointid.records.signals.filtering import Filtering
 from tests.estimates import errors_of_bodies
 from tests.estimation.robots.test_rigid_robots import recorded
-from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, identified, records_of, with_payload
+from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, identified, records_of
 from tests.models.robots.trees import random_body
 from tests.robots_plants import Twin, six, two
 
@@ -77,7 +75,7 @@ def test_bodies_that_do_not_fit_are_not_exported() -> None:
     assert consistent_robot(spoilt).worst[0] == "joint6.rotor_inertia"
     with pytest.raises(
         MethodError,
-        match=r"nearest are 5\d\d standard deviations off, rms; expected at most 2.*model of link6 .*joint6.rotor",
+        match=r"5\d\d standard deviations off",
     ):
         export(spoilt, "urdf")
 
@@ -164,22 +162,3 @@ def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() 
 def test_the_least_inertia_sees_a_matrix_that_is_not_positive() -> None:
     hollow = replace(ARM.links[5], inertial=ARM.links[5].inertial - np.array([*9 * [0.0], 0.5]))
     assert least_inertia(ARM) > 0 > least_inertia(replace(ARM, links=(*ARM.links[:5], hollow)))
-
-
-@pytest.mark.slow
-def test_a_payload_within_a_percent() -> None:
-    body = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))
-    carrying = with_payload(ARM, body.inertial)
-    empty, loaded = records_of(ARM, 11, noise=0.2), records_of(carrying, 12, noise=0.2)
-    together = payload_of_both_records(ARM, empty, loaded)
-    apart = payload_difference(identified(ARM, empty), identified(ARM, loaded))
-    truth = np.array([3.0, 0.02, -0.03, 0.08, 0.02, 0.015, 0.01, 0.0, 0.0, 0.0])
-    for payload in (together, apart):
-        values, std = payload.properties
-        assert values[0] == pytest.approx(3.0, rel=0.01)
-        assert values[1:4] == pytest.approx(truth[1:4], abs=2e-3)
-        assert np.all(np.abs(values - truth) < 4 * std)
-    assert together.properties[1][0] < 0.02
-    assert together.link == "link6"
-    with pytest.raises(MethodError, match=r"mass comes out as -3\.?\d* kg; expected a positive one"):
-        payload_of_both_records(ARM, loaded, empty)

@@ -291,13 +291,12 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
         RecordError: the delay is longer than the record.
     """
     period, values = channel.sample_time, channel.values
-    late = delay - channel.late
-    if not abs(late) <= period * len(values):
+    if not abs(delay) <= period * len(values):
         raise RecordError(
-            f"The torque acts {late:g} s after its sample, and the record has {period * len(values):g} s; give another "
-            "delay, or the estimate that identify wrote."
+            f"The torque acts {delay:g} s after its sample, and the record has {period * len(values):g} s; give "
+            "another delay, or the estimate that identify wrote."
         )
-    weights, first = _window_weights(1, channel.timing.begins + late / period, 0)
+    weights, first = _window_weights(1, channel.timing.begins + delay / period, 0)
     padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
     begin = first + max(-first, 0)
     return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
