@@ -26,7 +26,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "torque.png").unlink()
     record = folder / "record.csv"  # a third of it, to have more moments in the same time
     record.write_text("".join(record.read_text(encoding="utf-8").splitlines(keepends=True)[:8001]), encoding="utf-8")
-    warm_up(wait=True)
+    warm_up()
     rows = np.arange(400)
     write_table(folder / "table.csv", Table({"t": rows * 1e-3, "i": np.sin(rows), "q": np.cos(rows)}))
     return folder

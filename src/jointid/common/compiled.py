@@ -36,10 +36,6 @@ class KernelCache(FunctionCache):
         super().__init__(function)
         self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}.{hash_kernels()}", "")
 
-    def holds_any(self) -> bool:
-        """Test whether the cache holds the kernel of the present sources."""
-        return Path(self._cache_file._index_path).exists()
-
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a compiled kernel; None if it is missing or damaged."""
         try:
@@ -87,12 +83,6 @@ def compile_kernel(function: F) -> F:
         except (RuntimeError, OSError):  # there is no such folder, or there are no files of sources
             _warn("The compiler's cache has no folder")
     return cast("F", kernel)
-
-
-def has_cache(kernel: object) -> bool:
-    """Test whether a kernel is cached, or has no cache."""
-    held = getattr(kernel, "_cache", None)
-    return not isinstance(held, KernelCache) or held.holds_any()
 
 
 def inline_kernel(function: F) -> F:

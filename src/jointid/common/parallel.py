@@ -8,11 +8,9 @@ import os
 import signal
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing.connection import Connection
-from typing import Any, Generic, TypeVar
+from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -58,41 +56,6 @@ def one_thread() -> Iterator[None]:
 
     with threadpool_limits(1, "blas"):
         yield
-
-
-class Aside(Generic[Result]):
-    """A call in a forked process, or on demand without one.
-
-    Only Linux forks safely. The process ends with its parent. The result must be picklable; prints are lost.
-    """
-
-    def __init__(self, call: Callable[[], Result]) -> None:
-        """Start it."""
-        self._call = call
-        self.is_apart = sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
-        if self.is_apart:
-            context = multiprocessing.get_context("fork")
-            self._answer, sender = context.Pipe(duplex=False)
-            self._process = context.Process(target=_send, args=(call, sender), daemon=True)
-            with without_interrupts(), warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # threads that only draw a bar are no hindrance
-                self._process.start()
-            sender.close()
-
-    def result(self) -> Result:
-        """Wait for the result; a call that failed in its process is made again, in sight."""
-        if self.is_apart:
-            with contextlib.suppress(EOFError, OSError):
-                found: Result = self._answer.recv()
-                self._process.join()  # its processor time counts as that of a child
-                return found
-        return self._call()
-
-
-def _send(call: Callable[[], Any], sender: Connection) -> None:
-    begin_worker()
-    with contextlib.suppress(Exception):
-        sender.send(call())
 
 
 def begin_worker() -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.check_loop import search_faults
-from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
+from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, compare_estimates
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.law_tests import has_unstated_delay
@@ -29,7 +29,7 @@ _INTERVAL = 2.0  # deviations: half an interval
 
 
 @overload
-def compare(first: ReportedEstimate, second: ReportedEstimate, *, level: float = ...) -> EstimateComparison: ...
+def compare(first: Mapping[str, Any], second: Mapping[str, Any], *, level: float = ...) -> EstimateComparison: ...
 
 
 @overload
@@ -46,8 +46,8 @@ def compare(
 
 
 def compare(
-    first: Record | ReportedEstimate,
-    second: ClosedLoop | ReportedEstimate,
+    first: Record | Mapping[str, Any],
+    second: ClosedLoop | Mapping[str, Any],
     among: Literal["springs", "frictions"] | None = None,
     *,
     filtering: Filtering | None = None,
@@ -61,7 +61,7 @@ def compare(
     Each law is judged on parts of the record that were kept from its fit, to say which one the record shows.
 
     Args:
-        first: a record with torque and reference; or the first estimate, from `jointid.output.json.read_report`.
+        first: a record with torque and reference; or the first estimate, as `to_dict` gives it.
         second: the loop (joint and controller); or the second estimate.
         among: what is compared for a record.
         filtering: of every fit; see `Filtering`.
@@ -72,7 +72,7 @@ def compare(
         progress: called with each step.
 
     Raises:
-        RecordError: the record contradicts its description.
+        RecordError: the record contradicts its description, or no estimate is given.
         MethodError: springs of a rigid joint, or laws beside gravity that follows the position, or without a
             controller; a parameter has no such name; the record is too short to keep parts of it; the estimates are not
             of one joint, or the level is no probability.
@@ -84,19 +84,15 @@ def compare(
         >>> found.shown.name
         'linear'
     """
-    if isinstance(first, ReportedEstimate) and isinstance(second, ReportedEstimate):
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
         return compare_estimates(first, second, level)
-    if isinstance(first, ReportedEstimate) or isinstance(second, ReportedEstimate):
-        raise MethodError("Two estimates are compared, or laws for a record; received one of each.")
-    if not isinstance(first, Record):
+    if not (isinstance(first, Record) and isinstance(second, ClosedLoop)):
         raise MethodError(
-            "Laws are compared for a record, and estimates as `read_report` returns them; received "
-            f"{type(first).__name__}: write the estimate to a file, and read it by `read_report`."
+            "Laws are compared for a record in its closed loop, estimates by what `to_dict` returned of them; received "
+            f"{type(first).__name__} and {type(second).__name__}: declare the [controller], or give two estimates."
         )
     if among not in ("springs", "frictions"):
         raise MethodError('Laws are compared for a record; say which by among = "springs" or "frictions".')
-    if not isinstance(second, ClosedLoop):
-        raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")
     return _compare_laws(first, second, among, filtering, parameters, didim, progress)
 
 

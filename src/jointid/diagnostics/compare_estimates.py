@@ -9,66 +9,19 @@ their errors; their differences come from the settings and are shown without a t
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from jointid.common.document import Document, Documented, Facts, Listing, Table
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.fields import read
 from jointid.common.text import in_words, number
+from jointid.estimation.result.parts import EstimatedParameter
 
 LEVEL = 0.05
 """Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReportedQuantity:
-    """One quantity of an estimate, read from its file.
-
-    Attributes:
-        name: in words.
-        symbol: or formula, of a sum.
-        unit: of the value.
-        value: None where it is not identifiable.
-        std: None where it was fixed or is not identifiable.
-        free: True if it was identified.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    value: float | None
-    std: float | None
-    free: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class ReportedEstimate:
-    """An estimate, read from its file.
-
-    Attributes:
-        label: name of its file.
-        record: name of its record or records. fingerprints: of the torque of each; none of a long log.
-        model, kind, friction: of the joint; the kind of a robot is its name with its joints.
-        side: of the transmission with its ratio, in words; empty without one.
-        torque_unit: of the record.
-        settings: by name; differences between two estimates become notes.
-        error: of the raw torque, a ratio; None of a long log.
-        quantities: parameters, those of the initial state left out.
-        sums: of both sides of a flexible joint.
-    """
-
-    label: str
-    record: str
-    fingerprints: tuple[str, ...]
-    model: str
-    kind: str
-    friction: str
-    side: str
-    torque_unit: str
-    settings: Mapping[str, str]
-    error: float | None
-    quantities: tuple[ReportedQuantity, ...]
-    sums: tuple[ReportedQuantity, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,23 +53,21 @@ class EstimateComparison(Documented):
     """Changes between two estimates.
 
     Attributes:
-        before, after: the estimates.
+        records: the names of their records.
+        errors: of the raw torque of each, a ratio; None of a long log.
+        same_record: True if a record of one is also of the other.
         rows: every quantity.
         level: see `LEVEL`.
         notes: limits of the comparison, one sentence each.
     """
 
-    in_json = "same_record changed sentences"
-    before: ReportedEstimate
-    after: ReportedEstimate
+    in_json = "changed sentence"
+    records: tuple[str, str]
+    errors: tuple[float | None, ...]
+    same_record: bool
     rows: tuple[QuantityChange, ...]
     level: float
     notes: tuple[str, ...]
-
-    @property
-    def same_record(self) -> bool:
-        """True if a record of one is also of the other."""
-        return not set(self.before.fingerprints).isdisjoint(self.after.fingerprints)
 
     @property
     def changed(self) -> tuple[QuantityChange, ...]:
@@ -125,127 +76,188 @@ class EstimateComparison(Documented):
         return tuple(sorted(found, key=lambda row: row.p_value or 0.0))
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """The result of the tests, then the notes."""
+    def sentence(self) -> str:
+        """Whether anything changed."""
         tested = sum(row.p_value is not None for row in self.rows)
         if not tested:
             why = ", as both estimates share the errors of one record" if self.same_record else ""
-            return (f"No difference can be tested{why}.", *self.notes)
+            return f"No difference can be tested{why}."
         if not self.changed:
-            said = f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
-            return (said, *self.notes)
+            return f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
         changes = []
         for row in self.changed:
-            assert row.difference is not None
-            assert row.std is not None
-            percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
-            sense = "rose" if row.difference > 0 else "fell"
-            size = f"{number(abs(row.difference), 3)} ± {number(2 * row.std, 2)} {row.unit}"
-            changes.append(f"{row.symbol} {sense} by {size}{percent}, {_format_p(row.p_value or 0.0, labelled=True)}")
-        return (f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}.", *self.notes)
-
-    @property
-    def sentence(self) -> str:
-        """Whether anything changed."""
-        return self.sentences[0]
+            change = row.difference or 0.0
+            percent = f" ({100 * change / abs(row.before):+.1f} %)" if row.before else ""
+            size = f"{number(abs(change), 3)} ± {number(2 * (row.std or 0.0), 2)} {row.unit}"
+            sense = "rose" if change > 0 else "fell"
+            changes.append(f"{row.symbol} {sense} by {size}{percent}, p = {number(row.p_value, 2)}")
+        return f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}."
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
-        errors = " and ".join(
-            "-" if one.error is None else f"{100 * one.error:.2f} %" for one in (self.before, self.after)
-        )
-        sources = tuple(
-            (name, f"{stated.label}, of {stated.record}") for name, stated in (("A", self.before), ("B", self.after))
-        )
+        errors = " and ".join("-" if one is None else f"{100 * one:.2f} %" for one in self.errors)
         rows, short = [], [row.name.partition(" with ")[0] for row in self.rows]
         for row, name in zip(self.rows, short, strict=True):
-            p = "-" if row.p_value is None else _format_p(row.p_value)
             mark = "changed" if row in self.changed else row.reason
-            spread = "-" if row.std is None else number(2 * row.std, 2)
-            values = number(row.before), number(row.after), number(row.difference, 3)
+            spread = None if row.std is None else 2 * row.std
+            values = number(row.before), number(row.after), number(row.difference, 3), number(spread, 2)
             shown = in_words(name if short.count(name) == 1 else row.name)
-            rows.append((shown, *values, spread, row.unit, p, mark, row.symbol))
+            rows.append((shown, *values, row.unit, number(row.p_value, 2), mark, row.symbol))
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
-        blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences[1:])
+        blocks = (
+            Facts((*zip("AB", self.records, strict=True), ("torque error", errors))),
+            table,
+            Listing(self.notes),
+        )
         return Document(self.sentence, blocks)
 
 
-def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
-    """Compare two estimates of the same joint.
+def compare_estimates(before: Mapping[str, Any], after: Mapping[str, Any], level: float = LEVEL) -> EstimateComparison:
+    """Compare two estimates of the same joint, by their documents.
 
     Raises:
         MethodError: they are not of the same model, on the same side and in the same units, or the level is no
             probability.
+        RecordError: one is no document of an estimate.
     """
     if not 0 < level < 1:
         raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
-    _require_comparable(before, after)
-    found = EstimateComparison(before, after, (), level, ())
-    sums = _pair(before.sums, after.sums) if before.sums and after.sums else []  # several records look for none
-    pairs = [*_pair(before.quantities, after.quantities), *sums]
-    rows = _adjust_p_values([_compare(one, other, found.same_record) for one, other in pairs])
+    try:
+        return _compare_documents((before, after), level)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise RecordError(
+            "One of these is no estimate, or a damaged one; give what `to_dict` or `read_report` returned of each."
+        ) from None
+
+
+def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> EstimateComparison:
+    here, there = map(_describe_system, both)
+    system = "robot" if "robot" in (here["model"], there["model"]) else "joint"
+    for what, one in here.items():
+        if one != there.get(what):
+            raise MethodError(
+                f"A and B do not describe the same {system}: the {what} is {one} in A and {there.get(what)} in B; "
+                f"identify both with the same {system} file and options."
+            )
+    prints = [_fingerprints(one) for one in both]
+    same = not prints[0].isdisjoint(prints[1])
+    rows = [_compare(one, other, same) for one, other in _pair(*map(_quantities, both))]
+    sums = [*map(_sums, both)]
+    if all(sums):  # several records look for none
+        rows += [_compare(one, other, same) for one, other in _pair(*sums)]
     notes = []
-    if found.same_record:
+    if same:
         notes.append(
             "Both are of the same record and share its errors: differences come from the settings and are not tested."
-            if set(before.fingerprints) == set(after.fingerprints)
+            if prints[0] == prints[1]
             else "A record of one is also of the other, and they share its errors: differences are not tested."
         )
-    if not (before.fingerprints and after.fingerprints):
+    if not all(prints):
         notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
-    for name, value in before.settings.items():
-        other = after.settings.get(name, "none")
-        if value != other:
-            notes.append(f"They differ in {name}, {value} in A and {other} in B, which alone may change the values.")
-    return replace(found, rows=rows, notes=tuple(notes))
+    mine, other = map(_describe_settings, both)
+    notes += [
+        f"They differ in {name}, {value} in A and {other[name]} in B, which alone may change the values."
+        for name, value in mine.items()
+        if value != other[name]
+    ]
+    records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
+    errors = tuple(read(float | None, one["fit"]["relative_error"]) for one in both)
+    return EstimateComparison(records, errors, same, _adjust_p_values(rows), level, tuple(notes))
 
 
-def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> None:
-    system = "robot" if before.model == "robot" else "joint"
-    for what, one, other in (
-        ("model", before.model, after.model),
-        ("kind", before.kind, after.kind),
-        ("friction law", before.friction, after.friction),
-        ("transmission", before.side or "none", after.side or "none"),
-        ("torque unit", before.torque_unit, after.torque_unit),
-    ):
-        if one != other:
-            raise MethodError(
-                f"{before.label} and {after.label} do not describe the same {system}: the {what} is {one} in "
-                f"the one and {other} in the other; identify both with the same {system} file and options."
-            )
-    units = {q.name: q.unit for q in before.quantities}
-    wrong = [q for q in after.quantities if units.get(q.name, q.unit) != q.unit]
-    if wrong:
-        raise MethodError(
-            f"{wrong[0].name} is in {units[wrong[0].name]} in {before.label} and in {wrong[0].unit} in {after.label}; "
-            "identify both with the same joint file and options."
+def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
+    """Return what two estimates of one joint or robot have in common."""
+    system = answer["settings"]["system"]
+    gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
+    side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"
+    if answer["robot"] is not None:
+        names = ", ".join(str(one["name"]) for one in system["joints"])
+        return {"model": "robot", "robot": f"{system['name']} of {names}", "torque unit": unit}
+    said = {"model": system["model"], "kind": system["kind"], "friction law": system["friction"]["name"]}
+    return said | {"transmission": side, "torque unit": unit}
+
+
+def _describe_settings(answer: Mapping[str, Any]) -> dict[str, str]:
+    """Return the settings that may change the values."""
+    settings, filtering = answer["settings"], answer["settings"]["filtering"]
+    return {
+        "method": str(settings["variant"]),
+        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
+        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
+        "controller": str(answer["controller_sha256"] or "none")[:12],
+    }
+
+
+def _fingerprints(answer: Mapping[str, Any]) -> set[str]:
+    """Return the fingerprints of the torque of each record; none of a long log."""
+    data = answer["data"]
+    found = data["logs"] or [one["fingerprint"] for one in data["records"] or (data,)]
+    return {str(one) for one in found if one}
+
+
+def _quantities(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
+    """Return the parameters, but those of the initial state.
+
+    A sum of a robot has a name with what else is in it: by two methods the same name may have other sums.
+    """
+    robot, found = answer["robot"], []
+    formulas = {} if robot is None else dict(zip(robot["names"], robot["formulas"], strict=True))
+    for name, raw in answer["parameters"].items():
+        row = read(EstimatedParameter, raw)
+        if (robot is not None and not row.axis) or name.rpartition(".")[2].startswith("initial_"):
+            continue
+        within = re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(formulas.get(name, "")))
+        others = ", ".join(sorted(one for one in within if one != row.symbol))
+        symbol = "@".join((row.symbol, *name.split("@")[1:]))  # of a record's own parameter with its number
+        found.append(replace(row, name=f"{name} with {others}" if others else name, symbol=symbol))
+    return found
+
+
+def _sums(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
+    """Return the sums of both sides of a flexible joint."""
+    known = (answer["checks"]["known"] or {"physical": ()})["physical"]
+    return [
+        read(
+            EstimatedParameter,
+            {**one, **sum_of, "symbol": sum_of["formula"], "stderr": one["std"], "free": True, "identifiable": True},
         )
+        for one in known
+        for sum_of in [one["combination"]]
+    ]
 
 
 def _pair(
-    before: Sequence[ReportedQuantity], after: Sequence[ReportedQuantity]
-) -> list[tuple[ReportedQuantity, ReportedQuantity]]:
-    """Return each quantity of either estimate with its counterpart, which may lack a value."""
+    before: Sequence[EstimatedParameter], after: Sequence[EstimatedParameter]
+) -> list[tuple[EstimatedParameter, EstimatedParameter]]:
+    """Return each quantity of either estimate with its counterpart, which may lack a value.
+
+    Raises:
+        MethodError: one has another unit than its counterpart.
+    """
     here, there = ({q.name: q for q in group} for group in (before, after))
+    for name in here.keys() & there.keys():
+        if here[name].unit != there[name].unit:
+            raise MethodError(
+                f"{name} is in {here[name].unit} in A and in {there[name].unit} in B; identify both with one file."
+            )
     every = here | {name: q for name, q in there.items() if name not in here}
-    lacking = {name: replace(q, value=None, std=None) for name, q in every.items()}
+    lacking = {name: replace(q, value=None, stderr=None) for name, q in every.items()}
     return [(here.get(name, without), there.get(name, without)) for name, without in lacking.items()]
 
 
-def _compare(before: ReportedQuantity, after: ReportedQuantity, same: bool) -> QuantityChange:
+def _compare(before: EstimatedParameter, after: EstimatedParameter, same: bool) -> QuantityChange:
     found = QuantityChange(before.name, before.symbol, before.unit, before.value, after.value, None, None)
     if before.value is None or after.value is None:
         lost = [name for name, q in (("A", before), ("B", after)) if q.value is None]
         return replace(found, reason=f"not identified in {' and '.join(lost)}")
     difference = after.value - before.value
     found = replace(found, difference=difference)
-    fixed = [name for name, q in (("A", before), ("B", after)) if not q.free or q.std is None]
-    if before.std is None or after.std is None or fixed:
+    fixed = [name for name, q in (("A", before), ("B", after)) if not q.free or q.stderr is None]
+    if before.stderr is None or after.stderr is None or fixed:
         return replace(found, reason=f"fixed in {' and '.join(fixed)}")
-    std = math.hypot(before.std, after.std)
+    std = math.hypot(before.stderr, after.stderr)
     if same or not std > 0:
         return replace(found, reason="same record: not tested" if same else "standard deviation 0: not tested")
     return replace(found, std=std, p_value=math.erfc(abs(difference) / std / math.sqrt(2)))
@@ -259,9 +271,3 @@ def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ..
         largest = max(largest, min((len(tested) - rank) * p, 1.0))
         found[i] = replace(rows[i], p_value=largest)
     return tuple(found)
-
-
-def _format_p(p_value: float, *, labelled: bool = False) -> str:
-    if p_value < 1e-6:
-        return "p < 1e-6" if labelled else "< 1e-6"
-    return f"p = {number(p_value, 2)}" if labelled else number(p_value, 2)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -19,7 +18,6 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.fields import dumps, finite, plain, write
 from jointid.common.files import open_file
 from jointid.config import File
-from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import FRICTIONS
@@ -130,7 +128,7 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
     """
     from jointid.estimation.saved import RobotSystem, build_estimate
 
-    model, answer = system.setup if isinstance(system, File) else system, _read_estimate(path)
+    model, answer = system.setup if isinstance(system, File) else system, read_report(path)
     try:
         with _undamaged(path):
             if isinstance(model, RobotSystem):
@@ -160,7 +158,7 @@ def read_choices(path: str | Path) -> dict[str, str]:
     Raises:
         RecordError: the file is no estimate.
     """
-    answer = _read_estimate(path)
+    answer = read_report(path)
     with _undamaged(path):
         settings = answer["settings"]
         if "joints" in settings["system"]:
@@ -196,8 +194,8 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     return answer
 
 
-def _read_estimate(path: str | Path) -> Json:
-    """Return the document of an estimate, in this form.
+def read_report(path: str | Path) -> Json:
+    """Return the document of an estimate: from its JSON or that of a report, or from the page of a report.
 
     Raises:
         RecordError: the file cannot be read, or holds no estimate.
@@ -209,69 +207,6 @@ def _read_estimate(path: str | Path) -> Json:
     if answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
     return answer
-
-
-def read_report(path: str | Path) -> ReportedEstimate:
-    """Return the estimate in a file: the JSON of an estimate or of a report, or the HTML page of a report.
-
-    Raises:
-        RecordError: the file cannot be read, or holds no estimate.
-    """
-    answer = _read_estimate(path)
-    with _undamaged(path):
-        return _build_report(answer, Path(path).name)
-
-
-def _build_report(answer: Json, label: str) -> ReportedEstimate:
-    system, filtering, data = answer["settings"]["system"], answer["settings"]["filtering"], answer["data"]
-    robot, gear = answer["robot"], system.get("transmission")
-    side = "" if gear is None else f"{gear['side']} side, {float(gear['motor_per_load']):g} motor per load"
-    settings = {
-        "method": str(answer["settings"]["variant"]),
-        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
-        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
-    }
-    if robot is None:
-        settings["controller"] = str(answer["controller_sha256"] or "none")[:12]
-        model, kind, friction = system["model"], str(system["kind"]), str(system["friction"]["name"])
-        formulas: Json = {}
-    else:
-        model, friction = "robot", ""
-        kind = f"{system['name']} of {', '.join(str(one['name']) for one in system['joints'])}"
-        formulas = dict(zip(robot["names"], robot["formulas"], strict=True))
-    quantities = tuple(
-        _quantity(
-            _name_of_sum(name, p["symbol"], str(formulas.get(name, ""))),
-            "@".join((str(p["symbol"]), *name.split("@")[1:])),  # of a record's own parameter with its number
-            p,
-            free=p["free"],
-        )
-        for name, p in answer["parameters"].items()
-        if (robot is None or p["axis"]) and not name.rpartition(".")[2].startswith("initial_")
-    )
-    known = answer["checks"]["known"] or {"physical": ()}
-    sums = tuple(
-        _quantity(str(one["combination"]["name"]), str(one["combination"]["formula"]), one | one["combination"])
-        for one in known["physical"]
-    )
-    prints = data["logs"] or [one["fingerprint"] for one in data["records"] or (data,)]
-    error = answer["fit"]["relative_error"]
-    return ReportedEstimate(
-        label, str(data["record"]), tuple(str(one) for one in prints if one), str(model), kind, friction, side,
-        str(data["torque_unit"]), settings, None if error is None else finite(error), quantities, sums,
-    )  # fmt: skip
-
-
-def _name_of_sum(name: str, symbol: str, formula: str) -> str:
-    """Return a name with what else is in its sum, of a robot: by two methods the same name may have other sums."""
-    others = [one for one in re.findall(r"(?<!\w)[A-Za-z][\w+-]*", formula) if one != symbol]
-    return f"{name} with {', '.join(sorted(others))}" if others else name
-
-
-def _quantity(name: str, symbol: str, p: Mapping[str, Any], *, free: bool = True) -> ReportedQuantity:
-    """Return a parameter or combination of a document."""
-    value, std = (None if one is None else finite(one) for one in (p["value"], p.get("stderr", p.get("std"))))
-    return ReportedQuantity(name, symbol, str(p["unit"]), value, std, free=bool(free))
 
 
 def _of_first_form(old: Json) -> Json:

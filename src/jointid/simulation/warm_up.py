@@ -1,16 +1,16 @@
-"""Compile the kernels beforehand, in two processes if possible.
+"""Compile the kernels beforehand.
 
 ``python -m jointid.simulation.warm_up`` compiles all of them, as the last step of an installation or of an image.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from operator import call
 
 import numpy as np
 
-from jointid.common.compiled import has_cache
-from jointid.common.parallel import Aside
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import PreslidingFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -20,22 +20,17 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 
 
-def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
+def warm_up(*, derivatives: bool = True) -> None:
     """Compile the simulation of a joint of straight lines, or load it from the cache.
 
     Kernels of other laws are compiled by the first joint that has one.
 
     Args:
-        derivatives: also compile the derivatives, in another process if there is a second core.
-        wait: return once all is compiled; otherwise a call waits for its kernels.
+        derivatives: also those of the derivatives.
     """
-    from jointid.simulation.kernels import drive_sensitivities
-
-    needed = derivatives and not has_cache(drive_sensitivities.follow)
-    beside = Aside(compile_derivatives) if needed else None
     compile_drive()
-    if beside is not None and (wait or not beside.is_apart):
-        beside.result()
+    if derivatives:
+        compile_derivatives()
 
 
 def compile_drive() -> None:
@@ -94,11 +89,9 @@ def _at_rest(unit: str = "m", sample_time: float = 1.0) -> Record:
 
 
 def main() -> None:
-    """Compile all kernels."""
-    beside = Aside(compile_robot)
-    for compile_part in (compile_drive, compile_derivatives, compile_smooth_laws):
-        compile_part()
-    beside.result()
+    """Compile all kernels, in two processes."""
+    with ProcessPoolExecutor(2) as pool:
+        tuple(pool.map(call, (compile_robot, compile_drive, compile_derivatives, compile_smooth_laws)))
 
 
 if __name__ == "__main__":

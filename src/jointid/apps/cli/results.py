@@ -10,7 +10,6 @@ from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, deliver, 
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parallel import Aside
 
 if TYPE_CHECKING:
     from jointid import Estimate
@@ -59,12 +58,11 @@ def report(
     else:
         record, found = file.record(options.record, judged=True), load_estimate(estimate, file)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
-    tuning = None if no_tuning else Aside(lambda: tune_to_limit(found, file.declared_numbers))
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
         controllers=file.controllers, feed_forward=file.feed_forward, repetition=again, progress=options.progress,
     )  # fmt: skip
-    tuned = None if tuning is None else tuning.result()
+    tuned = None if no_tuning else tune_to_limit(found, file.declared_numbers)
     if isinstance(tuned, str):
         show(f"Without margins and gains: {tuned}")
     else:

@@ -41,14 +41,12 @@ class Report:
         name: of the joint; that of the record when empty.
         repetition: what it takes to do it again.
         tuned: what to set in the drive; None where that was not asked for.
-        controllers: of each joint of a robot, as far as they are known.
     """
 
     data: ReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
-    controllers: Sequence[Controller | None] = ()
 
     @classmethod
     def of(
@@ -100,7 +98,7 @@ class Report:
             if tuned is not None or profiles:
                 raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
             found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
-            return cls(ReportData(estimate, found, checks=tuple(checks)), name, again, controllers=controllers)
+            return cls(ReportData(estimate, found, checks=tuple(checks)), name, again)
         estimate.require_joint()
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
@@ -143,7 +141,7 @@ class Report:
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
-        blocks = report_blocks(self.data, self.figures, self.repetition, self.tuned, self.controllers)
+        blocks = report_blocks(self.data, self.figures, self.repetition, self.tuned)
         return Document(self.title, tuple(map(typeset_block, blocks)), self.answer())
 
     def html(self) -> str:

@@ -6,7 +6,6 @@ would still be nothing but text. The answer it carries for other programs is JSO
 
 from __future__ import annotations
 
-import contextlib
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,7 +20,6 @@ from jointid.common.files import digest, write_folder
 from jointid.output.json import REPORT_ELEMENT
 
 _FEW = 4  # headings: a shorter page needs no list of contents
-_CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
 
 
 def page(document: Document) -> str:
@@ -58,7 +56,7 @@ class Repetition:
     Attributes:
         version: of this program.
         record_file: name of the record's file, or files.
-        record_date: year-month-day: that in a .mat file's header, else when the file was last written (UTC).
+        record_date: year-month-day when the file was last written (UTC).
         record_file_sha256: of that file, or of these one after the other.
         joint_file_name, joint_file: name and text of the file of the joint or of the robot.
         command: that writes the report again.
@@ -93,20 +91,13 @@ def repetition(
     pairs = [*given.items(), *(("set", change) for change in changes), ("html", html)]
     command = shlex.join([*words, *(word for name, value in pairs for word in (f"--{name}", value))])
     try:
-        text, date = joint.read_text(encoding="utf-8"), _find_date(records[0])
+        text = joint.read_text(encoding="utf-8")
+        date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
     except OSError as error:
         why = (error.strerror or type(error).__name__).lower()
         raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
     names = ", ".join(record.name for record in records)
     return Repetition(__version__, names, date, digest(*records), joint.name, text, command)
-
-
-def _find_date(record: Path) -> str:
-    """Return the date of a record's file; a copy that keeps no times still has that of its header, where it has one."""
-    with contextlib.suppress(IsADirectoryError, ValueError), record.open("rb") as file:
-        if created := _CREATED.search(file.read(128)):
-            return datetime.strptime(created[1].decode("ascii"), "%b %d %H:%M:%S %Y").date().isoformat()
-    return datetime.fromtimestamp(record.stat().st_mtime, UTC).date().isoformat()
 
 
 def require_page(path: Path) -> None:

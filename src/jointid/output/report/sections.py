@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -22,15 +22,13 @@ from jointid.common.document import (
     Tone,
 )
 from jointid.common.errors import RecordError
-from jointid.common.text import join, number, sentence
+from jointid.common.text import number, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import bands_table
-from jointid.models.controllers import Controller
 from jointid.output.figures import charts
 from jointid.output.figures.axis_drawing import axis_figure, resonance_sentence
-from jointid.output.report.data_sheet import data_sheets
 from jointid.output.report.page import Repetition
 from jointid.tuning.tuned import Tuned
 
@@ -84,12 +82,6 @@ _PICTURES = {
     ),
 }
 """The titles of the pictures, and what to see in them; in the order of the appendix."""
-_MODES = {
-    "free_free": ("free-free", "both sides free: the peak, and the pole a controller meets"),
-    "motor_locked": ("motor locked", "the load on its spring: the dip the motor sees"),
-    "load_locked": ("load locked", "the motor on its spring, the load held"),
-    "second_free_free": ("second free-free", "the other peak, of the part of the load that swings"),
-}
 
 
 def report_blocks(
@@ -97,7 +89,6 @@ def report_blocks(
     figures: Mapping[str, Figure],
     repetition: Repetition,
     tuned: Tuned | None,
-    controllers: Sequence[Controller | None] = (),
 ) -> Iterator[Block]:
     """Yield the whole report: what was found, and the appendix with all that stands behind it."""
     estimate = given.estimate
@@ -116,8 +107,6 @@ def report_blocks(
         yield from tuned.proposal()
     yield Heading("Appendix")
     yield Paragraph("What stands behind that: every check, picture and setting, and how to repeat it.")
-    yield Heading("Data sheet")
-    yield from data_sheets(estimate, controllers)
     yield Heading("The estimate in full")
     yield from _part(estimate, details=True)
     for part, title in ((given.diagnosis, "Controller and log"), (given.validation, "Validation"), (tuned, "Loop")):
@@ -128,9 +117,9 @@ def report_blocks(
         yield Heading(_PICTURES[name][0])
         yield _picture(given, figures, name)
         yield from filter(None, (_beside(given, name),))
-    if missing := [*given.absent.values(), *_without_profile(given)]:
+    if given.absent:
         yield Heading("Not available")
-        yield Listing(tuple(map(sentence, missing)))
+        yield Listing(tuple(map(sentence, given.absent.values())))
     yield Heading("Settings and data")
     yield from _settings(given, repetition)
 
@@ -197,23 +186,10 @@ def _result(given: ReportData) -> Iterator[Block]:
         yield Paragraph("All numbers are behind the gears.")
 
 
-def _without_profile(given: ReportData) -> Iterator[str]:
-    """Yield why quantities have no profile: the interval of the table holds for them."""
-    if given.parabolic:
-        symbols = {p.name: p.symbol for p in given.estimate.params.rows} | {"compliance": "1/K12"}
-        yield (
-            f"Of {join([symbols.get(name, name) for name in given.parabolic])} the criterion is a parabola as far as "
-            "2 sigma, within a tenth: the table's intervals hold, and no profile is followed"
-        )
-
-
 def _beside(given: ReportData, name: str) -> Table | None:
     """Return the table beside a picture; None where there is none."""
     if name == "residual":
         return bands_table(given.estimate, "The residual by frequency")
-    if name == "response" and given.response is not None and given.response.modes:
-        rows = tuple((*_MODES[mode], f"{hertz:.2f}") for mode, hertz in given.response.modes.items())
-        return Table(("frequency", "what it is", "Hz"), rows, "The three frequencies", words=(0, 1))
     if name == "profiles":
         ends = [("no end found" if end is None else number(end, 4) for end in one.interval) for one in given.profiles]
         cells = tuple(
