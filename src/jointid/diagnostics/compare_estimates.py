@@ -218,14 +218,8 @@ def _quantities(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
 def _sums(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
     """Return the sums of both sides of a flexible joint."""
     known = (answer["checks"]["known"] or {"physical": ()})["physical"]
-    return [
-        read(
-            EstimatedParameter,
-            {**one, **sum_of, "symbol": sum_of["formula"], "stderr": one["std"], "free": True, "identifiable": True},
-        )
-        for one in known
-        for sum_of in [one["combination"]]
-    ]
+    stated = [{"free": True, "identifiable": True} | one | one["combination"] for one in known]
+    return [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
 
 
 def _pair(
