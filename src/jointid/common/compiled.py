@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 
 F = TypeVar("F", bound=Callable[..., object])
-_NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many machines are a hundred times slower
 
 
 class CacheWarning(UserWarning):
@@ -53,7 +52,13 @@ class KernelCache(FunctionCache):
             _warn(f"The compiler's cache in {self.cache_path} cannot be written ({type(error).__name__}: {error})")
 
 
-_SOURCES = ("common/compiled.py", "simulation/plant.py", "simulation/kernels/*.py", "models/robots/*.py")
+_SOURCES = (
+    "common/compiled.py",
+    "simulation/plant.py",
+    "records/signals/sections.py",
+    "simulation/kernels/*.py",
+    "models/robots/*.py",
+)
 """The modules of kernels, and of the named tuples that they take, whose fields they read by position."""
 
 
@@ -113,27 +118,6 @@ def assign(to: FloatArray, values: FloatArray) -> None:
     """Copy a vector; slice assignment takes a second longer to compile."""
     for i in range(values.size):
         to[i] = values[i]
-
-
-@compile_kernel
-def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
-    """Propagate the modes of a filter from each kept sample to the next.
-
-    Args:
-        powers: (2, modes) real and imaginary part of each mode's factor between two kept samples.
-        said: (columns, kept, 2 modes) initial modes, then the contribution of each interval, real parts first; replaced
-            by the modes at each kept sample.
-        step: 1 forwards, -1 backwards.
-    """
-    count, modes = said.shape[1], powers.shape[1]
-    for k in range(1, count):
-        at = k if step > 0 else count - 1 - k
-        for j in range(said.shape[0]):
-            for i in range(modes):
-                real, imaginary = said[j, at - step, i], said[j, at - step, modes + i]
-                if abs(real) + abs(imaginary) > _NOTHING:
-                    said[j, at, i] += powers[0, i] * real - powers[1, i] * imaginary
-                    said[j, at, modes + i] += powers[1, i] * real + powers[0, i] * imaginary
 
 
 @compile_kernel

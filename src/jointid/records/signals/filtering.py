@@ -18,7 +18,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.records.record import Channel, Timing
-from jointid.records.signals.modes import Modes, Thinning
 
 if TYPE_CHECKING:
     from typing import Self
@@ -194,19 +193,24 @@ def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
     return np.asarray(np.gradient(values, sample_time, axis=0))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
     """Decimate several signals, (samples,) or (samples, columns), as `Filtering.decimate` does."""
+    from jointid.records.signals.sections import filter_rows
+
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
     _require_samples(parts[0], padding)
-    series = [np.ascontiguousarray(np.atleast_2d(part.T), dtype=np.float64) for part in parts]
-    kept = _design_thinning(2 * filtering.cutoff * sample_time, keep, padding)(series, (samples - 1) % keep)
-    ends = np.cumsum([len(each) for each in series])
-    return [
-        kept[end - len(each)] if part.ndim == 1 else kept[end - len(each) : end].T
-        for part, each, end in zip(parts, series, ends, strict=True)
-    ]
+    sections, initial = _design_decimation(2 * filtering.cutoff * sample_time)
+    rows = np.ascontiguousarray(np.column_stack(parts), dtype=np.float64)
+    rows = np.pad(rows, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
+    for first, step in ((0, 1), (-1, -1)):
+        filter_rows(sections, np.multiply.outer(initial, rows[first]), rows, step)
+    kept = np.asfortranarray(rows[padding + (samples - 1) % keep : padding + samples : keep])
+    ends = np.cumsum([1 if part.ndim == 1 else part.shape[1] for part in parts])
+    split = np.split(kept, ends[:-1], axis=1)
+    return [one[:, 0] if part.ndim == 1 else one for part, one in zip(parts, split, strict=True)]
 
 
 def drop_ends(rows: NDArray[Any], filtering: Filtering, samples: int) -> NDArray[Any]:
@@ -238,11 +242,12 @@ def _design_butterworth(cutoff: float) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _design_thinning(cutoff: float, keep: int, padding: int) -> Thinning:
-    """Modes of the decimation filter."""
-    from scipy.signal import cheby1
+def _design_decimation(cutoff: float) -> tuple[FloatArray, FloatArray]:
+    """Second-order sections of the decimation filter, and their state at a constant of 1."""
+    from scipy.signal import cheby1, sosfilt_zi
 
-    return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)
+    sections = cheby1(_ORDER, _RIPPLE, cutoff, output="sos")
+    return np.asarray(sections), np.asarray(sosfilt_zi(sections))
 
 
 def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
