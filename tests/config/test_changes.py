@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import pytest
@@ -11,9 +10,7 @@ from jointid.common.errors import JointFileError
 from jointid.config import loads
 from jointid.config.toml import apply_changes
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import RigidJoint
 from jointid.records.signals.filtering import Filtering
 from tests.apps.commands import commands
 from tests.joint_files import BOTH_ENCODERS, CASCADE, CHANNELS, FLEXIBLE, JOINT, SMALLEST
@@ -113,32 +110,7 @@ def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
     assert {"identify", "report", "simulate", "tune", "diagnose"} <= taking
 
 
-@pytest.mark.parametrize(
-    "choices",
-    [
-        {"method": "didm"}, {"friction": "dahl"}, {"method": "didim", "friction": "asymmetric"},
-        {"changes": ["method.estimator=ols"]}, {"changes": ["method.frequency=0.0"]},
-    ],
-)  # fmt: skip
-def test_choices_are_checked_in_the_same_way(choices: dict[str, Any]) -> None:
-    text = JOINT + CHANNELS.replace("motor_", "load_") + CASCADE + "[parameters]\nviscous = 3.0"
-    with pytest.raises(JointFileError):
-        loads(text, **choices)
-
-
-def test_a_choice_replaces_what_the_file_says() -> None:
-    text = SMALLEST + "[method]\ntolerance = 1e-3\n[filtering]\ncutoff = 3.0"
-    file = loads(text)
-    assert loads(text, changes=[]) == file
-    assert file.method == DIDIM(tolerance=1e-3)
-    assert loads(text, method="didim") == file  # its settings are kept, though the file does not name it
-    assert loads(text, method="idim") == dataclasses.replace(file, method=IDIM())
-    assert loads(text.replace("tolerance", 'name = "idim"\n# tolerance'), method="didim").method == DIDIM()
-    assert loads(text, friction="asymmetric").joint == RigidJoint("prismatic", friction=AsymmetricFriction())
-    assert loads(text, friction="symmetric") == file
-
-
-def test_keys_are_set_after_the_choices() -> None:
+def test_keys_are_set_before_the_file_is_checked() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + "[method]\ntolerance = 1e-3"
     assert loads(text, changes=[]) == loads(text)
     assert loads(text, changes=["method.frequency=42.0"]).method == DIDIM(tolerance=1e-3, frequency=42.0)
@@ -147,20 +119,12 @@ def test_keys_are_set_after_the_choices() -> None:
     assert changed.filtering == Filtering.published()
     whole = ['method={name="didim", frequency=20.0}']  # in place of the whole table
     assert loads(text, changes=whole).method == DIDIM(frequency=20.0)
-    assert loads(text, method="idim").method == IDIM()
-    assert loads(text, ".", ["method.estimator=ols"], method="idim").method == IDIM(estimator="ols")
-    back = loads(text.replace("tolerance = 1e-3", 'name = "idim"'), ".", ["method.frequency=9.0"], method="didim")
-    assert back.method == DIDIM(frequency=9.0)
-
-
-def test_a_choice_holds_against_a_change() -> None:
-    text = SMALLEST + "[method]\ntolerance = 1e-3"
-    assert loads(text, changes=["method.name=idim"], method="didim").method == DIDIM(tolerance=1e-3)
-    file = loads(text, changes=["joint.friction=symmetric"], friction="asymmetric")
-    assert file.joint.friction == AsymmetricFriction()
+    assert loads(SMALLEST, changes=["joint.friction=asymmetric"]).joint.friction == AsymmetricFriction()
+    with pytest.raises(JointFileError):
+        loads(text, changes=["method.estimator=ols"])
 
 
 def test_a_change_may_bring_what_makes_a_method_the_file_s_own() -> None:
     text = JOINT + CHANNELS + "[method]\ntolerance = 1e-3"
     controller = [f"controller={{{', '.join(CASCADE.strip().splitlines()[1:])}}}"]
-    assert loads(text, changes=controller, method="didim").method == DIDIM(tolerance=1e-3)
+    assert loads(text, changes=controller).method == DIDIM(tolerance=1e-3)

@@ -23,7 +23,6 @@ from jointid.models.controllers import (
     DigitalFilter,
     StateSpaceController,
 )
-from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
@@ -199,11 +198,6 @@ def test_a_state_space_law() -> None:
         (CHANNELS.replace("reference", "load_position") + CASCADE, IDIM()),
         (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
         (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
-        (
-            CHANNELS + '[method]\nharmonics = 2\nperiod = 0.005\ndrift = "both"',
-            IDIM(effects=(PositionHarmonics(0.005, 2), Drift("both"))),
-        ),
-        (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM(effects=(PositionHarmonics(0.005),))),
     ],
 )
 def test_the_method(text: str, expected: object) -> None:

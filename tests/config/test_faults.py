@@ -97,8 +97,6 @@ FAULTS = [
         "drive contradiction",
     ),
     (SMALLEST + "[method]\nfrequency = 30.0", "method.frequency contradiction"),
-    (SMALLEST + '[method]\nname = "didim"\ndrift = "force"', "method.drift contradiction"),
-    (JOINT + CHANNELS + "[method]\nperiod = 0.005", "method.period contradiction"),
     (SMALLEST + "[parameters]\ninertai = 3", "parameters.inertai unknown"),
     (SMALLEST + "[parameters]\nstiffness = 3", "parameters.stiffness unknown"),
     (SMALLEST + "[parameters]\nviscous_forwards = 3", "parameters.viscous_forwards unknown"),

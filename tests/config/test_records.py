@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jointid.common.errors import JointFileError, RecordError
+from jointid.common.errors import RecordError
 from jointid.config import File, Run, load, loads
-from jointid.models.controllers import Cascade
+from jointid.estimation.problems.several_records import SeveralRecords
 from tests.estimates import identify
-from tests.joint_files import CASCADE, EXAMPLE, SMALLEST, told
+from tests.joint_files import EXAMPLE, SMALLEST, told
 
 
 @pytest.fixture
@@ -46,9 +45,9 @@ def test_a_channel_that_the_method_does_not_need_may_be_absent(run: Path) -> Non
     without_motor = SMALLEST.replace('"q"', '"nowhere"')
     assert loads(without_motor).record(run).channels == ("torque", "reference")
     with pytest.raises(RecordError, match=r'has no column "nowhere" \(for motor_position\)'):
-        loads(without_motor, method="idim").record(run)
+        loads(without_motor, changes=["method.name=idim"]).record(run)
     without_reference = SMALLEST.replace('"r"', '"nowhere"')
-    assert loads(without_reference, method="idim").record(run).channels == ("torque", "motor_position")
+    assert loads(without_reference, changes=["method.name=idim"]).record(run).channels == ("torque", "motor_position")
     with pytest.raises(RecordError, match=r'has no column "nowhere" \(for reference\)'):
         loads(without_reference).record(run)
 
@@ -98,47 +97,34 @@ file = "a.csv"
 file = "b.csv"
 added_inertia = 10.0
 own = ["coulomb"]
-controller = { position_gain = 80.0, limit = 5.0 }
 
 [together]
 free = ["drive_gain"]
 """
 
 
-def test_several_records(run: Path) -> None:
+def test_several_records(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = run.parents[1]
     file = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + SEVERAL.replace("a.csv", "runs/run.csv"))
-    assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",), {"position_gain": 80.0, "limit": 5.0}))
-    assert file.together.free == ("drive_gain",)
-    first, second = file.each()
-    assert first.controller == file.controller == Cascade(position_gain=100.0, velocity_gain=2000.0)
-    assert second.controller == Cascade(position_gain=80.0, velocity_gain=2000.0, limit=5.0)
-    assert first.record().name == "run"
+    assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",)))
+    assert file.together == ("drive_gain",) and file.only_lists
     with pytest.raises(RecordError, match=r"b\.csv"):
-        second.record()
-    assert first.record() != file.each([folder / "b.csv", run])[1].record  # names on the command line replace both
-    assert file.each([folder / "b.csv", run])[1].source.file == str(run)
-    with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
-        file.each([folder / "other.csv"])
-    assert [one.runs for one in file.each([folder / "runs" / ".." / "b.csv"])] == [file.runs[1:]], "by its path"
-    source = replace(first.source, file=None, files=("q.csv", "tau.csv"), offsets=(0.0, 1.0))
-    joined = replace(first, axes=(replace(first.axis, source=source),))
-    assert joined.each()[0].source.files == joined.each()[0].source.offsets == ()  # a named record takes their place
-    assert file.of_record(folder / "b.csv").controller == second.controller
-    assert file.of_record(folder / "other.csv") is file
-    listed = SEVERAL.replace("b.csv", "runs/run.csv").replace("limit = 5.0", "limit = 500.0")
-    loaded = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + listed)
-    assert loaded.only_lists
-    unlisted = saved(folder, SMALLEST)
-    assert [one.source.file for one in unlisted.each([run, folder / "b.csv"])] == [str(run), str(folder / "b.csv")]
+        file.identify_together()
+    (folder / "b.csv").write_bytes(run.read_bytes())
+    asked = list[SeveralRecords]()
+    monkeypatch.setattr(File, "identify", lambda *_, several, **__: asked.append(several))
+    other = folder / "other.csv"
+    other.write_bytes(run.read_bytes())
+    for paths in ((), (other, folder / "runs" / ".." / "b.csv")):  # one is known by its path
+        file.identify_together(paths)
+    both = SeveralRecords(added_inertia=[0.0, 10.0], own=[(), ("coulomb",)], free=("drive_gain",))
+    assert asked == [both, both]
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         (SEVERAL.replace('"coulomb"', '"colomb"'), "records.2.own unknown"),
-        (SEVERAL.replace("position_gain = 80.0", "derivative_gain = 80.0"), "records.2.controller contradiction"),
-        (SEVERAL.replace("limit = 5.0", "limit = -5.0"), "records.2.controller contradiction"),
         (SEVERAL.replace('file = "a.csv"', ""), "records.1.file missing"),
         (SEVERAL.replace("10.0", "-10.0"), "records.2.added_inertia value"),
         ("records = 3\n", "records value"),
@@ -146,8 +132,3 @@ def test_several_records(run: Path) -> None:
 )
 def test_a_fault_of_several_records_has_its_place(text: str, said: str) -> None:
     assert told(text + SMALLEST if text.startswith("records") else SMALLEST + text) == [said]
-
-
-def test_a_controller_that_is_not_there_cannot_be_another() -> None:
-    text = SMALLEST.replace(CASCADE, "") + SEVERAL
-    assert "records.2.controller contradiction" in told(text)

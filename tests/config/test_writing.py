@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError
-from jointid.config import controller_text, dumps, edit, load, loads, move_paths, name_record, replace_table
+from jointid.config import controller_text, edit, load, loads, move_paths, name_record, replace_table
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, StateSpaceController
-from tests.joint_files import CASCADE, CHANNELS, JOINT, SMALLEST, told
+from tests.joint_files import CASCADE, CHANNELS, JOINT, SMALLEST
 
 SLOW = Cascade(position_gain=1.0, velocity_gain=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
 NOTCHED = PID(
@@ -66,21 +66,6 @@ def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: s
     assert edit(text, move_paths(tmp_path / "runs", tmp_path / "there" / ".." / "runs")) == text
 
 
-def test_numbers_of_filters_are_named_with_points() -> None:
-    notched = CASCADE + 'torque_filters = [{ kind = "notch", frequency = 80, bandwidth = 20 }]\n'
-    runs = '[[records]]\nfile = "a.csv"\n[[records]]\nfile = "b.csv"\ncontroller = '
-    name, free = "torque_filters.0.frequency", '[method]\nfree = ["torque_filters.0.frequency"]\n'
-    for written in ("{ torque_filters.0.frequency = 90.0 }", '{ "torque_filters.0.frequency" = 90.0 }'):
-        file = loads(JOINT + CHANNELS + notched + free + runs + written)
-        assert isinstance(file.method, DIDIM)
-        assert file.method.free == (name,)
-        assert [one.controller.torque_filters[0].frequency for one in file.each()] == [80.0, 90.0]  # type: ignore[union-attr]
-        assert loads(dumps(file)) == file
-    for wrong in ("{ torque_filters.1.frequency = 90.0 }", "{ torque_filters.0.frequency = -9 }"):
-        (said,) = told(JOINT + CHANNELS + notched + runs + wrong)
-        assert said.startswith("records.2.controller")
-
-
 @pytest.mark.parametrize(
     "record",
     [
@@ -103,14 +88,14 @@ def test_a_file_is_made_to_name_another_record(record: str) -> None:
 
 def test_units_stand_beside_the_gains_of_a_written_controller() -> None:
     law = Cascade(position_gain=40.0, velocity_gain=2.0, velocity_filter=FirstOrder(2e-3), gain=3.0)
-    joint = loads(f"{JOINT}{CHANNELS}").joint
-    text = controller_text(law, joint=joint)
+    axis = loads(f"{JOINT}{CHANNELS}").axis
+    text = controller_text(law, axis)
     assert "position_gain = 40.0  # 1/s\n" in text
     assert "velocity_gain = 2.0  # controller units per " in text
     assert "time_constant = 0.002  # s\n" in text
     assert tomllib.loads(text) == tomllib.loads(controller_text(law))
-    plain = controller_text(dataclasses.replace(law, gain=1.0), joint=joint)
-    assert f"velocity_gain = 2.0  # {joint.force_unit} per " in plain
+    plain = controller_text(dataclasses.replace(law, gain=1.0), axis)
+    assert f"velocity_gain = 2.0  # {axis.joint.force_unit} per " in plain
 
 
 @pytest.mark.parametrize(

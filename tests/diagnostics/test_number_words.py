@@ -126,4 +126,4 @@ def test_a_number_is_told_as_the_drive_shows_it(
 ) -> None:
     """A longer time is a smaller gain, and the longer half of its interval is told."""
     test = FaultTest(number_fault(there.number), (), declared, size, std, size / std, 1e-9)
-    assert describe_in_drive(there, test, {there.number: declared}, spread=True) == said
+    assert describe_in_drive(there, test, spread=True) == said

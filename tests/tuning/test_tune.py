@@ -115,7 +115,7 @@ def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
     assert to_dict(tuned)["gains"][-1]["name"] == "integral_time"
 
 
-def test_a_controller_in_ampere_is_told_in_ampere_and_a_pid_by_the_times_it_was_declared_by() -> None:
+def test_a_controller_in_ampere_is_told_in_ampere() -> None:
     text = """
 [joint]
 kind = "prismatic"
@@ -126,19 +126,19 @@ reference = { column = "r" }
 [controller]
 law = "pid"
 position_gain = "8000 A/m"
-derivative_time = "50 ms"
-integral_time = "400 ms"
+derivative_gain = "400 A s/m"
+integral_gain = "20000 A/(m s)"
 """
     file = loads(text)
     assert file.controller is not None
     estimate = rigid(file.controller)
     tuned = tune(estimate, Tuning(notch=False), shown=file.declared_numbers)
-    assert [gain.name for gain in tuned.gains] == ["position_gain", "derivative_time", "integral_time"]
+    assert [gain.name for gain in tuned.gains] == ["position_gain", "derivative_gain", "integral_gain"]
     [_, derivative, integral] = [(gain.before, gain.after, gain.unit) for gain in tuned.gains]
     law = tuned.proposed.controller  # type: ignore[union-attr]
     assert isinstance(law, PID)
-    assert derivative == (pytest.approx(50.0), pytest.approx(1e3 * law.derivative_gain / law.position_gain), "ms")
-    assert integral == (pytest.approx(400.0), pytest.approx(1e3 * law.position_gain / law.integral_gain), "ms")
+    assert derivative == (pytest.approx(400.0), pytest.approx(law.derivative_gain), "A s/m")
+    assert integral == (pytest.approx(20000.0), pytest.approx(law.integral_gain), "A/(m s)")
     assert tuned.feedforward[0].after == pytest.approx(estimate.values["inertia"] / 5.0)
 
 

@@ -28,7 +28,7 @@ from jointid.common.files import files_of
 from jointid.common.settings import declare, setting
 from jointid.common.text import join, pluralise
 from jointid.config import loads
-from jointid.config.declaration import key_error, read_as
+from jointid.config.declaration import Reader, key_error
 from jointid.config.toml import apply_changes, parse_toml, read_text
 
 _NAMED = 5  # names in a sentence
@@ -125,7 +125,7 @@ class Campaign:
 def load_campaign(path: Path) -> Campaign:
     """Load and validate a campaign file, without the records."""
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
-    file: CampaignTable = read_as(CampaignTable, parse_toml(read_text(path)))
+    file: CampaignTable = Reader().read_all(CampaignTable, parse_toml(read_text(path)))
     runs, left_out = _list_fleet(file.fleet, path.parent)
     swept = (
         dict.fromkeys(f"{key}={tomlkit.item(value).as_string()}" for value in values)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
-from jointid.common.parameters import TORQUE_UNIT, Parameter
+from jointid.common.parameters import Parameter
 from jointid.common.transmission import Transmission
 from jointid.common.units import Kind
-from jointid.common.units import unit as find_unit
 from jointid.config.axis_units import AxisUnits
 from jointid.config.declaration import Place, fault_at, locate
-from jointid.config.rules import RULES
+from jointid.config.rules import find_faults
 from jointid.config.source import Source
 from jointid.config.tables import AxisTable, FileTable, ParameterTable, make_method
 from jointid.estimation.methods.registry import Method, methods
@@ -85,54 +85,10 @@ class Axis:
 
         return compute_controller_torque(record, self.loop)
 
-    @property
-    def torque_per_unit(self) -> float | None:
-        """The torque constant: torque per plain number of a controller on the motor's side."""
-        return self.units.constant
-
-    def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
-        """Return how the drive shows the numbers of a learned law, beside those that the file declares."""
-        return self.units.numbers(learned, self.controller)
-
-    @property
-    def declared_numbers(self) -> tuple[DriveNumber, ...]:
-        """How the drive shows the numbers of the declared controller.
-
-        The torque constant is one of them where it takes the logged torque, and no gain, to its unit.
-        """
-        if self.controller is None:
-            return ()
-        constant = self.torque_per_unit
-        if constant is None or self.scale or not self._is_logged_by_unit("torque"):
-            return self.drive_numbers(self.controller)
-        there = DriveNumber("torque_constant", "torque_constant", self._constant_unit, 1.0, declared=constant)
-        return (*self.drive_numbers(self.controller), there)
-
-    @property
-    def scale(self) -> str:
-        """The torque constant where all values scale with it, as log and controller are in A or V.
-
-        No record then shows an error of the constant. An injected torque, or a gain, would; the text is then empty.
-        """
-        constant, gear = self.torque_per_unit, self.joint.transmission
-        if constant is None or "torque" not in self.columns:
-            return ""
-        if any(name in self.columns and not self._is_logged_by_unit(name) for name in ("torque", "injected")):
-            return ""
-        through = 1.0 if gear is None else abs(gear.motor_per_load)
-        if getattr(self.controller, "gain", constant) not in (constant, constant * through):
-            return ""
-        return f"{constant:g} {self._constant_unit}"
-
-    @property
-    def _constant_unit(self) -> str:
-        return f"{TORQUE_UNIT[self.units.kind_of('motor')]}/{'V' if self.drive.torque_constant is None else 'A'}"
-
-    def _is_logged_by_unit(self, name: str) -> bool:
-        """Whether a column is stated in A or V."""
-        column = self.columns.get(name)
-        unit = None if column is None else column.stated_unit(known_units(name, self.units.kind_of("motor")))
-        return unit is not None and find_unit(unit).dimension in ("current", "voltage")
+    def drive_numbers(self, learned: Controller | None = None) -> tuple[DriveNumber, ...]:
+        """Return how the drive shows the numbers of a learned law, or of the declared one."""
+        law = self.controller if learned is None else learned
+        return () if law is None else self.units.numbers(law, self.controller)
 
     def read_record(self, table: RecordedTable, name: str) -> Record:
         """Return the record of this axis from a table of columns; see `File.record`.
@@ -163,8 +119,7 @@ class Axis:
         """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
         like = self.columns.get(channel, Column())
         unit = like.stated_unit(known_units(channel, self.units.kind_of("motor")))
-        like = replace(like, column=name, unit=unit, optional=False)
-        return replace(like, timing=None, tap=None, sample_time=None)
+        return replace(like, column=name, unit=unit, optional=False, timing=None, tap=None, sample_time=None)
 
     def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
         law = self.controller if isinstance(self.controller, PD) else None
@@ -194,14 +149,9 @@ class Axis:
     @property
     def _written(self) -> dict[str, Any]:
         """Arguments of reading and writing a record, beside its columns."""
-        return {
-            "drive": self.drive,
-            "time": self.source.time,
-            "time_unit": self.source.time_unit,
-            "sample_time": self.source.sample_time,
-            "kind": self.joint.kind,
-            "transmission": self.joint.transmission,
-        }
+        source = self.source
+        clock = {"time": source.time, "time_unit": source.time_unit, "sample_time": source.sample_time}
+        return {**clock, "drive": self.drive, "kind": self.joint.kind, "transmission": self.joint.transmission}
 
     @property
     def reading(self) -> dict[str, Any]:
@@ -249,38 +199,26 @@ def build_axis(
     Raises:
         JointFileError: with a sentence for each contradiction between the tables.
     """
-    try:
-        return _build(file, number, kind, given, columns, drive)
-    except JointFileError as error:
-        raise JointFileError(
-            fault_at(file.place(number, *one.place), one.removeprefix(messages.dot_path(one.place)), one.code)
-            for one in error.faults
-        ) from error
-
-
-def _build(
-    file: FileTable, number: int, kind: Kind, given: Mapping[str, Any], columns: Mapping[str, Column], drive: Drive
-) -> tuple[Axis, Method]:
-    """Build an axis; places of faults are those of a joint file."""
-    own, below = file.axes[number], file.place(number, "controller")
-    gear = None if own.transmission is None else _make(("transmission",), Transmission, load=kind, **own.transmission)
+    own, at = file.axes[number], partial(file.place, number)
+    gear = None if own.transmission is None else _make(at("transmission"), Transmission, load=kind, **own.transmission)
     if own.torque_constant is not None:
-        per_volt = "V" in file.texts.get(file.place(number, "joint", "torque_constant"), "A")[0]
+        per_volt = "V" in file.texts.get(at("joint", "torque_constant"), "A")[0]
         name = "torque_per_volt" if per_volt else "torque_constant"
-        drive = _make(("drive",), replace, drive, **{name: own.torque_constant})
-    stated = own.controller
+        drive = _make(at("drive"), replace, drive, **{name: own.torque_constant})
+    below = at("controller")
     texts = {place[len(below) :]: text for place, (text, _) in file.texts.items() if place[: len(below)] == below}
     units = AxisUnits(kind=kind, gear=gear, drive=drive, texts={".".join(map(str, k)): t for k, t in texts.items()})
     units = replace(units, torque=units.find_torque_unit(columns.get("torque")))
-    joint = _build_joint(own, kind, gear, units.torque)
     controller: Any = None
-    if stated is not None:
-        units = replace(units, side=stated.side, keys=stated.keys)
-        controller = stated.law
-        ratio = {} if gear is None else {"ratio": gear.torque(stated.side)}
-        controller = replace(controller, gain=units.gain(controller), **ratio)
+    if own.controller is not None:
+        units = replace(units, side=own.controller.side, keys=own.controller.keys)
+        controller = own.controller.law
+        ratio = {} if gear is None else {"ratio": gear.torque(units.side)}
+        gain = _make(at(), units.gain, controller)
+        controller = replace(controller, gain=gain, **ratio)
     name = given.get("name") or _choose_method(own, file.source, columns, drive)
-    method = make_method(name, given, str(own.model))
+    method = _make(at(), make_method, name, given, str(own.model))
+    joint = _build_joint(own, at("joint"), kind, gear, units.torque)
     axis = Axis(
         name=own.name,
         joint=joint,
@@ -288,12 +226,12 @@ def _build(
         controller=controller,
         drive=drive,
         source=file.source,
-        parameters=_change_parameters(joint, own.parameters),
+        parameters=_change_parameters(joint, own.parameters, at("parameters")),
         limits=own.limits,
         needed=method.channels(str(own.model), controller),
         units=units,
     )
-    if faults := [fault for rule in RULES for fault in rule(file, number, axis)]:
+    if faults := list(find_faults(file, number, axis)):
         raise JointFileError(faults)
     return axis, method
 
@@ -306,21 +244,21 @@ def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any)
         raise locate(error, place) from error
 
 
-def _build_joint(own: AxisTable, kind: Kind, gear: Transmission | None, torque_unit: str | None) -> Joint:
+def _build_joint(own: AxisTable, place: Place, kind: Kind, gear: Transmission | None, unit: str | None) -> Joint:
     """Build the joint, its torque in A or V where the torque's channel is."""
-    if own.model == "rigid" and own.spring not in (None, "linear"):
-        rest = f' is "{own.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
-        raise JointFileError(fault_at(("joint", "spring"), rest))
     weight = own.gravity
     if weight is not None and gear is not None:
         weight = replace(weight, angle=weight.angle * gear.torque("load"))
     moving, friction = kind if gear is None else gear.kind, find_friction(own.friction)
-    forces = (moving, friction, torque_unit, gear, weight, own.ripple)
+    forces = (moving, friction, unit, gear, weight, own.ripple)
     if own.model == "flexible":
-        made: Joint = _make(("joint",), FlexibleJoint, *forces, find_spring(own.spring or "linear"))
-        return made
-    rigid: Joint = _make(("joint",), RigidJoint, *forces)
-    return rigid
+        made: Joint = _make(place, FlexibleJoint, *forces, find_spring(own.spring or "linear"))
+    elif own.spring not in (None, "linear"):
+        rest = f' is "{own.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
+        raise JointFileError(fault_at((*place, "spring"), rest))
+    else:
+        made = _make(place, RigidJoint, *forces)
+    return made
 
 
 def _choose_method(own: AxisTable, source: Source, columns: Mapping[str, Column], drive: Drive) -> str:
@@ -339,27 +277,24 @@ def _choose_method(own: AxisTable, source: Source, columns: Mapping[str, Column]
     return "didim"
 
 
-def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable]) -> dict[str, Parameter]:
+def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable], place: Place) -> dict[str, Parameter]:
     """Return parameters of the model with the file's values and the tighter bounds."""
     known, changed, faults = {one.name: one for one in joint.parameters}, dict[str, Parameter](), list[Fault]()
     for name, one in stated.items():
-        place, own = ("parameters", name), known.get(name)
+        own = known.get(name)
         if own is None:
             remedy = messages.suggest(name, known, "leave it out, or declare the law that has it")
             rest = f" is no parameter of this joint; expected one of {', '.join(known)}: {remedy}"
-            faults.append(fault_at(place, rest, "unknown"))
+            faults.append(fault_at((*place, name), rest, "unknown"))
             continue
         lower = own.lower if one.lower is None else max(one.lower, own.lower)
         upper = own.upper if one.upper is None else min(one.upper, own.upper)
         numbers = [number for number in (one.value, one.start) if number is not None]
-        if not own.free and one.value is None:
-            rest = " is not identified in this joint, beside friction and load as declared; give it a value."
-            faults.append(fault_at(place, rest))
-        elif not lower < upper or len(numbers) > 1 or not all(lower <= number <= upper for number in numbers):
-            rest = (
-                f" has {', '.join(f'{number:g}' for number in numbers) or 'bounds only'}; expected either a value or a "
-            )
-            faults.append(fault_at(place, f"{rest}start, within {lower:g} to {upper:g}: correct it, or its bounds."))
+        fits = lower < upper and len(numbers) <= 1 and all(lower <= number <= upper for number in numbers)
+        if not fits or not (own.free or one.value is not None):
+            said = f" has {', '.join(f'{number:g}' for number in numbers) or 'bounds only'}; expected a value"
+            said += f"{' or a start' if own.free else ''}, within {lower:g} to {upper:g}: correct it, or its bounds."
+            faults.append(fault_at((*place, name), said))
         start = numbers[0] if numbers else own.start
         changed[name] = replace(own, free=own.free and one.value is None, start=start, lower=lower, upper=upper)
     if faults:

@@ -1,13 +1,11 @@
 """Units of an axis: torque constant, gain from a controller's output to torque, and numbers as the drive has them.
 
-The torque constant is given once, below [joint], for the torque's channel and the controller. A drive's own parameters
-are known by its profile.
+The torque constant is given once, below [joint], for the torque's channel and the controller.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,13 +17,13 @@ from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind, UnitError
 from jointid.config.declaration import fault_at
 from jointid.config.quantities import OUTPUTS, in_controller_units, list_units, output_of
-from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
+from jointid.config.tables import INVERSES
+from jointid.models.controllers import Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
 
 _AGREES = 1e-3  # of a gain: one that is written with four digits is the torque constant
-_TIMES = {"integral_gain": "integral_time", "derivative_gain": "derivative_time"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +58,10 @@ class AxisUnits:
         return self.drive.torque_constant or self.drive.torque_per_volt
 
     @property
+    def _constants(self) -> Mapping[str, float | None]:
+        return {"A": self.drive.torque_constant, "V": self.drive.torque_per_volt}
+
+    @property
     def _through(self) -> float:
         """The torque on the controller's side per torque of the motor."""
         return 1.0 if self.gear is None or self.side == "motor" else abs(self.gear.motor_per_load)
@@ -88,13 +90,18 @@ class AxisUnits:
         if len(outputs) > 1:
             rest = f" has outputs in {' and '.join(outputs)}, as {join(list(outputs.values()))} say; use one unit."
             raise JointFileError(fault_at(("controller",), rest, "unit"))
-        for output, name in outputs.items():
-            known = self._torque_per_output(output, name, given is not None)
-            if given is not None and known is not None and abs(given / known - 1) > _AGREES:
-                rest = f" is {given:g}, but {name} makes it {known:.6g}; leave the wrong one out."
-                raise JointFileError(fault_at(("controller", "gain"), rest))
-            return given or known or 1.0
-        return given or (1.0 if self.constant is None else self.constant * self._through)
+        if not outputs:
+            return given or (1.0 if self.constant is None else self.constant * self._through)
+        ((output, name),) = outputs.items()
+        known = self._torque_per(output)
+        if given is None and known is None:
+            rest = f" is of an output in {output}; expected what takes it to the torque: give the joint a "
+            rest += "torque_constant, or the drive its rated_torque."
+            raise JointFileError(fault_at(("controller", name), rest, "unit"))
+        if given is not None and known is not None and abs(given / known - 1) > _AGREES:
+            rest = f" is {given:g}, but {name} makes it {known:.6g}; leave the wrong one out."
+            raise JointFileError(fault_at(("controller", "gain"), rest))
+        return given or known or 1.0
 
     def _outputs(self, law: Any) -> dict[str, str]:
         """Return the units of a controller's output, each with a number that says it."""
@@ -104,104 +111,69 @@ class AxisUnits:
                 found.setdefault(output, name)
         return found
 
-    def _torque_per_output(self, output: str, name: str, gain_is_given: bool) -> float | None:
-        """Return the torque per unit of the output; None where only the given gain defines it."""
-        constants = {"A": self.drive.torque_constant, "V": self.drive.torque_per_volt}
-        if output not in constants and self.torque is None:
+    def _torque_per(self, output: str) -> float | None:
+        """Return the torque per unit of an output; None where nothing but a gain can say it."""
+        if output in self._constants:
+            constant = self._constants[output]
+            if self.constant is None and self.torque == output:  # parameters are per ampere or volt
+                constant = 1.0
+        elif self.torque is not None:
+            constant = None
+        elif output == "%":
             try:
-                return self._through * (self._share() if output == "%" else 1.0)
-            except UnitError as error:
-                raise JointFileError(fault_at(("controller", name), f" is {error}.", "unit")) from None
-        if output in constants and (constant := constants[output]) is not None:
-            return constant * self._through
-        if output in constants and self.constant is None and (self.torque == output or gain_is_given):
-            return self._through if self.torque == output else None
-        rest = f" is of an output in {output}; expected what takes it to the torque: give the joint "
-        unit = output if output in constants else self.torque
-        raise JointFileError(fault_at(("controller", name), f'{rest}torque_constant = "0.72 N m/{unit}".', "unit"))
-
-    def _share(self) -> float:
-        """Return the torque of 1 % of the rated torque, on the motor's side."""
-        return self.drive.resolve_unit(units.unit("%"), self.kind_of("motor")).factor
+                constant = self.drive.resolve_unit(units.unit("%"), self.kind_of("motor")).factor
+            except UnitError:
+                constant = None
+        else:
+            constant = 1.0
+        return None if constant is None else constant * self._through
 
     def numbers(self, learned: Controller, declared: Controller | None) -> tuple[DriveNumber, ...]:
-        """Return how the drive shows the numbers of a learned law.
+        """Return how the drive shows the numbers of a learned law, in the units of the file or of its output.
 
         Args:
             learned: the law, on the joint's side or on that of the declared one.
-            declared: the controller of the joint file, whose side, gain and units are the drive's; gains that it does
-                not give have stand-ins.
+            declared: the controller of the joint file, whose side, gain and units are the drive's.
         """
         if not isinstance(declared, ServoController) or not isinstance(learned, ServoController):
             return ()
-        return tuple(one for name in numbers_of(learned) for one in self._number(name, learned, declared))
+        return tuple(filter(None, (self._number(name, learned, declared) for name in numbers_of(learned))))
 
-    def _number(self, name: str, learned: Any, declared: Any) -> Iterator[DriveNumber]:
-        """Yield a number of a learned law as the drive shows it; nothing if its unit is unknown.
-
-        It is a time instead of a gain where that is declared, and of a cascade where nothing is.
-        """
+    def _number(self, name: str, learned: Any, declared: Any) -> DriveNumber | None:
+        """Return a number of a learned law as the drive shows it; None if its unit is unknown."""
         known = numbers_of(declared) if type(declared) is type(learned) else {}
         value = known.get(name) if name.partition(".")[0] in self.keys else None
-        owner, _, last = name.rpartition(".")
-        time, cutoff = _TIMES.get(name), f"{owner}.cutoff"
-        alone = type(learned) is Cascade
-        there = None
-        if time is not None and (time in self.keys or (alone and name not in self.keys)):
-            unit = self._unit(time, "ms")
-            factor, per = 1.0 / units.parse_unit(unit).factor, "" if alone else "position_gain"
-            there = DriveNumber(name, self._label(time), unit, factor, name == "integral_gain", per=per)
-        elif last == "time_constant" and cutoff in self.texts:
-            unit = self._unit(cutoff, "Hz")
-            there = DriveNumber(name, cutoff, unit, 0.5 / math.pi / units.parse_unit(unit).factor, inverse=True)
-        if there is not None:
-            yield replace(there, declared=there.of(value, known)) if value else there
-        else:
-            yield from self._plain(name, learned, declared, value)
-
-    def _plain(self, name: str, learned: Any, declared: Any, value: float | None) -> Iterator[DriveNumber]:
-        """Yield a number that is shown as it is, in another unit."""
+        owner, point, last = name.rpartition(".")
+        other, _, unit, product = INVERSES.get(last, ("", "", "", 1.0))
+        other = f"{owner}{point}{other}"
+        if other in self.texts or other in self.keys:
+            unit = self._stated_unit(other) or unit
+            there = DriveNumber(name, other, unit, product / units.parse_unit(unit).factor, inverse=True)
+            return replace(there, declared=there.of(value)) if value else there
         measured, kind = declared_unit(learned, name), self.kind_of(self.side)
         candidates, speaks = list_units(measured, kind), in_controller_units(measured)
         if not candidates:  # a share, say
-            if value is not None:
-                yield DriveNumber(name, self._label(name), "", 1.0, declared=value)
-            return
-        of_outputs = dict(zip(OUTPUTS[kind], candidates, strict=True)) if speaks else {}
-        unit = self._unit(name, of_outputs.get(self._output_unit(declared) or "", "") if speaks else candidates[0])
-        one = next((v for c in candidates if unit and (v := units.convert(1.0, unit, c)) is not None), None)
-        if one is None:
-            return
+            return None if value is None else DriveNumber(name, name, "", 1.0, declared=value)
+        plain = candidates[0]
+        if speaks:
+            plain = dict(zip(OUTPUTS[kind], candidates, strict=True)).get(self._output_unit(declared) or "", "")
+        if not (unit := self._stated_unit(name) or plain):
+            return None
+        one = next(v for c in candidates if (v := units.convert(1.0, unit, c)) is not None)
         power = 0 if "rad" not in measured else -1 if speaks else 1  # of a position in the unit
         factor = abs(declared.ratio / learned.ratio) ** power / one
         if speaks:
             factor *= abs(learned.gain * learned.ratio) / abs(declared.gain * declared.ratio)
-        yield DriveNumber(name, self._label(name), unit, factor, declared=None if value is None else value / one)
+        return DriveNumber(name, name, unit, factor, declared=None if value is None else value / one)
+
+    def _stated_unit(self, key: str) -> str:
+        """Return the unit with which the file gives a key; empty without one."""
+        return units.parse_quantity(self.texts[key])[1] if key in self.texts else ""
 
     def _output_unit(self, declared: Any) -> str | None:
         """Return the unit of a controller's output: as a number with a unit says, else by its gain."""
         output, gain = next(iter(self._outputs(declared)), None), getattr(declared, "gain", 1.0)
         if output is None and gain == 1.0:
             return self.torque or TORQUE_UNIT[self.kind_of(self.side)]
-        constants = {"A": self.drive.torque_constant, "V": self.drive.torque_per_volt}
-        fits = (unit for unit, c in constants.items() if c and abs(gain / (c * self._through) - 1.0) <= _AGREES)
+        fits = (unit for unit, c in self._constants.items() if c and abs(gain / (c * self._through) - 1.0) <= _AGREES)
         return output or next(fits, None)
-
-    def _gains(self) -> Mapping[str, tuple[str, tuple[str, ...]]]:
-        """Names and units of the drive's own parameters, by the key that they are."""
-        traces = self.drive.traces
-        return {} if traces is None else {gain.key: (gain.name, gain.units) for gain in traces.gains}
-
-    def _label(self, name: str) -> str:
-        """Return the label of a number: the drive's name, if known, and its key."""
-        gains = self._gains()
-        return f"{gains[name][0]} {name}" if name in gains else name
-
-    def _unit(self, name: str, plain: str) -> str:
-        """Return the unit in which the drive shows a number: the joint file's, the profile's, or a plain one."""
-        if name in self.texts:
-            return units.parse_quantity(self.texts[name])[1]
-        choices = self._gains().get(name, ("", ()))[1]
-        if not plain:
-            return choices[0] if len(choices) == 1 else ""
-        return next((unit for unit in choices if units.convert(1.0, unit, plain) is not None), plain)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from typing import Any, TypeAlias, get_args, get_origin
 
@@ -55,6 +55,7 @@ class Table:
         keys: the declaration of each.
         make: takes the values that are given, by key. The places of a `JointFileError` of it begin in the table.
         shorthand: the key whose value may be written instead of the table.
+        instead: the key that another one says in other words, by that one.
         decided_by: the key that says which of `variants` the table is; without it the first. `keys` are then those that
             documentation shows; without them, those of each variant.
     """
@@ -62,6 +63,7 @@ class Table:
     keys: Mapping[str, Declared]
     make: Callable[..., Any] = dict
     shorthand: str = ""
+    instead: Mapping[str, str] = field(default_factory=dict)
     decided_by: str = ""
     variants: Mapping[str, Table] = field(default_factory=dict)
 
@@ -75,11 +77,10 @@ def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> di
         without: names that are left out.
     """
     found: dict[str, list[Declared]] = {}
-    for owner in owners:
-        for one in settings_of(owner):
-            foreign = system and one.setting.systems and system not in one.setting.systems
-            if one.name not in without and not foreign:
-                found.setdefault(one.name, []).append(one)
+    for one in (one for owner in owners for one in settings_of(owner)):
+        foreign = system and one.setting.systems and system not in one.setting.systems
+        if one.name not in without and not foreign:
+            found.setdefault(one.name, []).append(one)
     return {name: merge(same) for name, same in found.items()}
 
 
@@ -100,9 +101,7 @@ def table_of(kind: Any) -> Table | None:
     """Return the table by which values of a type are written; None for a type of single values."""
     if isinstance(kind, Table):
         return kind
-    if not isinstance(kind, type) or get_origin(kind) is not None or not hasattr(kind, "__dataclass_fields__"):
-        return None
-    keys = keys_of(kind)
+    keys = keys_of(kind) if get_origin(kind) is None and is_dataclass(kind) else {}
     return Table(keys, kind) if keys else None
 
 
@@ -112,33 +111,30 @@ def table_of_items(kind: Any) -> Table | None:
     return table_of(arguments[0 if get_origin(kind) is tuple else -1]) if arguments else None
 
 
-def read_as(kind: Any, raw: Mapping[str, Any]) -> Any:
-    """Make an object of the tables of a file.
-
-    Args:
-        kind: a `Table`, or a dataclass whose settings are its keys.
-        raw: the tables as `tomllib` reads them.
-
-    Raises:
-        JointFileError: with one sentence for each fault.
-    """
-    return Reader().read_all(kind, raw)
-
-
 class Reader:
     """Reads tables, and keeps a sentence for each fault.
 
     Attributes:
+        learn: whether numbers that a controller needs may be missing.
         faults: found so far.
         texts: by their places numbers that are given with a unit, each with the unit of its declaration.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, learn: bool = False) -> None:
+        self.learn = learn
         self.faults = list[Fault]()
         self.texts = dict[Place, tuple[str, str]]()
 
     def read_all(self, kind: Any, raw: Mapping[str, Any]) -> Any:
-        """Make an object of the tables of a file; see `read_as`."""
+        """Make an object of the tables of a file.
+
+        Args:
+            kind: a `Table`, or a dataclass whose settings are its keys.
+            raw: the tables as `tomllib` reads them.
+
+        Raises:
+            JointFileError: with one sentence for each fault.
+        """
         table = table_of(kind)
         assert table is not None
         made = self.read(table, raw, ())
@@ -158,20 +154,10 @@ class Reader:
             if not isinstance(word, str) or word not in table.variants:
                 return self._refuse((*place, table.decided_by), messages.no_choice(word, table.variants))
             table = table.variants[word]
-        unknown = [name for name in raw if name not in table.keys]
-        for name in unknown:
-            expected = f"one of {', '.join(table.keys)}: {messages.suggest(name, table.keys, 'leave it out')}"
-            self._refuse((*place, name), f" is not a known key; expected {expected}", "unknown")
-        given = {
-            name: self.value(table.keys[name], value, (*place, name))
-            for name, value in raw.items()
-            if name not in unknown
-        }
-        for one in () if unknown else table.keys.values():  # which may be a misspelt one
-            if one.required and one.name not in given:
-                rest = messages.missing(one.expected, one.setting.description)
-                given[one.name] = self._refuse((*place, one.name), rest, "missing")
-        if unknown or any(value is _WRONG for value in given.values()):
+        given = {name: self._key(table, name, value, (*place, name)) for name, value in raw.items()}
+        if given.keys() <= table.keys.keys():  # an unknown key may be a missing one
+            self._complete(table, given, place)
+        if any(value is _WRONG for value in given.values()):
             return _WRONG
         try:
             return table.make(**given)
@@ -179,13 +165,28 @@ class Reader:
             self.faults += locate(error, place).faults
             return _WRONG
 
-    def value(self, one: Declared, raw: Any, place: Place) -> Any:
-        """Return a value of a key as its declaration has it."""
-        if (table := table_of(one.type)) is not None:
-            return self.read(table, raw, place)
+    def _key(self, table: Table, name: str, raw: Any, place: Place) -> Any:
+        """Return the value of a key as its declaration has it."""
+        if name not in table.keys:
+            expected = f"one of {', '.join(table.keys)}: {messages.suggest(name, table.keys, 'leave it out')}"
+            return self._refuse(place, f" is not a known key; expected {expected}", "unknown")
+        one = table.keys[name]
+        if (own := table_of(one.type)) is not None:
+            return self.read(own, raw, place)
         if (below := table_of_items(one.type)) is not None:
             return self._items(one, below, raw, place)
         return None if one.setting.none and raw == one.setting.none else self._single(one, raw, place)
+
+    def _complete(self, table: Table, given: dict[str, Any], place: Place) -> None:
+        """Refuse what is missing, or said twice."""
+        said = {table.instead[name]: name for name in given if name in table.instead}
+        for name, one in table.keys.items():
+            spared = self.learn and "controller" in place and one.type is float
+            if name in given and name in said:
+                given[name] = self._refuse((*place, name), f" says the same as {said[name]}; leave one of them out.")
+            elif one.required and name not in {*given, *said} and not spared:
+                rest = messages.missing(one.expected, one.setting.description)
+                given[name] = self._refuse((*place, name), rest, "missing")
 
     def _single(self, one: Declared, raw: Any, place: Place) -> Any:
         """Return a value that is no table."""
@@ -230,9 +231,8 @@ def _convert(kind: Any, raw: Any, part: bool = False) -> Any:
     """
     arguments = get_args(kind)
     if get_origin(kind) is tuple and isinstance(raw, list):
-        if arguments[-1] is Ellipsis:
-            return tuple(_convert(arguments[0], one, part=True) for one in raw)
-        return tuple(_convert(inner, one, part=True) for inner, one in zip(arguments, raw, strict=True))
+        kinds = arguments[:1] * len(raw) if arguments[-1] is Ellipsis else arguments
+        return tuple(_convert(inner, one, part=True) for inner, one in zip(kinds, raw, strict=True))
     if get_origin(kind) is Mapping and isinstance(raw, dict):
         return {name: _convert(arguments[1], one, part=True) for name, one in flatten_keys(raw).items()}
     is_number = isinstance(raw, int | float) and not isinstance(raw, bool)
@@ -248,14 +248,12 @@ def _convert(kind: Any, raw: Any, part: bool = False) -> Any:
     return float(raw) if kind is float else raw
 
 
-def flatten_keys(table: Any) -> Any:
+def flatten_keys(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return nested tables as one with dotted names: TOML nests ``filter.depth = 0.1``."""
-    if not isinstance(table, dict):
-        return table
     found: dict[str, Any] = {}
     for name, below in table.items():
-        inner = {f".{last}": one for last, one in flatten_keys(below).items()} if isinstance(below, dict) else {}
-        found |= {f"{name}{last}": one for last, one in inner.items()} if inner else {name: below}
+        inner = flatten_keys(below) if isinstance(below, dict) else {}
+        found |= {f"{name}.{last}": one for last, one in inner.items()} or {name: below}
     return found
 
 
@@ -283,7 +281,6 @@ def list_keys(owner: Table, place: str = "", kind: str = "") -> Iterator[FileKey
             yield FileKey(at, one, word)
             if get_origin(one.type) is Mapping:
                 at = f"{at}.<name>"
-                item = replace(one, name="<name>", type=get_args(one.type)[1], default=None)
-                yield FileKey(at, item, word)
+                yield FileKey(at, replace(one, name="<name>", type=get_args(one.type)[1], default=None), word)
             if below is not None:
                 yield from list_keys(below, f"{at}.", word)

@@ -9,14 +9,14 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
+from jointid.common.errors import Fault, JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.config.axis import Axis, build_axis
-from jointid.config.source import Run, Source, Together
+from jointid.config.axis import Axis
+from jointid.config.source import Run, Source
 from jointid.config.tables import FeedForward, FileTable
 from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
@@ -26,13 +26,12 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Controller, with_numbers
+from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import Log, begin_together
-from jointid.records.drives import Drive
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -40,6 +39,8 @@ from jointid.records.writing import write_columns
 
 if TYPE_CHECKING:
     from jointid.controller_id.learned_controller import LearnedController
+
+Paths = Sequence[str | os.PathLike[str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +60,7 @@ class File:
         path: of the file; a text is taken to stand in `joint.toml`.
         name: what reports call the joint or the robot.
         runs: records that the file lists, to be identified together.
-        together: how they are; see `jointid.SeveralRecords`.
+        together: what is identified beside the joint then; see `jointid.SeveralRecords.free`.
         text: of the file. changes: of `load`, which it does not have.
 
     Example:
@@ -87,7 +88,7 @@ class File:
     path: Path = field(default=Path("joint.toml"), compare=False)
     name: str | None = None
     runs: tuple[Run, ...] = ()
-    together: Together = field(default_factory=Together)
+    together: tuple[str, ...] = ()
     text: str = field(default="", compare=False, repr=False)
     changes: tuple[Change, ...] = field(default=(), compare=False, repr=False)
 
@@ -118,11 +119,6 @@ class File:
         return tuple(axis.controller for axis in self.axes)
 
     @property
-    def drive(self) -> Drive:
-        """The drive of a joint file."""
-        return self.axis.drive
-
-    @property
     def source(self) -> Source:
         """The file of the record."""
         return self.axes[0].source
@@ -135,7 +131,7 @@ class File:
     @property
     def declared_numbers(self) -> tuple[DriveNumber, ...]:
         """How the drive of a joint shows the numbers of its controller."""
-        return self.axis.declared_numbers if self.robot is None else ()
+        return self.axis.drive_numbers() if self.robot is None else ()
 
     @property
     def loop(self) -> Any:
@@ -165,20 +161,16 @@ class File:
             from jointid.simulation.robot_drive_side import RobotDriveSide
 
             return RobotDriveSide(self.robot)
-        return self.loop if self.simulates else self.robot
+        return self.loop if self._simulates else self.robot
 
     @property
-    def simulates(self) -> bool:
+    def _simulates(self) -> bool:
         """Whether the method simulates the motion under the controllers."""
         return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
 
     @property
     def design_settings(self) -> dict[str, Any]:
-        """Arguments of `design` for an estimate by this file.
-
-        Raises:
-            MethodError: a joint of a robot has no controller, and the method simulates it.
-        """
+        """Arguments of `design` for an estimate by this file."""
         loop = None if isinstance(self.method, IDIM) else self.loop
         return {"limits": self.limits, "filtering": self.filtering, "loop": loop}
 
@@ -186,16 +178,15 @@ class File:
         """Read the record of every axis, from one reading of the file; see `record`."""
         return self._read(path, Axis.read_record)
 
-    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> Any:
+    def record(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Read the record for `identify`: a `Record`, of a robot a tuple with one for each joint.
 
         A channel that the method does not need may be absent, except an injected signal: without it the torque
-        would be taken for the controller's. A feed-forward to compute is added if the method simulates.
+        would be taken for the controller's. A feed-forward to compute is added if the method simulates, or if every
+        axis has a controller and a reference.
 
         Args:
             path: of the record, instead of the one that the file names.
-            judged: whether the declared controllers are held against the torques as well. These are the controllers'
-                and the feed-forward's, so a computed one is added where every axis has a controller and a reference.
 
         Raises:
             RecordError: there is no such file, or it does not hold what the file says; `faults` has a
@@ -205,15 +196,9 @@ class File:
         """
         found = self.records(path)
         whole = None not in self.controllers and all(one.reference is not None for one in found)
-        computed = any(axis.computes_torque for axis in self.axes)
-        found = self._fed_forward(found) if self.simulates or (judged and whole) or computed else found
-        found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
-        run = self._listed_as(path)
-        if run is not None and run.added_inertia:
-            said = f"{run.added_inertia:g} (records.added_inertia, on the load) were added"
-            remark = f"{said}: the inertia that this record alone determines includes them"
-            found = tuple(replace(one, remarks=(*one.remarks, remark)) for one in found)
-        return self._of_axes(found)
+        if whole or self._simulates or any(axis.computes_torque for axis in self.axes):
+            found = self._fed_forward(found)
+        return self._of_axes(tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True)))
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Read the signals that drive a simulation: reference and injection, others if present.
@@ -246,30 +231,23 @@ class File:
         if faults:
             every = len(self.axes)
             raise RecordError(f if len(names) == every else f"{', '.join(names)}: {f}" for f, names in faults.items())
-        run = self._listed_as(path)
-        if run is not None and run.payload:  # which the last link carries
-            found[-1] = replace(found[-1], payload=run.payload)
+        if payload := self._run(path).payload:  # which the last link carries
+            found[-1] = replace(found[-1], payload=payload)
         return begin_together(found)
 
     def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
         """Return the records with the feed-forward, which must be computed or logged, but not both."""
-        named = zip(self.axes, found, strict=True)
-        injected = [str(axis.name) for axis, record in named if record.injected is not None]
-        if self.feed_forward == "logged" and len(injected) < len(found):
-            raise RecordError(
-                'robot.feed_forward is "logged", and not every joint has an injected channel; declare one for each in '
-                "[record.channels]."
-            )
-        if self.feed_forward == "none" or self.feed_forward == "logged":  # noqa: PLR1714, so that mypy narrows it
+        mode, injected = self.feed_forward, [one.injected is not None for one in found]
+        if mode == "none" or (mode == "logged" and all(injected)):
             return found
-        if injected:
+        if mode == "logged" or any(injected):
             raise RecordError(
-                f'robot.feed_forward is "{self.feed_forward}", and {", ".join(injected)} has an injected channel too; '
-                'expected one of both: leave the channel out, or take "logged".'
+                f'robot.feed_forward is "{mode}", and {sum(injected)} of {len(found)} joints have an injected channel; '
+                'expected "logged" with the channel of each joint, or a computed one without any: correct one of both.'
             )
         from jointid.simulation.robots import add_feed_forward
 
-        return add_feed_forward(self.loop, found, self.feed_forward)
+        return add_feed_forward(self.loop, found, mode)
 
     def identify(
         self,
@@ -295,11 +273,9 @@ class File:
         # It loads the compiled kernels, which a check of the file does not need.
         from jointid.diagnostics.identify import identify
 
-        scale = self.axis.scale if self.robot is None else ""
-        settings: dict[str, Any] = {"shown": self.declared_numbers, "torque_constant": scale} | asked
         return identify(
-            record, settings.pop("model", self.setup), self.method, filtering=self.filtering,
-            parameters=self.parameters, checks=checks, unchecked=unchecked, progress=progress, **settings,
+            record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
+            unchecked=unchecked, progress=progress, **{"shown": self.declared_numbers} | asked,
         )  # fmt: skip
 
     def explain(self, error: JointidError, record: Any, progress: Progress = ignore_progress) -> JointidError:
@@ -311,8 +287,8 @@ class File:
         free = getattr(self.method, "free", ())
         return explain_failure(error, record, self.loop, progress, self.declared_numbers, free)
 
-    def identify_together(self, paths: Sequence[Path], progress: Progress = ignore_progress) -> Estimate:
-        """Identify from several records in one fit, of a joint each under the controller and with the load of its own.
+    def identify_together(self, paths: Paths = (), progress: Progress = ignore_progress) -> Estimate:
+        """Identify from several records in one fit, of a joint each with the load that the file lists for it.
 
         Args:
             paths: of the records, instead of those that the file lists.
@@ -321,21 +297,14 @@ class File:
         Raises:
             JointidError: see `jointid.identify`.
         """
+        each = [self.record(path) for path in paths or self.listed]
         if self.robot is not None:
-            return self.identify([self.record(path) for path in paths or self.listed], progress)
-        each = self.each(paths)
-        if self.loop is None:
-            raise MethodError(
-                "Several records are identified by simulating their loop; add [controller] to the joint file."
-            )
-        several = SeveralRecords(
-            added_inertia=[more for one in each for more in one.added_inertias],
-            own=[more.own for one in each for more in one.runs],
-            free=self.together.free,
-        )
-        alone: dict[str, Any] = {"shown": (), "torque_constant": ""}
-        loops = [one.loop for one in each]
-        return self.identify([one.record() for one in each], progress, model=loops, several=several, **alone)
+            return self.identify(each, progress)
+        runs, gear = [self._run(path) for path in paths or self.listed], self.joint.transmission
+        to_joint = 1.0 if gear is None else gear.torque("load") ** 2
+        added = [to_joint * run.added_inertia for run in runs]
+        several = SeveralRecords(added_inertia=added, own=[run.own for run in runs], free=self.together)
+        return self._simulated("Several records are", each, progress, several=several)
 
     def identify_log(self, path: Path | None, windows: Windowing, progress: Progress = ignore_progress) -> Estimate:
         """Identify a joint from a record too long for memory, in windows.
@@ -348,9 +317,13 @@ class File:
         Raises:
             JointidError: see `jointid.identify`.
         """
+        return self._simulated("A long record is", self.log(path), progress, windows=windows)
+
+    def _simulated(self, what: str, records: Any, progress: Progress, **asked: Any) -> Estimate:
+        """Identify a joint from several records, or from windows of one."""
         if self.axis.loop is None:
-            raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
-        return self.identify(self.log(path), progress, windows=windows, shown=(), torque_constant="")
+            raise MethodError(f"{what} identified by simulating the loop; add [controller] to the joint file.")
+        return self.identify(records, progress, shown=(), **asked)
 
     def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
         """Learn the controller of a joint, in its own units, which the torque constant or its gain says.
@@ -411,10 +384,13 @@ class File:
         Args:
             record: that takes the place of those that the file names.
         """
-        named = [run.file for run in self.runs] if self.runs else [*self.source.files, self.source.file]
-        paths = [self.path.parent / name for name in named if name]
-        found = paths if record is None else self.source.files_of(record, self.path.parent)
-        return (*(() if self.model_path is None else (self.model_path,)), *found)
+        if record is not None:
+            found = self.source.files_of(record, self.path.parent)
+        elif self.runs:
+            found = tuple(self.listed)
+        else:
+            found = tuple(self.path.parent / name for name in (*self.source.files, self.source.file) if name)
+        return found if self.model_path is None else (self.model_path, *found)
 
     def write(self, record: Any, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.
@@ -437,77 +413,27 @@ class File:
             table = {"t": first.time, **table}  # for whoever looks at the file
         write_columns(table, path, **self.source.options)
 
-    @property
-    def added_inertias(self) -> tuple[float, ...]:
-        """Inertia that each run adds, given on the load, as it is on the joint's side."""
-        gear = self.joint.transmission
-        factor = 1.0 if gear is None else gear.torque("load") ** 2
-        return tuple(factor * run.added_inertia for run in self.runs)
-
-    def _listed_as(self, path: str | os.PathLike[str] | None) -> Run | None:
-        """Return the listed record of a path."""
-        at = None if path is None else resolve_place(Path(path))
-        return next((run for run, one in zip(self.runs, self.listed, strict=True) if resolve_place(one) == at), None)
-
-    def of_record(self, path: str | os.PathLike[str] | None) -> Self:
-        """Return this file as it is for one record: with the controller that it lists for that one."""
-        run = self._listed_as(path)
-        return self if run is None or not run.controller else self._under(run)
-
-    def _under(self, run: Run) -> Self:
-        """Return this file with the controller of a record."""
-        changed = None if self.controller is None else with_numbers(self.controller, run.controller)
-        return replace(self, axes=(replace(self.axis, controller=changed),))
-
-    def each(self, paths: Sequence[Path] = ()) -> tuple[File, ...]:
-        """Return a copy of this file for each record that is identified together.
-
-        Args:
-            paths: of the records, instead of those the file lists: some of these, or as many in their order.
-
-        Raises:
-            JointFileError: the paths are neither listed nor as many as the records that are.
-        """
-        found = [self._listed_as(path) for path in paths]
-        known = [run for run in found if run is not None]
-        if paths and self.runs and len(paths) not in (len(known), len(self.runs)):
-            raise JointFileError(
-                f"{self.path} lists {len(self.runs)} records and {len(paths)} are named; name as many, in their order, "
-                "or some of these."
-            )
-        runs = tuple(known) if paths and len(known) == len(paths) else self.runs
-        runs = runs or tuple(Run(str(path)) for path in paths)
-        files = [str(path.absolute()) for path in paths] or [run.file for run in runs]
-        return tuple(self._alone(file, run) for file, run in zip(files, runs, strict=True))
-
-    def _alone(self, file: str, run: Run) -> File:
-        """Return this file with one record, at that path."""
-        under = self._under(run)
-        source = replace(self.source, file=file, files=(), offsets=())
-        return replace(under, axes=(replace(under.axis, source=source),), runs=(run,))
+    def _run(self, path: str | os.PathLike[str]) -> Run:
+        """Return what the file lists of the record at a path."""
+        at = _find_place(path)
+        listed = (run for run, one in zip(self.runs, self.listed, strict=True) if _find_place(one) == at)
+        return next(listed, Run(""))
 
 
-def resolve_place(path: Path) -> Path:
-    """Return the one path of a file by which it is known, whatever folders lead to it."""
-    return path.parent.resolve() / path.name
-
-
-def joint_file(tables: FileTable, path: Path) -> File:
-    """Return a joint file from what its tables say.
-
-    Raises:
-        JointFileError: with a sentence for each contradiction between the tables.
-    """
-    own = tables.axes[0]
-    assert own.kind is not None
-    axis, method = build_axis(tables, 0, own.kind, tables.method, tables.columns, tables.drive)
+def file_of_axis(tables: FileTable, axis: Axis, method: Method, path: Path) -> File:
+    """Return a joint file, or that of one joint of a robot."""
     return File(
         axes=(axis,),
         method=method,
         filtering=tables.filtering,
         parameters=axis.parameters,
         name=axis.name,
-        runs=tables.records,
+        runs=tables.records if tables.robot is None else (),
         together=tables.together,
         path=path,
     )
+
+
+def _find_place(path: str | os.PathLike[str]) -> Path:
+    """Return the one path of a file by which it is known, whatever folders lead to it."""
+    return Path(path).parent.resolve() / Path(path).name

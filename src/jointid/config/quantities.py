@@ -25,18 +25,15 @@ def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
         declared: of the setting: "1/s", "m/s or rad/s", "controller units per m/s or rad/s".
         kind: how the side moves; None for both.
     """
-    kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
-    if not in_controller_units(declared):
-        choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
-        if len(choices) == 2 and kind is not None:  # straight, then turning
-            choices = [choices[kinds[0] == "revolute"]]
-        return tuple(unit for unit in choices if _is_unit(unit))
-    per = declared.removeprefix(CONTROLLER_UNITS).removeprefix(" per ").split(" or ") if " per " in declared else [""]
-    found = []
-    for one in kinds:
-        below = per[0] if len(per) == 1 or one == "prismatic" else per[1]
-        found += [units.per(output, below) for output in OUTPUTS[one]]
-    return tuple(dict.fromkeys(found))
+    if in_controller_units(declared):
+        kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
+        below = declared.removeprefix(CONTROLLER_UNITS).removeprefix(" per ").split(" or ")
+        found = (units.per(output, below[-(one == "revolute")]) for one in kinds for output in OUTPUTS[one])
+        return tuple(dict.fromkeys(found))
+    choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
+    if len(choices) == 2 and kind is not None:  # straight, then turning
+        choices = [choices[kind == "revolute"]]
+    return tuple(filter(_is_unit, choices))
 
 
 def _is_unit(unit: str) -> bool:
@@ -80,9 +77,5 @@ def to_si(text: str, declared: str, kind: Kind | None = None) -> float:
         raise UnitError(f" is {messages.format_value(text)}; {error}.") from None
     values = [value for unit in known if (value := units.convert(*stated, unit)) is not None]
     if not values:
-        plain = "the controller's units" if in_controller_units(declared) else "SI units"
-        raise UnitError(
-            f" is {messages.format_value(text)}; expected a number in {' or '.join(known)}, or a plain one in {plain}: "
-            "correct the unit."
-        )
+        raise UnitError(f" is {messages.format_value(text)}; expected a number in {' or '.join(known)}: correct it.")
     return float(values[0])

@@ -19,8 +19,8 @@ from jointid.common.errors import Fault, JointFileError, JointidError, MethodErr
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.config.axis import Axis, build_axis
-from jointid.config.declaration import fault_at, keys_of
-from jointid.config.file import File, resolve_place
+from jointid.config.declaration import Place, fault_at, keys_of
+from jointid.config.file import File, file_of_axis
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.tables import FileTable, make_method
 from jointid.estimation.methods.registry import Method
@@ -42,7 +42,9 @@ _OF_SPRING = ("stiffness", "damping", "load_viscous", "load_coulomb")
 
 
 def robot_file(tables: FileTable, path: Path, axis: str | None = None) -> File:
-    """Return a robot file, or the file of one of its joints alone.
+    """Return a robot file, or the file of one of its joints alone, as if no other joint moved.
+
+    The method of a joint alone is that of `joints.method`, or that of the robot with default settings.
 
     Args:
         tables: of the file.
@@ -54,14 +56,16 @@ def robot_file(tables: FileTable, path: Path, axis: str | None = None) -> File:
         MethodError: the robot has no such joint.
     """
     assert tables.robot is not None
-    name = _choose_method(tables)
-    bare = _read_model(tables, path.parent)
+    name, bare = _choose_method(tables), _read_model(tables, path.parent)
     if axis is not None:
-        return _build_alone(tables, name, bare, axis, path)
+        if axis not in bare.names:
+            raise MethodError(f"The axis{messages.no_choice(axis, bare.names)}")
+        number = bare.names.index(axis)
+        return file_of_axis(tables, *_build_axis(tables, number, bare, name, tables.axes[number].method), path)
     method = make_method(name, tables.method, "robot")
     axes = tuple(_build_axis(tables, number, bare, name, {})[0] for number in range(len(bare)))
     joints = (_build_joint(tables, number, axis, bare.joints[number]) for number, axis in enumerate(axes))
-    if faults := list(_find_faults(tables, axes)):
+    if faults := list(_find_faults(axes)):
         raise JointFileError(faults)
     try:
         robot = replace(bare, joints=tuple(joints))
@@ -76,7 +80,7 @@ def robot_file(tables: FileTable, path: Path, axis: str | None = None) -> File:
         feed_forward=tables.robot.feed_forward,
         in_motion=tables.robot.in_motion,
         model_path=path.parent / tables.robot.model,
-        locked=tables.robot.locked or {},
+        locked=tables.robot.locked,
         name=tables.robot.name,
         runs=tables.records,
         path=path,
@@ -99,9 +103,8 @@ def _choose_method(tables: FileTable) -> str:
 def _read_model(tables: FileTable, folder: Path) -> Robot:
     """Return the model as its base stands, with its joints as the file lists them."""
     assert tables.robot is not None
-    model = load_robot(folder / tables.robot.model, tables.robot.locked or {})
     names = [str(one.name) for one in tables.axes]
-    ordered = reorder_joints(model, names)
+    ordered = reorder_joints(load_robot(folder / tables.robot.model, tables.robot.locked), names)
     if list(ordered.names) != names:
         raise JointFileError(
             f"joints lists {', '.join(names)}; expected {', '.join(ordered.names)}, each after its parent: "
@@ -151,70 +154,25 @@ def _fill_placeholders(column: Column, name: str, number: int) -> Column:
     return replace(column, column=filled(column.column), time=None if column.time is None else filled(column.time))
 
 
-def _build_alone(tables: FileTable, method: str, robot: Robot, name: str, path: Path) -> File:
-    """Return the file of one joint, identified alone, as if no other joint moved.
-
-    The method is that of `joints.method`, or that of the robot with default settings. Numbers of the [[joints]] table
-    are starts of the parameters; that of a rigid joint's inertia is the rotor's with the links that it moves, all
-    other joints at 0.
-    """
-    if name not in robot.names:
-        raise MethodError(f"The axis{messages.no_choice(name, robot.names)}")
-    number = robot.names.index(name)
-    own = tables.axes[number]
-    axis, found = _build_axis(tables, number, robot, method, own.method or {})
-    rotor = float(own.numbers.get("rotor_inertia", robot.joints[number].rotor_inertia))
-    back = {f"{key}_backwards": own.numbers[key] for key in ("viscous", "coulomb") if key in own.numbers}
-    given: dict[str, Mapping[str, Any]] = {"motor": back | dict(own.numbers), "spring": own.link, "law": {}}
-    parameters = dict(axis.parameters)
-    for parameter in axis.joint.parameters:
-        where, key = _field_of(parameter.name)
-        if where == "law":
-            where, key = _field_of(parameter.name.removesuffix("_forwards").removesuffix("_backwards"))
-        start = robot.axis_inertia(number) + rotor if parameter.name == "inertia" else given[where].get(key)
-        known = parameters.get(parameter.name, parameter)
-        unsaid = parameter.name not in parameters or known.start is None
-        if start is not None and unsaid and known.lower <= start <= known.upper:
-            parameters[parameter.name] = replace(known, start=float(start))
-    return File(
-        axes=(replace(axis, parameters=parameters),),
-        method=found,
-        filtering=tables.filtering,
-        parameters=parameters,
-        name=axis.name,
-        path=path,
-    )
-
-
-def _field_of(name: str) -> tuple[str, str]:
-    """Return whose number a parameter of a joint is in a robot, "motor", "spring" or "law", and its name there."""
-    own = name.removeprefix("motor_")
-    own = _AS_MOTOR.get(own, own)
-    if own in _NUMBERS:
-        return "motor", own
-    return ("spring", name.removeprefix("load_")) if name in _OF_SPRING else ("law", name)
-
-
 def _build_joint(tables: FileTable, number: int, axis: Axis, joint: RobotJoint) -> RobotJoint:
     """Return a joint of the model with the file's numbers and laws."""
-    own, friction = tables.axes[number], axis.joint.friction
-    given: dict[str, dict[str, Any]] = {"motor": dict(own.numbers), "spring": dict(own.link), "law": {}}
+    own, friction, place = tables.axes[number], axis.joint.friction, ("joints", number)
+    motor, spring, laws = dict(own.numbers), dict[str, Any](own.link), dict[str, float]()
     for name, parameter in axis.parameters.items():
-        where, key = _field_of(name)
-        if parameter.start is not None:
-            given[where][key] = float(parameter.start)
-    motor, spring, laws = given.values()
-    lacking = list[tuple[str, ...]]()
-    if own.model == "flexible" and "stiffness" not in spring:
-        lacking.append(("spring", "stiffness"))
-    forces = [force for force in laws if force.endswith("stribeck_force")]
-    speeds = [force.replace("force", "speed") for force in forces]
-    lacking += [("parameters", speed) for speed in speeds if speed not in laws]
-    if friction.name.endswith("stribeck") and "stribeck_speed" not in motor:
-        lacking.append(("stribeck_speed",))
-    if lacking:
+        key = name.removeprefix("motor_")
+        key = _AS_MOTOR.get(key, key)
+        of_spring = key not in _NUMBERS and name in _OF_SPRING
+        if parameter.start is not None and of_spring:
+            spring[name.removeprefix("load_")] = float(parameter.start)
+        elif parameter.start is not None:
+            (motor if key in _NUMBERS else laws)[key if key in _NUMBERS else name] = float(parameter.start)
+    needed: dict[Place, bool] = {(*place, "spring", "stiffness"): own.model != "flexible" or "stiffness" in spring}
+    speeds = [name.replace("force", "speed") for name in laws if name.endswith("stribeck_force")]
+    needed |= {(*place, "parameters", speed): speed in laws for speed in speeds}
+    needed[*place, "stribeck_speed"] = not friction.name.endswith("stribeck") or "stribeck_speed" in motor
+    if lacking := [one for one, there in needed.items() if not there]:
         rest = " is missing; expected a positive number, where a search begins: add it."
-        raise JointFileError(fault_at(("joints", number, *place), rest, "missing") for place in lacking)
+        raise JointFileError(fault_at(one, rest, "missing") for one in lacking)
     if friction.stepped:
         motor["friction"] = friction
     if friction.name.startswith("asymmetric") and not {"viscous_backwards", "coulomb_backwards"} & {*motor}:
@@ -224,11 +182,11 @@ def _build_joint(tables: FileTable, number: int, axis: Axis, joint: RobotJoint) 
             motor["spring"] = JointSpring(**spring, law=axis.joint.spring)
         return replace(joint, **motor, numbers=laws)
     except JointidError as error:
-        raise JointFileError(fault_at(("joints", number), f": {error}")) from error
+        raise JointFileError(fault_at(place, f": {error}")) from error
 
 
-def _find_faults(tables: FileTable, axes: Sequence[Axis]) -> Iterator[Fault]:
-    """Yield the faults of channels that joints lack or do not share."""
+def _find_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
+    """Yield the faults of what joints lack or do not share."""
     units = {str(axis.name): axis.joint.torque_unit for axis in axes if axis.joint.torque_unit}
     if units:
         raise MethodError(
@@ -253,10 +211,6 @@ def _find_faults(tables: FileTable, axes: Sequence[Axis]) -> Iterator[Fault]:
             yield Fault(
                 f'{join(joints)} share the column "{shared}" as {channel}; give each its own, as with {{axis}}.'
             )
-    files = [resolve_place(Path(run.file)) for run in tables.records]
-    for number, file in enumerate(files):
-        if file in files[:number]:
-            yield fault_at(("records", number, "file"), " is listed twice; leave one of both out.")
 
 
 def _keep_parameters(axes: Sequence[Axis]) -> dict[str, Parameter]:

@@ -1,4 +1,4 @@
-"""The files of a record, and how they are read; records that are identified together."""
+"""The files of a record, and how they are read; records of a fit of several."""
 
 from __future__ import annotations
 
@@ -92,14 +92,8 @@ class Source:
         paths = self.files_of(path, folder)
         if len(paths) == 1:
             return read_table(path, **self.options)
-        return join_files(
-            paths,
-            offsets=self.offsets,
-            time=self.time,
-            time_unit=self.time_unit,
-            sample_time=self.sample_time,
-            **self.options,
-        )
+        clock: dict[str, Any] = {"time": self.time, "time_unit": self.time_unit, "sample_time": self.sample_time}
+        return join_files(paths, offsets=self.offsets, **clock, **self.options)
 
     def reading(self, table: RecordedTable) -> dict[str, Any]:
         """Return how a table is read, where it was joined: every column has its clock."""
@@ -127,12 +121,6 @@ class Run:
         "names of parameters of this record's own, which the others do not share; the motor's state at the first "
         "sample always is",
         systems=MODELS,
-    )
-    controller: Mapping[str, float] = field(
-        default_factory=dict,
-        metadata=declare(
-            "numbers of the controller that were others in this record, by the keys of [controller]", systems=MODELS
-        ),
     )
     payload_mass: float | None = setting(
         None, "of what the last link carries in this record beside the robot's model [kg]", above=0, systems=ROBOT
@@ -167,11 +155,3 @@ class Run:
         inertia[np.triu_indices(3)] = self.payload_inertia
         body = MassProperties(self.payload_mass, np.array(self.payload_center), inertia + np.triu(inertia, 1).T)
         return tuple(map(float, body.inertial))
-
-
-@add_settings_to_docstring
-@dataclass(frozen=True, slots=True)
-class Together:
-    """How several records are identified together."""
-
-    free: tuple[str, ...] = setting((), "names of what surrounds the joint and is identified too")

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 from jointid.common.errors import JointFileError
-from jointid.common.settings import Declared, setting
+from jointid.common.settings import Declared, declare, setting
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.config.declaration import Place, Reader, Table, fault_at, key, key_error, keys_of, merge
-from jointid.config.source import Run, Source, Together
+from jointid.config.source import Run, Source
 from jointid.estimation.methods.registry import CALLED, Method, MethodName, method_of, methods
-from jointid.models.controllers import FILTERS, LAWS, Controller, Filter, as_filter
-from jointid.models.disturbances import Drift
+from jointid.models.controllers import FILTERS, LAWS, Controller, Filter
 from jointid.models.friction import FRICTIONS, find_friction
 from jointid.models.limits import AxisLimits
 from jointid.models.position_forces import Gravity, PositionHarmonics
@@ -31,38 +30,20 @@ from jointid.records.signals.filtering import Filtering
 
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 
-_JOINT, _ROBOT = "rigid", "robot"  # systems of settings
 _TURN = 2 * math.pi  # rad
-_EFFECTS = ("harmonics", "period", "drift")  # keys of [method] for the effects of a regression
 _FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "default": Filtering,
     "published": Filtering.published,
 }
 
+INVERSES: Mapping[str, tuple[str, str, str, float]] = {
+    "integral_gain": ("integral_time", "integral time Tn of the velocity loop, 1 over its integral gain", "s", 1.0),
+    "time_constant": ("cutoff", "1 / (2 pi time_constant)", "Hz", 0.5 / math.pi),
+}
+"""Keys that another one gives: that one, its meaning and unit, and what the product of both is."""
 
-Instead: TypeAlias = tuple[str, str, str, Callable[[float, float], float]]
-"""The key that another one gives; meaning and unit of the other, and what computes the key, with the position gain."""
-
-_DERIVATIVE: Instead = (
-    "derivative_gain", "derivative time Td: derivative_gain = position_gain x derivative_time", "s",
-    lambda time, gain: gain * time,
-)  # fmt: skip
-INSTEAD: Mapping[str, Mapping[str, Instead]] = {
-    "cascade": {"integral_time": (
-        "integral_gain", "integral time Tn of the velocity loop, 1 over its integral gain", "s",
-        lambda time, _: 1.0 / time,
-    )},
-    "pd": {"derivative_time": _DERIVATIVE},
-    "pid": {"derivative_time": _DERIVATIVE, "integral_time": (
-        "integral_gain", "integral time Ti: integral_gain = position_gain / integral_time", "s",
-        lambda time, gain: gain / time,
-    )},
-    "first_order": {"cutoff": (
-        "time_constant", "1 / (2 pi time_constant)", "Hz", lambda hertz, _: 0.5 / (math.pi * hertz),
-    )},
-    "second_order": {"cutoff": ("frequency", "its frequency", "Hz", lambda hertz, _: hertz)},
-}  # fmt: skip
-"""By each law and each kind of filter, and by its name, the keys in other words."""
+_INVERTED = {"cascade": "integral_gain", "first_order": "time_constant"}
+"""The key that a law or a kind of filter takes by its inverse, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +105,12 @@ class AxisTable:
     numbers: Mapping[str, Any] = field(default_factory=dict)
     link: Mapping[str, float] = field(default_factory=dict)
     channels: Mapping[str, Column] = field(default_factory=dict)
-    method: Mapping[str, Any] | None = None
+    method: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _require_angles(base: tuple[float, ...]) -> None:
+    if any(abs(angle) > _TURN for angle in base):
+        raise JointFileError(f"an angle is beyond a turn in {list(base)}; expected rad: convert the degrees.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,20 +123,17 @@ class RobotTable:
         (0.0, 0.0, 0.0),
         "roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
         expected="a list of three numbers",
+        accept=_require_angles,
     )
     feed_forward: FeedForward = setting("none", "what the drives are given beside the controllers' torque")
-    locked: Mapping[str, float] = setting(
-        None,
-        "by the names of joints of the model that stand still and that no log has, their positions [rad or "
-        "m]; or a list of such joints, which stand at 0",
-        expected="a table of numbers, or a list of joints",
+    locked: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare(
+            "by the names of joints of the model that stand still and that no log has, their positions [rad or m]",
+            expected="a table of numbers",
+        ),
     )
     in_motion: bool = setting(False, "whether the records begin while the robot moves, as its references do")
-
-    def __post_init__(self) -> None:
-        if any(abs(angle) > _TURN for angle in self.base):
-            rest = f" is {list(self.base)}, beyond a turn; expected roll, pitch and yaw in rad: convert the degrees."
-            raise key_error("base", rest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,6 +141,7 @@ class FileTable:
     """Tables of a file, each valid by itself.
 
     Attributes:
+        together: names of what is identified beside the joint in several records.
         method: the keys of [method]; see `make_method`.
         texts: see `Reader.texts`.
     """
@@ -167,7 +151,7 @@ class FileTable:
     source: Source = field(default_factory=Source)
     columns: Mapping[str, Column] = field(default_factory=dict)
     records: tuple[Run, ...] = ()
-    together: Together = field(default_factory=Together)
+    together: tuple[str, ...] = ()
     drive: Drive = field(default_factory=Drive)
     filtering: Filtering = field(default_factory=Filtering)
     method: Mapping[str, Any] = field(default_factory=dict)
@@ -177,19 +161,21 @@ class FileTable:
         """Return the place of a key of an axis, as it stands in this file."""
         if self.robot is None:
             return keys
-        return ("joints", number, *(keys[1:] if keys[0] == "joint" else keys))
+        return ("joints", number, *(keys[1:] if keys[:1] == ("joint",) else keys))
 
 
-def read_tables(raw: Mapping[str, Any]) -> FileTable:
+def read_tables(raw: Mapping[str, Any], *, learn: bool = False) -> FileTable:
     """Read the tables of a joint file or a robot file.
+
+    Args:
+        raw: as `tomllib` reads them.
+        learn: whether the controller may lack its gains, which are then 1.
 
     Raises:
         JointFileError: with one sentence for each fault.
     """
-    robot, reader = raw.get("robot"), Reader()
-    if isinstance(robot, dict) and isinstance(still := robot.get("locked"), list):
-        raw = {**raw, "robot": {**robot, "locked": {name: 0.0 for name in still if isinstance(name, str)}}}
-    made: FileTable = reader.read_all(JOINT_FILE if robot is None else ROBOT_FILE, raw)
+    reader = Reader(learn=learn)
+    made: FileTable = reader.read_all(ROBOT_FILE if "robot" in raw else JOINT_FILE, raw)
     return replace(made, texts=reader.texts)
 
 
@@ -210,22 +196,20 @@ def _make_record(channels: Mapping[str, Column] | None = None, **given: Any) -> 
 
 
 def _variant(word: str, keys: Mapping[str, Declared], owner: Callable[..., Any]) -> Table:
-    """Return the table of a law or of a kind of filter, with the keys that say others in other words."""
-    known, instead = dict(keys), INSTEAD.get(word, {})
-    for name, (gives, means, unit, _) in instead.items():
-        known |= key(name, float, means, unit=unit, above=0)
-        known[gives] = replace(keys[gives], default=None) if keys[gives].required else keys[gives]
+    """Return the table of a law or of a kind of filter; a number that it needs and that is to be learned is 1."""
+    gives = _INVERTED.get(word, "")
+    other, means, unit, product = INVERSES.get(gives, ("", "", "", 1.0))
+    needed = {one.name: 1.0 for one in keys.values() if one.required and one.type is float}
 
     def make(**given: Any) -> Any:
         stated = frozenset(given)
-        for name, (gives, _, _, compute) in instead.items():
-            if (name in given and gives in given) or (keys[gives].required and not {name, gives} & given.keys()):
-                raise key_error(gives, f" and {name} say the same; expected one of them.", "missing")
-            if name in given:
-                given[gives] = compute(given.pop(name), given.get("position_gain", 1.0))
-        return owner(stated | given.keys(), **given)
+        if other in given:
+            given[gives] = product / given.pop(other)
+        return owner(stated | given.keys(), **needed | given)
 
-    return Table(known, make)
+    if not gives:
+        return Table(keys, make)
+    return Table({**keys, **key(other, float, means, unit=unit, above=0)}, make, instead={other: gives})
 
 
 def _join_keys(variants: Mapping[str, Table]) -> dict[str, Declared]:
@@ -239,19 +223,15 @@ def _join_keys(variants: Mapping[str, Table]) -> dict[str, Declared]:
     return {name: merge(same) for name, same in found.items()}
 
 
-def _make_filter(_: object, kind: str = "digital", **given: Any) -> Filter | tuple[float, ...]:
-    """Return a filter; of one that has a numerator only, that."""
-    numerator: tuple[float, ...] = given.get("numerator", ())
+def _make_filter(_: object, kind: str = "digital", **given: Any) -> Filter:
     made: Filter = FILTERS[kind](**given)
-    return numerator if [*given] == ["numerator"] else made
+    return made
 
 
 def _make_law(stated: frozenset[str], law: str = "cascade", side: Side = "motor", **given: Any) -> StatedController:
     """Return a controller on its own side, checked at its period where there is one."""
     if len({len(row) for row in given.get("A", ())}) > 1:
         raise key_error("A", " has rows of several lengths; expected n rows of n numbers: complete them.")
-    if "torque_filters" in given:
-        given["torque_filters"] = tuple(map(as_filter, given["torque_filters"]))
     made: Any = LAWS[law](**given)
     if made.period is not None:
         made.law(made.period)
@@ -299,33 +279,14 @@ def _make_filtering(preset: str | None = None, **given: Any) -> Filtering:
     return Filtering(**given) if preset is None else _FILTERINGS[preset]()
 
 
-def _make_method(**given: Any) -> dict[str, Any]:
-    if ("period" in given) != (given.get("harmonics", 0) > 0):
-        rest = " and harmonics stand together: the period of the first harmonic in m or rad, and how many there are."
-        raise key_error("period", rest)
-    return given
-
-
 _PRESET = key("preset", Literal[*_FILTERINGS], "all of it at once, in place of the other keys")
 _FILTERING = Table(_PRESET | keys_of(Filtering), _make_filtering)
 _METHOD = Table(
     key("name", MethodName,
         "by which method; without it that of a joint is didim if the record has what it needs, else idim; "
         "that of a robot is didim without a motor_position, drive_side with one and a spring, else idim")
-    | key("harmonics", int, "of idim: harmonics of the force over the motor position", 0, at_least=0)
-    | key("period", float, "of idim: of the first harmonic, on the side that is reported; needed beside harmonics "
-          "[m or rad]", above=0)
-    | key("drift", Literal["force", "viscous", "both"], "of idim: what changes linearly in time")
-    | keys_of(*methods(), without=("period",)),
-    _make_method,
+    | keys_of(*methods())
 )  # fmt: skip
-
-
-def method_keys(method: type[Method], system: str = "") -> set[str]:
-    """Return the keys of [method] for a method, of a "rigid" or "flexible" joint or a "robot"; of all without it."""
-    own: Any = method
-    effects = "effects" in {one.name for one in fields(own)} and system != _ROBOT
-    return {"name", *keys_of(method, system=system), *(_EFFECTS if effects else ())}
 
 
 def make_method(name: str, given: Mapping[str, Any], system: str) -> Method:
@@ -340,14 +301,10 @@ def make_method(name: str, given: Mapping[str, Any], system: str) -> Method:
         JointFileError: a key is of another method or system.
     """
     made: Any = method_of(name)
-    for one in given.keys() - method_keys(made, system):
+    own = {one: value for one, value in given.items() if one != "name"}
+    for one in own.keys() - keys_of(made, system=system):
         rest = f' is not for the method "{name}" of {CALLED[system]}: leave it out, or name another.'
         raise JointFileError(fault_at(("method", one), rest))
-    own = {one: value for one, value in given.items() if one not in ("name", *_EFFECTS)}
-    ripple = (PositionHarmonics(given["period"], given["harmonics"]),) if "period" in given else ()
-    drift = (Drift(given["drift"]),) if "drift" in given else ()
-    if ripple or drift:
-        own["effects"] = (*ripple, *drift)
     method: Method = made(**own)
     return method
 
@@ -377,14 +334,14 @@ AXIS_TABLES = (
 )  # fmt: skip
 """Tables of an axis: of a joint file at its top, of a robot file below [[joints]]."""
 
-_RECORD = Table(keys_of(Source, TextOptions) | key("channels", _CHANNELS, "where the channels are found"), _make_record)
-_DRIVE = Table(keys_of(Drive, without=("torque_constant", "torque_per_volt")), Drive)
 _SHARED = (
-    key("record", _RECORD, "the file of the record, and its channels")
-    | key("drive", _DRIVE, "whose traces they are, and its own units")
+    key("record", Table(keys_of(Source, TextOptions) | key("channels", _CHANNELS, "where the channels are found"),
+                        _make_record), "the file of the record, and its channels")
+    | key("drive", Table(keys_of(Drive, without=("torque_constant", "torque_per_volt")), Drive),
+          "whose traces they are, and its own units")
     | key("filtering", _FILTERING, "how signals are filtered")
     | key("method", _METHOD, "how the joint is identified")
-)
+)  # fmt: skip
 
 
 def _runs(system: str) -> dict[str, Declared]:
@@ -392,37 +349,32 @@ def _runs(system: str) -> dict[str, Declared]:
     return key("records", tuple[run, ...], "records that are identified together")
 
 
+_FREE = key("free", tuple[str, ...], "names of what surrounds the joint and is identified too", ())
 _OF_JOINT = keys_of(AxisTable)
-_REQUIRED_KIND = {"kind": replace(_OF_JOINT["kind"], default=MISSING, optional=False)}
+_KIND_OF_JOINT = {"kind": replace(_OF_JOINT["kind"], default=MISSING, optional=False)}
 JOINT_FILE = Table(
-    key("joint", Table(_OF_JOINT | _REQUIRED_KIND), "what is identified", MISSING)
+    key("joint", Table(_OF_JOINT | _KIND_OF_JOINT), "what is identified", MISSING)
     | AXIS_TABLES
     | _SHARED
-    | _runs(_JOINT)
-    | key("together", Together, "how several records are identified together"),
+    | _runs("rigid")
+    | key("together", Table(_FREE, lambda free=(): free), "how several records are identified together"),
     _make_file,
 )
 """The tables of a joint file."""
 
 
-def _make_spring(law: str = "linear", **given: float) -> tuple[str, dict[str, float]]:
-    if given and "stiffness" not in given:
-        raise key_error("stiffness", " is missing beside the spring's other numbers: add it.", "missing")
-    return law, given
-
-
-def _make_robot_axis(spring: tuple[str, dict[str, float]] | None = None, **given: Any) -> AxisTable:
+def _make_robot_axis(spring: Mapping[str, Any] | None = None, **given: Any) -> AxisTable:
     """Return the axis of [[joints]], flexible if it has a spring."""
     numbers = {name: given.pop(name) for name in keys_of(RobotJoint, without=("spring",)) if name in given}
-    law, link = (None, {}) if spring is None else spring
-    model: Any = given.pop("model", None) or ("rigid" if spring is None else "flexible")
-    return AxisTable(**given, spring=law, link=link, model=model, numbers=numbers)
+    law, link = None, dict(spring or {})
+    if spring is not None:
+        law, given = link.pop("law", "linear"), {"model": "flexible"} | given
+    return AxisTable(**{"model": "rigid"} | given, spring=law, link=link, numbers=numbers)
 
 
-_STIFFNESS = key("stiffness", float, "of the spring, where a search begins, unless joints.parameters says it "
-                 "[N m/rad or N/m]", above=0)  # fmt: skip
 _SPRING_LAW = {"law": replace(_OF_JOINT["spring"], name="law", type=str)}
-_SPRING = Table(_SPRING_LAW | keys_of(JointSpring) | _STIFFNESS, _make_spring, shorthand="law")
+_OF_SPRING = keys_of(JointSpring)
+_STIFFNESS = {"stiffness": replace(_OF_SPRING["stiffness"], default=None, optional=True)}
 _ROBOT_JOINT = Table(
     _OF_JOINT
     | keys_of(RobotJoint)
@@ -430,7 +382,8 @@ _ROBOT_JOINT = Table(
     | key("zero", float, "position of the model's joint where its logged position is 0 [rad or m]; the model is turned",
           0.0)
     | AXIS_TABLES
-    | key("spring", _SPRING, "between motor and link; without it the joint is rigid")
+    | key("spring", Table(_SPRING_LAW | _OF_SPRING | _STIFFNESS, shorthand="law"),
+          "between motor and link; without it the joint is rigid")
     | key("channels", _CHANNELS, "its channels, where they are not as [record.channels]")
     | key("method", _METHOD, "as which the joint is identified alone"),
     _make_robot_axis,
@@ -439,7 +392,7 @@ ROBOT_FILE = Table(
     key("robot", RobotTable, "the robot's model", MISSING)
     | key("joints", tuple[_ROBOT_JOINT, ...], "the joints", MISSING)  # type: ignore[valid-type]
     | _SHARED
-    | _runs(_ROBOT),
+    | _runs("robot"),
     _make_file,
 )
 """The tables of a robot file."""

@@ -119,7 +119,7 @@ class LearnedController(Documented):
 
     def beside(self, shown: Iterable[DriveNumber]) -> LearnedController:
         """Add the numbers as the drive shows them; `shown` is what `Axis.drive_numbers` of a file returns."""
-        return replace(self, in_drive=numbers_in_drive(self.numbers, self.correlation, shown))
+        return replace(self, in_drive=numbers_in_drive(self.numbers, shown))
 
     def __getitem__(self, name: str) -> LearnedNumber:
         """Return a number by its name."""
@@ -248,34 +248,23 @@ class NumberInDrive:
         return self.value / self.declared - 1.0 if self.declared else None
 
 
-def numbers_in_drive(
-    learned: Sequence[LearnedNumber], correlation: FloatArray, shown: Iterable[DriveNumber]
-) -> tuple[NumberInDrive, ...]:
+def numbers_in_drive(learned: Sequence[LearnedNumber], shown: Iterable[DriveNumber]) -> tuple[NumberInDrive, ...]:
     """Convert learned numbers to the drive's; empty if the drive shows them unchanged.
 
     Args:
         learned: the numbers.
-        correlation: (numbers, numbers) of their errors.
         shown: conversion to the drive's numbers.
     """
-    known, places = {one.number: one for one in shown}, {one.name: place for place, one in enumerate(learned)}
-    law = {one.name: one.value for one in learned}
-    both = [(one, to) for one in learned if (to := known.get(one.name)) and (not to.per or law.get(to.per))]
+    known = {one.number: one for one in shown}
+    both = [(one, to) for one in learned if (to := known.get(one.name))]
     if not any(to.tells_more for _, to in both):
         return ()
     found = []
     for one, to in both:
-        lower, upper = one.lower, one.upper
-        if to.per:  # of a ratio, by the derivatives by both
-            other = learned[places[to.per]]
-            spreads = one.spread, other.spread * one.value / other.value
-            common = correlation[places[one.name], places[to.per]] * spreads[0] * spreads[1]
-            far = math.sqrt(max(spreads[0] ** 2 + spreads[1] ** 2 - 2 * common, 0.0))
-            lower, upper = one.value - far, one.value + far
-        ends = sorted((to.of(lower, law), to.of(upper, law)))
-        if to.inverse and not lower > 0:  # the interval of the gain holds 0, that of the time no end
-            ends = [to.of(upper, law), math.inf] if upper > 0 else [-math.inf, math.inf]
-        found.append(NumberInDrive(to.name, to.of(one.value, law), ends[0], ends[1], to.unit, to.declared))
+        ends = sorted((to.of(one.lower), to.of(one.upper)))
+        if to.inverse and not one.lower > 0:  # the interval of the gain holds 0, that of the time no end
+            ends = [to.of(one.upper), math.inf] if one.upper > 0 else [-math.inf, math.inf]
+        found.append(NumberInDrive(to.name, to.of(one.value), ends[0], ends[1], to.unit, to.declared))
     return tuple(found)
 
 

@@ -69,7 +69,6 @@ def identify(
     windows: Windowing | Literal[False] | None = None,
     checks: bool = True,
     shown: Sequence[DriveNumber] = (),
-    torque_constant: str = "",
     unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
@@ -98,7 +97,6 @@ def identify(
             long as its identification.
             Without them, the verdict on the loop says so. Those of a robot are made by `diagnose`.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
-        torque_constant: with its unit, where all values are proportional to it, see `Estimate.data`.
         unchecked: called with the estimate before its checks.
         progress: called with each step in a sentence.
 
@@ -180,16 +178,16 @@ def identify(
     part_of_joint = isinstance(part, Record) and planned is not None and isinstance(model, ClosedLoop)
     of_joint = part_of_joint or (fit.record is not None and fit.problem is not None)
     if not (fit.robot is not None or of_joint) or (planned is not None and part is None):
-        return assemble(fit, torque_constant=torque_constant)
+        return assemble(fit)
     if not checks:
-        return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)
+        return assemble(fit, _left_out("not checked: the checks were left out"))
     if unchecked is not None:
-        unchecked(assemble(fit, _left_out("not checked yet"), torque_constant=torque_constant))
+        unchecked(assemble(fit, _left_out("not checked yet")))
     checked: FitResult | str = fit
     if planned is not None and part is not None:
         checked = _fit_part(fit, part, record, lambda: fit_one(part, model, method))
     if isinstance(checked, str):
-        return assemble(fit, _left_out(f"not checked: {checked}"), torque_constant=torque_constant)
+        return assemble(fit, _left_out(f"not checked: {checked}"))
     found = run_checks(checked, progress, shown, screen)
     with _contained("an undeclared delay", failures):  # the first estimate stands
         if (freed := _free_unstated_delay(fit, method, found)) is not None:
@@ -198,7 +196,7 @@ def identify(
             wider = wider.warn(*filter(None, (said, _DELAY_SAID)))
             fit, found = wider, run_checks(wider, progress, shown, screen)
     found = _with_failures(found, failures)
-    return assemble(fit, found, torque_constant=torque_constant)
+    return assemble(fit, found)
 
 
 def _fit_part(fit: FitResult, part: object, record: object, fit_it: Callable[[], FitResult]) -> FitResult | str:

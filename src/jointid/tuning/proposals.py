@@ -252,7 +252,7 @@ def feedforward(estimate: Estimate, controller: Any, shown: Mapping[str, DriveNu
         unit = unit_of_number(controller, key, POSITION_UNIT[kind], torque)
         by = 1.0
         if (there := shown.get(key)) is not None and there.unit:
-            by, unit = there.of(1.0, {}), there.unit
+            by, unit = there.of(1.0), there.unit
         before, spread = float(getattr(controller, key, 0.0)), None if std is None else by * abs(per) * std
         si = unit_of(quantity, kind, torque)
         found.append(FeedForward(key, formula, value, std, si, by * before, by * per * value, spread, unit))

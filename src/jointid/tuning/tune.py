@@ -159,7 +159,7 @@ def _list_gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[
         if (there := shown.get(key)) is None:
             gains.append(Gain(key, formula, key, now, then, unit))
         else:
-            gains.append(Gain(key, formula, there.name, there.of(now, old), there.of(then, new), there.unit or unit))
+            gains.append(Gain(key, formula, there.name, there.of(now), there.of(then), there.unit or unit))
     return tuple(gains)
 
 

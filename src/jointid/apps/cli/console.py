@@ -120,8 +120,8 @@ class Options:
         joint: Path,
         *outputs: Path | None,
         estimate: Path | None = None,
-        what: str = "",
-        method: str | None = None,
+        alone: bool = False,
+        method: str = "",
     ) -> File:
         """Load the joint file or robot file with its changes, as an estimate says; see `jointid.config.load`.
 
@@ -129,7 +129,7 @@ class Options:
             joint: the file.
             outputs: what the command writes, beside the JSON.
             estimate: file of an estimate, whose choices hold.
-            what: the work, if it is for a joint; the beginning of the sentence.
+            alone: whether the work is for a joint.
             method: the method, whatever the file says.
 
         Raises:
@@ -142,22 +142,23 @@ class Options:
 
         require_kinds(joint, *self.records)
         spare((self.json, *outputs), joint, *self.records, estimate)
-        given: dict[str, Any] = {"axis": self.axis, "method": method, "what": what}
-        given |= {} if estimate is None else read_choices(estimate)
-        file = load(joint, self.changes, **given)
+        choices = {} if estimate is None else read_choices(estimate)
+        changes = [*self.changes, *(f"joint.friction={choices[one]}" for one in choices if one == "friction")]
+        method, file = choices.get("method", method), load(joint, changes, axis=self.axis)
+        if alone and file.robot is not None:
+            raise MethodError(f"This takes one joint, and {joint} is a robot file; name one of its joints by --axis.")
+        if method and file.method.name != method:
+            file = load(joint, [*changes, f'method={{name="{method}"}}'], axis=self.axis)
         for record in self.records or (None,):
             spare((self.json, *outputs), *file.inputs(record))
-        return file.of_record(self.records[0]) if len(self.records) == 1 else file
+        return file
 
-    def identify(
-        self, file: File, *, checks: bool = True, judged: bool = False, whole: bool = False
-    ) -> tuple[Any, Estimate]:
+    def identify(self, file: File, *, checks: bool = True, whole: bool = False) -> tuple[Any, Estimate]:
         """Identify a joint or a robot from the record, as its file says, and return the record, too.
 
         Args:
             file: as `load` returns it.
             checks: whether to check the estimate; an interrupt prints the one that was not.
-            judged: as of `File.record`.
             whole: whether to identify at once, and refuse a record that is too long for it.
 
         Raises:
@@ -167,7 +168,7 @@ class Options:
         from jointid.estimation.identify import plan_windows
         from jointid.estimation.result.parts import IN_WINDOWS
 
-        record, known, progress = file.record(self.record, judged=judged), list[Estimate](), self.progress
+        record, known, progress = file.record(self.record), list[Estimate](), self.progress
         if file.robot is None:  # the engine of a robot is another
             ready(progress)
         if whole and plan_windows(record, file.setup, file.method):

@@ -45,7 +45,7 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
         raise MethodError(f"--json holds one record, and {joint} lists {len(paths)}; name one of them by --record.")
     nothing = True
     for path in paths:
-        found = _diagnose_record(file.of_record(path), path, options, laws)
+        found = _diagnose_record(file, path, options, laws)
         nothing &= found.finds_nothing
     return 0 if nothing else FAULTY
 
@@ -56,7 +56,7 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Ex
     from jointid.diagnostics.examine_record import unreadable
 
     try:
-        record = file.record(path, judged=True)
+        record = file.record(path)
     except RecordError as error:
         if not path.exists():
             raise

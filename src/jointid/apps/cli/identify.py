@@ -37,8 +37,7 @@ def identify(
 
     figures.require_format(figure)
     several = len(options.records) > 1
-    what = "A log in windows" if window is not None else "--figure of several records" if several and figure else ""
-    file = options.load(joint, figure, what=what)
+    file = options.load(joint, figure, alone=window is not None or (several and figure is not None))
     if window is not None and figure is not None:
         raise MethodError(IN_WINDOWS)
     if window is None and not several and (options.records or not file.runs):
@@ -69,7 +68,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             else, comments too, stays as it is, but for the paths of records, which from another folder lead to the same
             files.
     """
-    from jointid.config import learned_text, load, save_with_controller
+    from jointid.config import controller_text, load, save_with_controller
 
     if write is not None and options.axis is not None:
         raise MethodError(
@@ -77,13 +76,12 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             "leave --write out."
         )
     spare((options.json, write), joint, options.record)
-    what = "Learning a controller"
-    file = load(joint, options.changes, what=what, axis=options.axis, learn=True)
+    file = load(joint, options.changes, axis=options.axis, learn=True)
     spare((options.json, write), *file.inputs(options.record))
     learned = file.learn_controller(file.record(options.record), options.progress)
     learned = learned.beside(file.axis.drive_numbers(learned.controller))
     deliver(learned, options.json)
-    show(f"\n{learned_text(file, learned.controller).rstrip()}")
+    show(f"\n{controller_text(learned.controller, file.axis).rstrip()}")
     if write is not None:
         save_with_controller(file, learned.controller, write, options.record)
         show(f"Written: {write}")
@@ -118,7 +116,7 @@ def tune(
 
     settings = Tuning(gain_margin, phase_margin, notch=notch)
     figures.require_format(figure)
-    file = options.load(joint, figure, what="Tuning", method="didim")
+    file = options.load(joint, figure, alone=True, method="didim")
     _, estimate = options.identify(file)
     tuned = run(estimate, settings, shown=file.declared_numbers, progress=options.progress)
     deliver(tuned, options.json, (figure, lambda one: one.plot()))

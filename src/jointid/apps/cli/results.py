@@ -54,9 +54,9 @@ def report(
     files = {"held_out": held_out and held_out.name, "estimate": estimate and estimate.name}
     again = repetition(joint, records, {"axis": options.axis, **files}, options.changes, html.name)
     if estimate is None:
-        record, found = options.identify(file, judged=True, whole=True)
+        record, found = options.identify(file, whole=True)
     else:
-        record, found = file.record(options.record, judged=True), load_estimate(estimate, file)
+        record, found = file.record(options.record), load_estimate(estimate, file)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,

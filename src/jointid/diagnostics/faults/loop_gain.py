@@ -9,7 +9,7 @@ mm, a gear's ratio or its square the wrong side of the gear.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -113,29 +113,14 @@ def _explain_factor(value: float | None, loop: ClosedLoop, shown: Shown) -> Iter
         yield TORQUE_CONSTANT, f"the torque constant ({constant:g}) is applied twice, or not at all", factor
         by_gear = ""
     torque = (TORQUE_SCALE, f"the torque is {times} too {size}", factor)
-    if there := shown.get("torque_constant"):
-        assert there.declared is not None
-        would, said = number(there.declared / factor, 3), number(there.declared, 3)
-        would = f"torque_constant below [joint] would be {would}, not {said}"
-        torque = (TORQUE_CONSTANT, f"{torque[1]}: {would} {there.unit}", factor)
     unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by)), "")
     reference = (REFERENCE_SCALE, f"the reference is {unit or f'{times} too {other}{by_gear}'}", 1 / factor)
-    leading = _leading_gain(numbers, shown)
+    leading, would = "velocity_gain", ""
     names = " or ".join(name for name in (leading, "gain") if name in numbers)
-    would = ""
-    if leading and (there := shown.get(leading)):
-        would = f", where {call_number(there.name)} would be {show(there, factor * numbers[leading], numbers)}"
+    if leading in numbers and (there := shown.get(leading)):
+        would = f", where {call_number(there.name)} would be {show(there, factor * numbers[leading])}"
     law = (LAW_GAIN, f"the law's gain ({names}) is declared {times} too {other}{would}", factor)
     yield from (reference, torque, law) if unit else (torque, law, reference)
-
-
-def _leading_gain(numbers: Mapping[str, float], shown: Shown) -> str | None:
-    """Return the gain that scales the whole output in the drive's form; None without one."""
-    if "velocity_gain" in numbers:
-        return "velocity_gain"
-    others = [name for name in ("derivative_gain", "integral_gain") if numbers.get(name)]
-    as_times = others and all(name in shown and shown[name].per == "position_gain" for name in others)
-    return "position_gain" if as_times else None
 
 
 def _is(factor: float, other: float) -> bool:

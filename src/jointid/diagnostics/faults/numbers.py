@@ -7,7 +7,7 @@ free in a hypothesis, and the search begins at multiples of what is declared.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
@@ -50,17 +50,9 @@ _ROUGHLY = 2.0  # times: a gain that is found so near to a unit's factor is off 
 # Words
 
 
-def show(there: DriveNumber, value: float, law: Mapping[str, float]) -> str:
+def show(there: DriveNumber, value: float) -> str:
     """Return a number of a law as the drive shows it, with its unit."""
-    return f"{number(there.of(value, law), 3)} {there.unit}".rstrip()
-
-
-def _show_related_times(name: str, value: float, law: Mapping[str, float], shown: Iterable[DriveNumber]) -> str:
-    """Return the times that a drive shows relative to a changed gain, as the end of a clause."""
-    beside = (one for one in shown if one.per == name and law.get(one.number))
-    return "".join(
-        f", with {call_number(one.name)} {show(one, law[one.number], {**law, name: value})}" for one in beside
-    )
+    return f"{number(there.of(value), 3)} {there.unit}".rstrip()
 
 
 def describe_number(finding: Finding, check: AxisFaults, spread: bool) -> str:
@@ -69,8 +61,7 @@ def describe_number(finding: Finding, check: AxisFaults, spread: bool) -> str:
     there = check.in_drive(s.fault)
     if there is None:
         return _describe_difference(check.call(s.fault), s, spread=spread)
-    differs = describe_in_drive(there, s, check.law, spread=spread)
-    return differs + _show_related_times(s.name, s.declared + s.size, check.law, check.shown.values())
+    return describe_in_drive(there, s, spread=spread)
 
 
 def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
@@ -91,20 +82,20 @@ def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
     return f"{name} is {percent} % {'larger' if share > 0 else 'smaller'} than declared"
 
 
-def describe_in_drive(there: DriveNumber, s: FaultTest, law: Mapping[str, float], *, spread: bool) -> str:
+def describe_in_drive(there: DriveNumber, s: FaultTest, *, spread: bool) -> str:
     """Return a number and its declared value, both as the drive shows them: a time for a gain, for example."""
     name, value = call_number(there.name), s.declared + s.size
     share, deviation = s.size / abs(s.declared), 2 * s.std / abs(s.declared)
     if (no_size := _describe_no_size(name, share, deviation, (share > 0) is not there.inverse)) is not None:
         return no_size
-    declared = f"declared {there.of(s.declared, law):.6g} {there.unit}"
+    declared = f"declared {there.of(s.declared):.6g} {there.unit}"
     if share > 1:
-        return f"{_FACTOR} factor ({name} alone would be about {show(there, value, law)}, {declared})"
+        return f"{_FACTOR} factor ({name} alone would be about {show(there, value)}, {declared})"
     if share - deviation <= -1:
         bound = "least" if there.inverse else "most"
-        return f"{name} is at {bound} {show(there, value + 2 * s.std, law)}, {declared}"
-    stated = there.of(value, law)
-    far = max(abs(there.of(value + by, law) - stated) for by in (-2 * s.std, 2 * s.std))
+        return f"{name} is at {bound} {show(there, value + 2 * s.std)}, {declared}"
+    stated = there.of(value)
+    far = max(abs(there.of(value + by) - stated) for by in (-2 * s.std, 2 * s.std))
     interval = f" ± {number(far, 2)}" if spread else ""
     digits = max(3, 1 + math.ceil(-math.log10(abs(share))))  # so many that the two are not the same
     return f"{name} is {number(stated, digits)}{interval} {there.unit}, {declared}"
@@ -154,10 +145,10 @@ def _say_gain(name: str, value: float | None, loop: ClosedLoop, shown: Shown) ->
     there, law = shown.get(name) or DriveNumber(name, name, "", 1.0), numbers_of(loop.controller)
     if value is None:
         return f"the declared {name_number(there.name)} is not there"
-    clause, declared = f"{call_number(there.name)} is about {show(there, value, law)}", law.get(name) or 0.0
+    clause, declared = f"{call_number(there.name)} is about {show(there, value)}", law.get(name) or 0.0
     if not declared:
         return f"{clause}, and is not declared"
-    clause += f", not {show(there, declared, law)}" + _show_related_times(name, value, law, shown.values())
+    clause += f", not {show(there, declared)}"
     factor = value / declared
     if abs(abs(math.log(factor)) - math.log(_DEGREES)) < _NEAR:
         times = "more" if factor > 1 else "less"
@@ -229,7 +220,7 @@ def _say_velocity_filter(value: float | None, loop: ClosedLoop, shown: Shown) ->
         return "the declared velocity filter is not there"
     there = shown.get("velocity_filter.time_constant")
     as_cutoff = there is not None and there.inverse and value >= MICROSECOND
-    size = show(there, value, numbers_of(loop.controller)) if there and as_cutoff else f"{milliseconds(value)} ms"
+    size = show(there, value) if there and as_cutoff else f"{milliseconds(value)} ms"
     return f"the velocity filter is another one, such as one of first order with {size}"
 
 

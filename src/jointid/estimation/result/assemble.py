@@ -72,13 +72,12 @@ class CheckResults:
     diagnosis: Documented | None = None
 
 
-def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_constant: str = "") -> Estimate:
+def assemble(fit: FitResult, checked: CheckResults | None = None) -> Estimate:
     """Return the estimate of a fit.
 
     Args:
         fit: the result of the method.
         checked: the results of the checks, see `jointid.diagnostics.identify.run_checks`.
-        torque_constant: with its unit, where all values are proportional to it.
     """
     checked = checked or CheckResults()
     known = fit.checks.known
@@ -110,7 +109,6 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
         data=replace(
             fit.data,
             resampled=None if fit.record is None else fit.record.resampled,
-            torque_constant=torque_constant,
         ),
         settings=fit.settings,
         robot=fit.robot,

@@ -349,8 +349,6 @@ class Data:
         resampled: how the samples were brought to a uniform clock, None where they were logged so.
         records: each of several records by itself; empty for one record.
         windows: how a long log was cut; None for a record.
-        torque_constant: with its unit, where log and controller were both taken to torque by it, so that every value
-            is proportional to it; else empty.
     """
 
     record: str
@@ -362,7 +360,6 @@ class Data:
     resampled: Resampled | None = None
     records: tuple[RecordFit, ...] = ()
     windows: Windows | None = None
-    torque_constant: str = ""
 
     @property
     def fingerprints(self) -> tuple[str, ...]:

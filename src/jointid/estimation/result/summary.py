@@ -101,8 +101,6 @@ def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
         yield "resampled", str(data.resampled)
     if gear is not None:
         yield "transmission", str(gear)
-    if data.torque_constant:
-        yield "scale", f"values scale with torque_constant {data.torque_constant}, which no record checks"
 
 
 def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:

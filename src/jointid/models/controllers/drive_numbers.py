@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 _LETTERS = {"position_gain": "Kv", "velocity_gain": "Kp", "integral_time": "Tn"}
@@ -27,7 +26,6 @@ class DriveNumber:
         factor: what the number is multiplied by; of an inverse one, what is divided by it.
         inverse: whether the drive shows a time for a gain.
         declared: what the joint file says, in that unit; None where it says nothing.
-        per: another number of the law, per which this one is shown: the position gain of a PID with times; else empty.
     """
 
     number: str
@@ -36,17 +34,14 @@ class DriveNumber:
     factor: float
     inverse: bool = False
     declared: float | None = None
-    per: str = ""
 
     @property
     def tells_more(self) -> bool:
         """Whether it adds a conversion or a declared value."""
         return self.inverse or self.factor != 1.0 or self.declared is not None
 
-    def of(self, value: float, law: Mapping[str, float]) -> float:
-        """Convert a value to the drive's, given the law's other numbers."""
-        per = law[self.per] if self.per else 1.0
-        share = value / per if per else math.inf
+    def of(self, value: float) -> float:
+        """Convert a value to the drive's."""
         if self.inverse:
-            return self.factor / share if share else math.inf
-        return self.factor * share
+            return self.factor / value if value else math.inf
+        return self.factor * value
