@@ -7,6 +7,7 @@ beside it. Elements are counted before they are compiled. Links that do not move
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -64,8 +65,7 @@ _URDF: Mapping[str, str] = {
 }
 _ONCE = ("inertial", "origin", "mass", "inertia", "parent", "child", "axis", "dynamics", "limit")  # of what they are in
 _REFUSED = ("include", "attach", "replicate", "composite", "flexcomp", "freejoint")
-_TIED: Mapping[str, str] = {"site": "site", "tendon": "fixed"}  # the element of what a tie names
-_LONGEST_CHAIN = 10  # of ties
+_TIED: Mapping[str, str] = {"joint": "joint", "site": "site", "tendon": "fixed"}  # the element of what a tie names
 _FREE = ("ball", "free", "floating", "planar")
 
 Carried = Mapping[str, tuple[FloatArray, FloatArray]]
@@ -77,8 +77,8 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
 
     Args:
         path: of the file, at most 8 MiB.
-        locked: by the names of joints that stand still their positions, rad or m. Joints tied to them, by <mimic> or
-            by <equality>, stand still, too.
+        locked: by the names of joints that stand still their positions, rad or m. Joints that are tied to each other,
+            by <mimic> or by <equality>, are among them.
 
     Returns:
         Its joints in the file's order, as far as each link comes after its parent. Armature, damping and friction loss
@@ -154,8 +154,8 @@ def _read_tree(text: str, called: str, locked: Mapping[str, float]) -> tuple[Rob
             model = mujoco.MjModel.from_xml_string(ET.tostring(kept, encoding="unicode"))
             if model.njnt > _MOST_JOINTS:
                 raise MethodError(f"it has {model.njnt} joints, of at most {_MOST_JOINTS}")
-            still = _follow_ties(root, model, locked, called)
-            robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", still)
+            _require_free(root, model, locked, called)
+            robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", locked)
     except (ValueError, MethodError, mujoco.FatalError, MemoryError) as error:
         reason = " ".join(str(error).split())[:300] or "it takes too much memory"
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
@@ -224,77 +224,58 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
     """
     for one in root.iter("link"):
         inertial = one.find("inertial")
-        if inertial is None or (reason := _impossible(inertial)) is None:
-            continue
-        if reason:
-            yield f"link {one.get('name')} has {reason}, as no body can; its mass and inertia are taken as unknown"
-        one.remove(inertial)
+        if inertial is not None and not _is_possible(inertial):
+            stated = {value for part in inertial for value in part.attrib.values() if part.tag != "origin"}
+            if not stated or any(float(value) for value in stated):
+                yield f"link {one.get('name')} has a mass or an inertia as no body can; both are taken as unknown"
+            one.remove(inertial)
 
 
-def _impossible(inertial: ET.Element) -> str | None:
-    """Return the impossible part of inertial parameters, empty if all are 0; None if MuJoCo takes or reports them.
-
-    Moments that are none but for rounding, as of a rod or a plate, are corrected.
-    """
+def _is_possible(inertial: ET.Element) -> bool:
+    """Whether a body can have inertial parameters, or MuJoCo refuses them; as of a rod or a plate, they are rounded."""
     weight, moments = inertial.find("mass"), inertial.find("inertia")
     if weight is None or moments is None:
-        return f"an <inertial> without <{'mass' if weight is None else 'inertia'}>"
+        return False
     numbers = [moments.attrib.setdefault(name, "0") for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
     try:
         mass, (xx, xy, xz, yy, yz, zz) = float(weight.get("value", "nan")), map(float, numbers)
         low, middle, high = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
     except (ValueError, np.linalg.LinAlgError):
-        return None
-    if mass <= 0.0:
-        return f"a mass of {mass:g} kg" if mass or low or high else ""
+        return True
     excess = high - low - middle
-    if max(-low, excess) > _ROUNDED * abs(high):
-        return f"principal moments of inertia of {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
-    if (more := max(_LEAST_MASS - low, excess + 1e-12 * high)) > 0.0:
+    possible = bool(mass > 0.0 and max(-low, excess) <= _ROUNDED * abs(high)) or math.isnan(mass)
+    if possible and (more := max(_LEAST_MASS - low, excess + 1e-12 * high)) > 0.0:
         for name, value in zip(("ixx", "iyy", "izz"), (xx, yy, zz), strict=True):
             moments.set(name, repr(float(value + more)))
-    return None
+    return possible
 
 
-def _follow_ties(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> dict[str, float]:
-    """Return the positions of the locked joints, and of those that ties then hold.
+def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:
+    """Refuse joints that move and are tied or have a spring, and locked ones that are not there.
 
     Args:
         root: of the file.
         model: as MuJoCo compiles it.
         locked: as of `load_robot`.
         called: what sentences call the file.
-
-    Raises:
-        JointFileError: a tie is left between joints that move, one of these has a spring, or none has a locked name.
     """
-    joints = [model.joint(number) for number in range(model.njnt)]
-    initial = {one.name or f"joint{number + 1}": float(one.qpos0[0]) for number, one in enumerate(joints)}
-    if unknown := [name for name in locked if name not in initial]:
-        raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], initial)}")
-    still, ties = dict(locked), list(_ties(root))
-    for _ in range(_LONGEST_CHAIN):  # one may hold the leader of another
-        for (follower, *leaders), polynomial in ties:
-            if polynomial and follower not in still and still.keys() >= {*leaders}:
-                moved = sum(still[leader] - initial.get(leader, 0.0) for leader in leaders)
-                value = initial.get(follower, 0.0) + float(np.polynomial.polynomial.polyval(moved, polynomial))
-                still[follower] = value
-    moving = {name: one for name, one in zip(initial, joints, strict=True) if name not in still}
-    bound = [name for name in moving if any(name in tied for tied, _ in ties)]
-    sprung = [name for name, one in moving.items() if np.any(one.stiffness)]
-    if bound or sprung:
+    joints = {one.name or f"joint{k + 1}": one for k, one in enumerate(map(model.joint, range(model.njnt)))}
+    if unknown := [name for name in locked if name not in joints]:
+        raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], joints)}")
+    tied = {name for names in _ties(root) for name in names}
+    moving = {name: one for name, one in joints.items() if name not in locked}
+    if bound := [name for name, one in moving.items() if name in tied or np.any(one.stiffness)]:
         raise JointFileError(
-            f"{called}: {', '.join(bound or sprung)} {'are tied' if bound else 'have a spring to their parents'}; "
-            "expected joints that move on their own: name those that stand still in robot.locked, as "
-            f"locked = {{ {(bound or sprung)[0]} = 0.0 }}, or change the model."
+            f"{called}: {', '.join(bound)} are tied to other joints, or have springs to their parents; expected joints "
+            "that move on their own: name those that stand still in robot.locked, as "
+            f"locked = {{ {bound[0]} = 0.0 }}, or change the model."
         )
-    return still
 
 
-def _ties(root: ET.Element) -> Iterator[tuple[list[str], list[float]]]:
-    """Yield the joints of each tie: one that follows, and the one that leads, with the coefficients of its polynomial.
+def _ties(root: ET.Element) -> Iterator[set[str]]:
+    """Yield the joints that each tie binds, of two bodies, sites or tendons those between them.
 
-    Of a tie of two bodies, sites or tendons no joint follows. Ties that MJCF does not activate are none.
+    Ties that MJCF does not activate are none.
     """
     parents = {child: parent for parent in root.iter() for child in parent}
     named = {(one.tag, one.get("name")): one for one in root.iter()}
@@ -308,16 +289,11 @@ def _ties(root: ET.Element) -> Iterator[tuple[list[str], list[float]]]:
 
     for joint in root.iter("joint"):
         for mimic in joint.findall("mimic"):
-            numbers = [float(mimic.get("offset", 0.0)), float(mimic.get("multiplier", 1.0))]
-            yield [joint.get("name", ""), mimic.get("joint", "")], numbers
+            yield {joint.get("name", ""), mimic.get("joint", "")}
     for tie in (one for equality in root.iter("equality") for one in equality if one.get("active") != "false"):
-        if tie.tag == "joint":
-            numbers = [float(one) for one in tie.get("polycoef", "0 1").split()]
-            yield [tie.get("joint1", ""), *filter(None, [tie.get("joint2")])], numbers
-            continue
         key, tag = next(((key, tag) for key, tag in _TIED.items() if f"{key}1" in tie.attrib), ("body", "body"))
-        tied = find_joints(tag, tie.get(f"{key}1")) ^ find_joints(tag, tie.get(f"{key}2"))
-        yield ["", *sorted(tied)], []
+        first, second = tie.get(f"{key}1"), tie.get(f"{key}2")
+        yield {*filter(None, (first, second))} if key == "joint" else find_joints(tag, first) ^ find_joints(tag, second)
 
 
 @contextmanager
