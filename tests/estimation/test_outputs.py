@@ -145,7 +145,7 @@ def test_positions_are_of_several_records_and_of_windows() -> None:
 def test_a_log_of_positions_alone_is_refused_in_windows(folder: Path) -> None:
     (folder / "joint.toml").write_text(FILE.format(record="", channels="", method=""))
     with pytest.raises(ji.JointidError, match="torque"):
-        ji.load(folder / "joint.toml").identify_log(None, ji.Windowing(length=2.0))
+        ji.load(folder / "joint.toml").identify(ji.load(folder / "joint.toml").log(), windows=ji.Windowing(length=2.0))
 
 
 def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:

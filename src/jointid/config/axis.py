@@ -90,41 +90,41 @@ class Axis:
         law = self.controller if learned is None else learned
         return () if law is None else self.units.numbers(law, self.controller)
 
-    def read_record(self, table: RecordedTable, name: str) -> Record:
-        """Return the record of this axis from a table of columns; see `File.record`.
+    def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
+        """Return the record of this axis from a table of columns; see `File.record` and `File.driving`.
 
         Args:
             table: as the file of the record has it.
             name: of the record.
+            driving: whether it is to drive a simulation, which needs a reference and no more.
         """
-        record = self._reader(self.channels, table).build_record(table, name)
+        law = self.controller if isinstance(self.controller, PD) else None
+        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
+        columns = self._driving_columns(table.columns) if driving else self.channels
+        reader = RecordReader(columns, **{**self.reading, **self.source.reading(table)}, gains=gains)
+        record = reader.build_record(table, name)
+        if driving:
+            record.require(("reference",), "a simulation")
+            return record
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
         check_record(record, limit=limit, side=None if gear is None else gear.side)
         return record
 
-    def read_driving(self, table: RecordedTable, name: str) -> Record:
-        """Return the signals that drive a simulation from a table; see `File.driving`."""
+    def _driving_columns(self, there: Collection[str]) -> dict[str, Column]:
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self.channels.items()}
-        added = [one for one in (f"{self.name}.injected", "injected") if one in table.columns]
+        added = [one for one in (f"{self.name}.injected", "injected") if one in there]
         if added and "injected" not in columns and self.drive.traces is None:  # a designed test has it
             columns["injected"] = self.column_like("torque", added[0])
-        record = self._reader(columns, table).build_record(table, name)
-        record.require(("reference",), "a simulation")
-        return record
+        return columns
 
     def column_like(self, channel: str, name: str) -> Column:
         """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
         like = self.columns.get(channel, Column())
         unit = like.stated_unit(known_units(channel, self.units.kind_of("motor")))
         return replace(like, column=name, unit=unit, optional=False, timing=None, tap=None, sample_time=None)
-
-    def _reader(self, columns: Mapping[str, Column], table: RecordedTable) -> RecordReader:
-        law = self.controller if isinstance(self.controller, PD) else None
-        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
-        return RecordReader(columns, **{**self.reading, **self.source.reading(table)}, gains=gains)
 
     def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
         """Return the columns of the file that `File.write` makes, by their names.

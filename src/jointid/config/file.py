@@ -23,7 +23,6 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
@@ -32,7 +31,6 @@ from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import Log, begin_together
-from jointid.records.formats import Table as RecordedTable
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
@@ -176,7 +174,7 @@ class File:
 
     def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
         """Read the record of every axis, from one reading of the file; see `record`."""
-        return self._read(path, Axis.read_record)
+        return self._read(path)
 
     def record(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Read the record for `identify`: a `Record`, of a robot a tuple with one for each joint.
@@ -210,21 +208,19 @@ class File:
             RecordError: there is no such file, or it has no reference.
             MethodError: the feed-forward needs references of one rate.
         """
-        return self._of_axes(self._fed_forward(self._read(path, Axis.read_driving)))
+        return self._of_axes(self._fed_forward(self._read(path, driving=True)))
 
     def _of_axes(self, records: tuple[Record, ...]) -> Any:
         return records[0] if self.robot is None else records
 
-    def _read(
-        self, path: str | os.PathLike[str] | None, read: Callable[[Axis, RecordedTable, str], Record]
-    ) -> tuple[Record, ...]:
+    def _read(self, path: str | os.PathLike[str] | None, *, driving: bool = False) -> tuple[Record, ...]:
         """Read a table once, and make the record of each axis from it; all begin at one instant."""
         path = self.record_path(path)
         table = self.source.read(path, self.path.parent)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for axis in self.axes:
             try:
-                found.append(read(axis, table, Path(path).stem))
+                found.append(axis.read_record(table, Path(path).stem, driving=driving))
             except RecordError as error:
                 for fault in error.faults:
                     faults.setdefault(fault, []).append(str(axis.name))
@@ -304,26 +300,7 @@ class File:
         to_joint = 1.0 if gear is None else gear.torque("load") ** 2
         added = [to_joint * run.added_inertia for run in runs]
         several = SeveralRecords(added_inertia=added, own=[run.own for run in runs], free=self.together)
-        return self._simulated("Several records are", each, progress, several=several)
-
-    def identify_log(self, path: Path | None, windows: Windowing, progress: Progress = ignore_progress) -> Estimate:
-        """Identify a joint from a record too long for memory, in windows.
-
-        Args:
-            path: of the record, instead of the one the file names.
-            windows: their length and settling.
-            progress: is called with each step.
-
-        Raises:
-            JointidError: see `jointid.identify`.
-        """
-        return self._simulated("A long record is", self.log(path), progress, windows=windows)
-
-    def _simulated(self, what: str, records: Any, progress: Progress, **asked: Any) -> Estimate:
-        """Identify a joint from several records, or from windows of one."""
-        if self.axis.loop is None:
-            raise MethodError(f"{what} identified by simulating the loop; add [controller] to the joint file.")
-        return self.identify(records, progress, shown=(), **asked)
+        return self.identify(each, progress, several=several)
 
     def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
         """Learn the controller of a joint, in its own units, which the torque constant or its gain says.
@@ -345,7 +322,7 @@ class File:
         )
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
-        """Return the record of a joint as one that is read in chunks, when it is asked for; see `record`.
+        """Return the record of a joint as one that is read in chunks, and identified in windows; see `record`.
 
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.

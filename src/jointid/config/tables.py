@@ -366,10 +366,10 @@ JOINT_FILE = Table(
 def _make_robot_axis(spring: Mapping[str, Any] | None = None, **given: Any) -> AxisTable:
     """Return the axis of [[joints]], flexible if it has a spring."""
     numbers = {name: given.pop(name) for name in keys_of(RobotJoint, without=("spring",)) if name in given}
-    law, link = None, dict(spring or {})
     if spring is not None:
-        law, given = link.pop("law", "linear"), {"model": "flexible"} | given
-    return AxisTable(**{"model": "rigid"} | given, spring=law, link=link, numbers=numbers)
+        link = {name: value for name, value in spring.items() if name != "law"}
+        given = {"model": "flexible", **given, "spring": spring.get("law", "linear"), "link": link}
+    return AxisTable(**{"model": "rigid"} | given, numbers=numbers)
 
 
 _SPRING_LAW = {"law": replace(_OF_JOINT["spring"], name="law", type=str)}

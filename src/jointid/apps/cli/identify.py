@@ -45,7 +45,7 @@ def identify(
     else:
         ready(options.progress)
         if window is not None:
-            estimate = file.identify_log(options.record, Windowing(window), options.progress)
+            estimate = file.identify(file.log(options.record), options.progress, windows=Windowing(window))
         else:
             estimate = file.identify_together(options.records, options.progress)
     deliver(estimate, options.json, (figure, figures.torque), details=details)
