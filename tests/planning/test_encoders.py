@@ -12,7 +12,7 @@ from jointid.diagnostics.intervals import weights_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import invert
 from jointid.paper.twin import Twin, twin
-from jointid.planning.encoders import add_information, compute_encoder_information, subtract_driven_motion
+from jointid.planning.encoders import add_information, encoder_information, subtract_driven_motion
 from jointid.planning.predict import rebuild_declared_problem
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel
@@ -58,7 +58,7 @@ def test_a_motor_encoder_does_what_is_predicted_of_it(logged: tuple[Twin, Estima
     error, J = problem.linearise(truth)
     variance = float(error @ error) / error.size
     spread = np.linalg.inv(J.T @ J) * variance
-    added, _ = compute_encoder_information(problem, truth, "log", STEP, STEP)
+    added = encoder_information(problem, truth, "log", (STEP, None))
     predicted = np.sqrt(np.diag(add_information(spread, added)))
     seen = problem.positions(truth).motor_position
     seen = (seen - seen.mean(axis=0)) / np.sqrt(STEP**2 / 12)

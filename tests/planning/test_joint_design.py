@@ -20,8 +20,9 @@ from jointid.output.json import to_dict
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import search as search_module
 from jointid.planning.designed import Design
+from jointid.planning.floor import least_deviation
 from jointid.planning.goals import parse_goal
-from jointid.planning.joint_tests import JointTests, least_deviation
+from jointid.planning.joint_tests import JointTests
 from jointid.planning.plans import (
     Family,
     Plan,
@@ -65,7 +66,6 @@ def count_trials(patched: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def designed() -> Design:
-    covariance = np.diag([(0.01 * AXIS.truth[p.name]) ** 2 for p in AXIS.loop.joint.parameters])
     with pytest.MonkeyPatch.context() as patched:
         count_trials(patched)
         return ji.design(
@@ -74,7 +74,7 @@ def designed() -> Design:
             noise=NOISE,
             goal="stiffness",
             record=short_record(),
-            covariance=covariance,
+            within=2.0,
             search_time=250.0,
         )
 
@@ -152,7 +152,7 @@ def test_no_plan_comes_below_the_floor() -> None:
         floor = least_deviation(
             AXIS.loop, AXIS.truth, NOISE, goal, limits, samples=SHORT, sample_time=SAMPLE_TIME, cutoff=hertz
         )
-        assert floor.power.sum() > 0
+        assert floor is not None and floor.deviation is not None and floor.power.sum() > 0
         for motion, added in itertools.product(
             (trapezoids((0.05,), 0.5, 0.19), sines(0.08, 0.3, 2.0)),
             (torque_lines((16.5, 29.8), (25.0, 60.0)), torque_sines(40.0, 8.0, 40.0), None),
@@ -306,11 +306,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     slow = 1.2 + excitation.trapezoids((0.5, 1.0), 8.0, 1.0, 4e-3, duration=4.0)
     torque = ji.Channel(np.zeros(4000), "N m", 1e-3)
     present = replace(planned_record(loop, slow, 4e-3), torque=torque)
-    free = [p for p in loop.joint.parameters if p.free]
-    covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
-    found = ji.design(
-        loop, values=values, noise=Noise(log=0.01), record=present, covariance=covariance, search_time=80.0
-    )
+    found = ji.design(loop, values=values, noise=Noise(log=0.01), record=present, within=4.0, search_time=80.0)
     assert not found.passed
     assert found.proposed.reference.min() > 1.19
     assert found.proposed.reference.max() < 2.21

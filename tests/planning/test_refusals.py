@@ -13,9 +13,8 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.limits import AxisLimits
 from jointid.planning.goals import parse_goal
-from jointid.planning.predict import Noise, planned_record, predict_roughly, predict_test
+from jointid.planning.predict import Noise, planned_record, predict_test
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from tests.planning.test_joint_design import AXIS, NOISE, PLAIN, PLAIN_VALUES, short_record
 from tests.planning.test_robot_design import LIMITS
 from tests.robots_plants import two
@@ -53,7 +52,6 @@ def predict(test: Record, loop: ji.ClosedLoop = PLAIN) -> Any:
         lambda: ji.design(two().robot, short_record()),
         lambda: ji.design(two().robot, [short_record()]),
         lambda: ji.design(two().robot, values={}),
-        lambda: ji.design(two().robot, tap="measured"),
         lambda: ji.design(two().robot, limits=(AxisLimits(lower=0.0), LIMITS[1])),
         lambda: ji.design(two().robot, limits=LIMITS[:1]),
         lambda: ji.design(two().robot, limits=LIMITS, duration=0.01),
@@ -66,9 +64,6 @@ def predict(test: Record, loop: ji.ClosedLoop = PLAIN) -> Any:
         lambda: predict(ONE_WAY),
         lambda: predict(Record(torque=STILL.reference)),
         lambda: predict(STILL, FAST),
-        lambda: list(
-            predict_roughly(PLAIN, [PLAIN_VALUES], STILL, Noise(log=0.01), filtering=Filtering(), parameters={})
-        ),
     ],
 )
 def test_what_cannot_be_planned_is_refused(asked: Callable[[], Any]) -> None:

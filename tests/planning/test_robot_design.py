@@ -98,7 +98,7 @@ def test_a_motion_that_was_looked_for_tells_more_than_any_of_twenty_random_ones(
     time = np.arange(4000) * T
     others = []
     for _ in range(20):
-        q = motions.play(rng.uniform(size=motions.size), motions.bases(time), motions.whole)[0]
+        q = motions.play(rng.uniform(size=motions.size), time)[0]
         told = design(robot, limits=LIMITS, sample_time=T, duration=8.0, noise=(0.1, 0.1), motion=references(robot, q))
         others.append(float(np.mean(np.log(stds(told)))))
     mine = float(np.mean(np.log(stds(best))))
@@ -146,7 +146,7 @@ def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
     found = design(estimate, records, limits=LIMITS, search_time=1.0)
     assert found.present is not None and np.mean(np.log(stds(found) / list(found.present.std.values()))) < np.log(0.5)
     wide = (AxisLimits(), AxisLimits(speed=2.0))
-    taken = complete(wide, first.motion[0], first.motion[1], two().robot.names)
+    taken = complete(wide, first.motion, two().robot.names)
     assert taken[0].upper == pytest.approx(0.4, rel=0.01) and taken[1].speed == 2.0
 
 
@@ -167,7 +167,7 @@ def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
     assert own["joint1.stiffness"] < 0.01 and own["joint2.stiffness"] < 0.01
     motions = Motions(limits, 5.0, 8)
     numbers = np.random.default_rng(0).uniform(size=motions.size)
-    slow = motions.play(numbers, motions.bases(np.arange(5000) * 1e-3), motions.whole)[0]
+    slow = motions.play(numbers, np.arange(5000) * 1e-3)[0]
     bare = design(twin.robot, limits=limits, motion=references(twin.robot, slow, 1e-3), **asked)  # type: ignore[arg-type]
     plain = relative(bare)
     assert plain["joint2.stiffness"] > 3 * own["joint2.stiffness"]

@@ -22,8 +22,8 @@ from jointid.planning.designed import Design
 from jointid.planning.joint_tests import JointTests, joint_tests
 from jointid.planning.predict import Noise
 from jointid.planning.robot_tests import FirstRecord, RobotTests, combine_with_nominal, first_record, robot_tests
-from jointid.planning.search import Tried, choose, look
-from jointid.records.record import Record, Tap
+from jointid.planning.search import choose, look
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
 
@@ -42,20 +42,16 @@ def design(
     goal: str = "all",
     limits: AxisLimits | Sequence[AxisLimits] | None = None,
     motion: Record | Sequence[Record] | None = None,
-    covariance: FloatArray | None = None,
     within: float | None = None,
     duration: float | None = None,
     sample_time: float | None = None,
-    tap: Tap | str = Tap.COMMAND,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    encoder: float | None = None,
     injection: bool = True,
     loop: RobotLoop | None = None,
     feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
     search_time: float = 60.0,
     seed: int = 0,
-    name: str = "",
     progress: Progress = ignore_progress,
 ) -> Design:
     """Search for the test that determines the parameters best within the limits of the axes.
@@ -75,22 +71,17 @@ def design(
         limits: of the axis; of a robot those of each joint.
         motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
             joint.
-        covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
         within: percent of each value, by which it may be off, 2 sigma: limits are kept, and intervals predicted, for
-            joints or robots drawn from it. By default the covariance of a joint, and a robot exactly as it is known.
+            joints or robots drawn from it. By default the covariance of the estimate of a joint; all else as known.
         duration: of the test, s; that of the record by default.
         sample_time: of its log, s; likewise.
-        tap: where the torque of a joint will be logged.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`.
-        encoder: steps of the encoders that are predicted beside a joint's test, m or rad; those of the record by
-            default, or a millionth of the stroke.
         injection: whether the drive can add a signal to the torque; a robot's test adds none.
         loop: controllers of a robot that was identified without them, for a test by DIDIM.
         feed_forward: that a robot's drives are given beside the controllers' torque.
         search_time: that the search may take, s. An interrupt ends it and keeps the best test.
         seed: of the search.
-        name: of what is roughly known, for the result.
         progress: receives messages.
 
     A joint's test is one of several families (see `planning.search`), a robot's a Fourier series of all joints with a
@@ -115,75 +106,57 @@ def design(
     _require_numbers({"tolerance in percent": within}, 0.0)
     played = None if motion is None else (motion,) if isinstance(motion, Record) else tuple(motion)
     tests: JointTests | RobotTests
+    common: dict[str, Any] = {"goal": goal, "within": within, "seed": seed}
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
         if any(isinstance(one, Sequence) for one in (record, limits, motion)) or not isinstance(noise, Noise | None):
             raise MethodError("The test of a joint has one record, AxisLimits, one motion and a Noise; give each so.")
         _refuse_unread("joint", loop=isinstance(loop, RobotLoop), feed_forward=feed_forward != "none")
         present = record if isinstance(record, Record) else None
-        known: dict[str, Any] = {
-            "values": values,
-            "noise": noise,
-            "covariance": covariance,
-            "parameters": parameters or {},
-        }
-        known |= {"loop": model, "tap": Tap(tap), "filtering": filtering or Filtering(), "name": name}
         if isinstance(model, Estimate):
-            known |= _read_estimate(model, present, noise)
+            known = _read_estimate(model, present, noise)
         elif values is None or noise is None:
             raise MethodError("A joint that is roughly known has values and a noise; give both, or an estimate.")
-        name = known.pop("name")
-        bound = cast("AxisLimits", limits or AxisLimits())
+        else:
+            known = {"loop": model, "values": values, "noise": noise, "covariance": None}
+            known |= {"parameters": parameters or {}, "filtering": filtering or Filtering()}
         step, samples = _times(present, played, sample_time, duration)
         tests = joint_tests(
-            **known, within=within, goal=goal, limits=bound, samples=samples, sample_time=step, present=present,
-            encoder=encoder, injection=injection, seed=seed, searched=played is None,
+            **known, **common, limits=cast("AxisLimits", limits or AxisLimits()), samples=samples, sample_time=step,
+            present=present, injection=injection, searched=played is None,
         )  # fmt: skip
     else:
         if any(isinstance(one, Record | AxisLimits | Noise) for one in (record, limits, motion, noise)):
             raise MethodError("The test of a robot has records, limits, noise and motion of each joint; give each so.")
-        _refuse_unread(
-            "robot", values=values is not None, covariance=covariance is not None, parameters=parameters is not None,
-            encoder=encoder is not None, tap=Tap(tap) is not Tap.COMMAND,
-        )  # fmt: skip
+        _refuse_unread("robot", values=values is not None, parameters=parameters is not None)
         robot, loop, first = _read_robot(model, cast("Sequence[Record] | None", record), loop)
-        bounds = cast("Sequence[AxisLimits] | None", limits)
-        sizes = None if noise is None else np.asarray(noise, dtype=np.float64)
         times = () if played is None else [one.reference for one in played if one.reference is not None]
         step = times[0].sample_time if times else sample_time or (_SAMPLE_TIME if first is None else first.sample_time)
         lasts = duration or (_DURATION if first is None else first.duration)
         samples = len(times[0]) if times else _require_samples(round(lasts / step))
         tests = robot_tests(
-            robot, loop, goal, bounds, samples=samples, sample_time=step, first=first, filtering=filtering,
-            noise=sizes, feed_forward=feed_forward, seed=seed, motion=played, within=within,
+            robot, loop, **common, limits=cast("Sequence[AxisLimits] | None", limits), samples=samples,
+            sample_time=step, first=first, filtering=filtering, feed_forward=feed_forward, motion=played,
+            noise=None if noise is None else np.asarray(noise, dtype=np.float64),
         )  # fmt: skip
     if played is not None:
-        test, best, longer, tried, interrupted = played, tests.take(played), None, 0, False
+        predicted, best, tried, interrupted = tests.predict(played), tests.take(played), 0, False
     else:
         found, cut = look(tests.rough, tests.begin, search_time, seed, progress)
         best, ended = choose(tests, found, progress)
-        test, longer, tried, interrupted = tests.record(best.plan), tests.longer(best.plan), len(found), cut or ended
-    return _predict(name, tests, test, best, longer, tried, interrupted)
-
-
-def _predict(
-    name: str,
-    tests: JointTests | RobotTests,
-    test: Sequence[Record],
-    best: Tried,
-    longer: Sequence[Record] | None,
-    tried: int,
-    interrupted: bool,
-) -> Design:
-    """Predict a test that was found."""
-    predicted = tests.predict(test, longer)
-    if each := tests.find_deviations(test):
-        predicted["at worst"] = predicted["proposed"].widen(each)
-    failed = (_DOUBTFUL,) if math.isinf(best.over) else ()
-    return Design(
-        name, tests.goal, tests.describe(best.plan), tests.axes(test, best, predicted["proposed"]), predicted,
-        tests.noise, tests.least, tried, interrupted, (*failed, *tests.doubts), assumed=tests.assumed,
-        from_shafts=np.asarray(np.linalg.inv(tests.robot.coupling)) if isinstance(tests, RobotTests) else None,
+        tried, interrupted = len(found), cut or ended
+        played = tests.record(best.plan)
+        predicted = tests.predict(played, best.plan)
+    if any(np.any(one != best.stds[0]) for one in best.stds):
+        predicted["at worst"] = predicted["proposed"].widen(best.stds)
+    design = Design(
+        model.data.record if isinstance(model, Estimate) else "", tests.goal, tests.describe(best.plan),
+        tests.axes(played, best, predicted["proposed"]), predicted, tests.noise, tried=tried, interrupted=interrupted,
+        notes=(_DOUBTFUL,) if math.isinf(best.over) else (),
     )  # fmt: skip
+    if isinstance(tests, JointTests):
+        return replace(design, floor=None if tests.floor is None else tests.floor.deviation)
+    joints = np.asarray(np.linalg.inv(tests.robot.coupling))
+    return replace(design, notes=(*design.notes, *tests.doubts), assumed=tests.assumed, from_shafts=joints)
 
 
 def _require_numbers(given: Mapping[str, float | None], least: float | None = None) -> None:
@@ -211,9 +184,7 @@ def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | Non
         "noise": noise or Noise.of(estimate, record),
         "covariance": estimate.params.covariance[np.ix_(own, own)],
         "parameters": {p.name: p.fix(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free},
-        "tap": record.tap,
         "filtering": estimate.settings.filtering,
-        "name": estimate.data.record,
     }
 
 

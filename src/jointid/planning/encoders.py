@@ -37,64 +37,40 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.records.checks import find_encoder_step
-from jointid.records.record import Record
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import to_log
 from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
 
-Noise: TypeAlias = Literal["loop", "log"]
-
-_OF_TRAVEL = 1e-6  # of the commanded travel: the step assumed of an unknown encoder
-
-
-def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:
-    """Return the encoder steps of motor and load: as given, else those of the record, else assumed.
-
-    The step assumed of an unknown encoder is a millionth of the commanded travel.
-    """
-    if given is not None:
-        if not (math.isfinite(given) and given > 0):
-            raise MethodError(f"The step of an encoder is a positive number; received {given}.")
-        return given, given
-    assert record.reference is not None
-    assumed = _OF_TRAVEL * (float(np.ptp(record.reference.values)) or 1.0)
-    motor = find_encoder_step(record.motor_position) or assumed
-    return motor, find_encoder_step(record.load_position) or motor
+Source: TypeAlias = Literal["loop", "log"]
+"""Of the torque's noise."""
 
 
-def compute_encoder_information(
-    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, motor_step: float, load_step: float
-) -> tuple[FloatArray, FloatArray | None]:
-    """Return the information of an encoder on the motor, and of one on the load; None for a rigid joint.
-
-    It is (free, free), in the inverse squares of the parameters' units (see the module).
+def encoder_information(
+    problem: ClosedLoopProblem, x: FloatArray, source: Source, steps: tuple[float | None, float | None]
+) -> FloatArray:
+    """Return the information of encoders, (free, free) (see the module).
 
     Args:
         problem: of the torque.
         x: (free,) its parameters.
-        noise: source of the torque residual.
-        motor_step: of the encoder on the motor, m or rad.
-        load_step: of that on the load.
+        source: of the torque residual.
+        steps: of an encoder on the motor and of one on the load, m or rad; None without it, and not read of a rigid
+            joint's load.
     """
-    found = problem.positions(x)
+    found, (on_motor, on_load) = problem.positions(x), steps
     motor, load = found.motor_position, found.load_position
-    flexible = problem.loop.joint.model == "flexible"
-    if noise == "log":
-        rounding = np.zeros(len(motor))
-        on_load = _inform(load, rounding, load_step) if flexible else None
-        return _inform(motor, rounding, motor_step), on_load
-    nothing = np.zeros((x.size, x.size))
-    if not flexible:
-        return nothing, None
-    left = _simulate_load_error(problem, x)
-    if left is None:
-        return nothing, nothing
+    flexible, nothing = problem.loop.joint.model == "flexible", np.zeros((x.size, x.size))
+    on_load = on_load if flexible else None
+    if source == "log":
+        read = [(motor, on_motor), (load, on_load)]
+        return sum((_inform(columns, np.zeros(len(columns)), step) for columns, step in read if step), nothing)
+    left = _simulate_load_error(problem, x) if on_load else None
+    if left is None or on_load is None:
+        return nothing
     of_load = [p.name.startswith("load_") or p.name in ("stiffness", "damping") for p in problem.free]
     own = subtract_driven_motion(problem, x, motor, load) * np.array(of_load)  # in the load's equation of motion
-    return nothing, _inform(own, left, load_step)
+    return _inform(own, left, on_load)
 
 
 def _inform(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:

@@ -8,7 +8,8 @@ identification's filter. With S the covariance of ``J' e``, e the filtered torqu
 S depends on the known noise (`Noise`):
 
 - white noise on the logged torque, or a white force on the motor: S is the mean of ``(J' e)(J' e)'`` over simulated
-  runs, since friction hides a force and the loop colours it.
+  runs, since friction hides a force and the loop colours it. Of one run it is taken from the spectrum of e: roughly, as
+  a search asks for many tests.
 - the residual of a first record: it keeps its spectrum, and each interval is scaled as that record's reported interval
   relative to the one by spectrum. This includes repeatable errors.
 
@@ -21,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
-from jointid.planning.encoders import add_information, compute_encoder_information
+from jointid.planning.encoders import Source, add_information, encoder_information
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation
@@ -78,6 +79,11 @@ class Noise:
             raise MethodError(
                 "Without noise every interval is 0; give the noise of the log, a force, or a first record."
             )
+
+    @property
+    def source(self) -> Source:
+        """Where it is from; of a residual, which does not tell it, the loop: that gives the wider intervals."""
+        return "log" if self.left is None and self.log > self.force else "loop"
 
     @classmethod
     def of(cls, estimate: Estimate, record: Record) -> Noise:
@@ -127,20 +133,21 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedTest:
-    """The predicted intervals of a test.
+    """The predicted intervals of a test, and its maxima.
 
     Attributes:
         name: of the test.
-        joint: names of the joint's free parameters, in their order.
+        joint: names of the free parameters, in their order.
         symbols, units, values: of these, by name.
         covariance: of their errors.
         torques: (axes, samples) along the test, without noise.
         sample_time: of the torques, s.
+        reached: of each axis the largest of each quantity that may be limited, by name.
         motion: of the loop along the test, without noise; None of a robot alone.
         reference, injected: (samples,) what a joint's is driven with.
     """
 
-    in_json = "std -covariance -motion"
+    in_json = "std -covariance -motion -reached"
     name: str
     joint: tuple[str, ...]
     symbols: Mapping[str, str]
@@ -149,6 +156,7 @@ class PredictedTest:
     covariance: Covariance
     torques: FloatArray
     sample_time: float
+    reached: tuple[Mapping[str, float], ...]
     motion: Simulation | RobotSimulation | None = None
     reference: FloatArray | None = None
     injected: FloatArray | None = None
@@ -174,15 +182,9 @@ class PredictedTest:
 
 
 def planned_record(
-    loop: ClosedLoop,
-    reference: FloatArray,
-    sample_time: float,
-    injected: FloatArray | None = None,
-    *,
-    at: InjectionPoint = InjectionPoint.AFTER_LIMIT,
-    in_torque: bool = True,
-    tap: Tap | str = Tap.COMMAND,
-) -> Record:
+    loop: ClosedLoop, reference: FloatArray, sample_time: float, injected: FloatArray | None = None,
+    *, at: InjectionPoint = InjectionPoint.AFTER_LIMIT, in_torque: bool = True, tap: Tap | str = Tap.COMMAND,
+) -> Record:  # fmt: skip
     """Return a test as a record without torque, as the drive is to play it.
 
     Args:
@@ -203,127 +205,67 @@ def planned_record(
     return Record(reference=commanded, reference_velocity=velocity, injected=added, tap=Tap(tap), name="test")
 
 
-def predict_test(
+def predict_joints(
     loop: ClosedLoop,
-    values: Mapping[str, float],
+    joints: Iterable[Mapping[str, float]],
     test: Record,
     noise: Noise,
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    motor_encoder: float | None = None,
-    load_encoder: float | None = None,
+    encoders: tuple[float | None, float | None] = (None, None),
     runs: int = RUNS,
-) -> PredictedTest:
-    """Predict the intervals of a test.
+) -> Iterator[PredictedTest]:
+    """Predict the intervals of a test at several joints, each with noise of its own.
 
     Args:
         loop: joint and controller.
-        values: every parameter of the joint by name, roughly known.
+        joints: values of every parameter of the joint by name, roughly known.
         test: a record without torque; a past record also serves, its torque is ignored.
         noise: disturbances of the test.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`: those that are fixed.
-        motor_encoder: steps of an encoder on the motor, m or rad, read beside the torque.
-        load_encoder: of one on the load.
-        runs: of the loop with noise.
+        encoders: steps of encoders on motor and load, m or rad, that are read beside the torque; None without one.
+        runs: of the loop with noise; of one the spectrum is taken.
 
     Raises:
         MethodError: the loop cannot be simulated, or the torque does not depend on a parameter.
         RecordError: the test lacks what the controller reads.
     """
     problem = _pose(loop, test, filtering or Filtering(), parameters or {})
-    x = _place(problem, values)
-    run = require_success(problem.simulate(x))
-    problem = replace(problem, measured=run.torque)
-    response, columns = problem.sensitivities(x)
-    if response.outcome is not Outcome.FINISHED:
-        raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
-    J = problem.filter(columns)
-    _require_identifiable(problem, J)
-    matrix = _scatter(problem, x, J, noise, runs)
-    steps = [step for step in (motor_encoder, load_encoder) if step is not None]
-    if steps:
-        if noise.left is None:
-            added = _errors(problem, x, noise, 1)[0]
-        else:
-            size = float(np.sqrt(np.mean(noise.left**2)))
-            added = size * np.random.default_rng(0).standard_normal(problem.measured.size)
-        disturbed = replace(problem, measured=problem.measured + added)
-        # A residual does not tell its source: a force in the loop gives the wider intervals.
-        source: Literal["loop", "log"] = "log" if noise.left is None and noise.log > noise.force else "loop"
-        motor, load = compute_encoder_information(disturbed, x, source, steps[0], steps[-1])
-        read = (motor if motor_encoder is not None else None, load if load_encoder is not None else None)
-        for information in read:
-            matrix = matrix if information is None else add_information(matrix, information)
-    own = len(problem.free_joint)
-    names = tuple(p.name for p in problem.free_joint)
-    assert test.reference is not None
-    return PredictedTest(
-        test.name,
-        names,
-        {p.name: p.symbol for p in problem.free_joint},
-        {name: problem.units[name] for name in names},
-        {name: values[name] for name in names},
-        covariance_of(matrix[:own, :own], 0),
-        run.torque[np.newaxis],
-        problem.sample_time,
-        run,
-        test.reference.values,
-        None if test.injected is None else test.injected.channel.values,
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RoughPrediction:
-    """A rough prediction of a test, from one run with noise, and its maxima.
-
-    Attributes:
-        names: of the joint's free parameters.
-        covariance: of their errors, (parameters, parameters).
-        reached: what the test reaches of each quantity that may be limited, see `limits.reached`.
-    """
-
-    names: tuple[str, ...]
-    covariance: FloatArray
-    reached: Mapping[str, float]
-
-
-def predict_roughly(
-    loop: ClosedLoop,
-    joints: Iterable[Mapping[str, float]],
-    test: Record,
-    noise: Noise,
-    *,
-    filtering: Filtering,
-    parameters: Mapping[str, Parameter],
-) -> Iterator[RoughPrediction]:
-    """Predict a test at several joints, from the spectrum of one run with noise.
-
-    A search uses it for many tests. Arguments as for `predict_test`; each joint has its own noise.
-    """
-    problem = _pose(loop, test, filtering, parameters)
-    own = len(problem.free_joint)
-    assert test.reference is not None
+    free, reference = problem.free_joint, test.reference
+    assert reference is not None
+    names, own = tuple(p.name for p in free), len(free)
+    wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
     for seed, values in enumerate(joints):
         x = _place(problem, values)
-        run = problem.simulate(x)
+        run = require_success(problem.simulate(x))
         response, columns = problem.sensitivities(x)
         if response.outcome is not Outcome.FINISHED:
-            raise MethodError("The loop cannot be simulated along this test.")
+            raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
         J = problem.filter(columns)
         _require_identifiable(problem, J)
-        matrix = np.zeros((x.size, x.size))
+        errors = _draw_errors(problem, x, noise, runs, seed)
+        matrix = _scatter(problem, J, errors)
         if noise.left is not None:
-            wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
-            matrix += stationary(J, J, np.resize(noise.left, len(J))).matrix * np.outer(wider, wider)
-        size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
-        if noise.log or noise.force:
-            (error,) = _errors(problem, x, noise, 1, seed)
-            matrix += stationary(J, J, problem.filter(error)).matrix
-            size += float(np.mean(error**2))
-        names = tuple(p.name for p in problem.free_joint)
-        yield RoughPrediction(names, matrix[:own, :own], _add_noise(run, test.reference, size))
+            matrix = matrix + stationary(J, J, np.resize(noise.left, len(J))).matrix * np.outer(wider, wider)
+        if encoders != (None, None):
+            residual = errors[0] if noise.left is None else _whiten(noise.left, run.torque.size)
+            disturbed = replace(problem, measured=run.torque + residual)
+            matrix = add_information(matrix, encoder_information(disturbed, x, noise.source, encoders))
+        yield PredictedTest(
+            test.name, names, {p.name: p.symbol for p in free}, {name: problem.units[name] for name in names},
+            {name: values[name] for name in names}, covariance_of(matrix[:own, :own], 0), run.torque[np.newaxis],
+            problem.sample_time, (_find_reached(run, reference, noise, errors),), run, reference.values,
+            None if test.injected is None else test.injected.channel.values,
+        )  # fmt: skip
+
+
+def predict_test(
+    loop: ClosedLoop, values: Mapping[str, float], test: Record, noise: Noise, **asked: Any
+) -> PredictedTest:
+    """Predict the intervals of a test of one joint; see `predict_joints`."""
+    return next(predict_joints(loop, (values,), test, noise, **asked))
 
 
 def reach(
@@ -333,23 +275,24 @@ def reach(
     noise: Noise,
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
-) -> dict[str, float]:
-    """Maxima of a test's limited quantities, even of an uninformative test; see `predict_test`."""
+) -> Mapping[str, float]:
+    """Return the maxima of a test's limited quantities, even of an uninformative one; see `predict_joints`."""
     problem = _pose(loop, test, filtering, parameters)
     x = _place(problem, values)
-    size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
-    if noise.log or noise.force:
-        size += float(np.mean(_errors(problem, x, noise, 1, 0)[0] ** 2))
     assert test.reference is not None
-    return _add_noise(require_success(problem.simulate(x)), test.reference, size)
+    run = require_success(problem.simulate(x))
+    return _find_reached(run, test.reference, noise, _draw_errors(problem, x, noise, 1))
 
 
-def _add_noise(run: Simulation, reference: Channel, size: float) -> dict[str, float]:
-    """Maxima of a run with noise of mean square `size` added to its torque."""
+def _find_reached(
+    run: Simulation, reference: Channel, noise: Noise, errors: Sequence[FloatArray]
+) -> Mapping[str, float]:
+    """Maxima of a run with its noise added to its torque."""
+    size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
+    size += float(np.mean(np.square(errors))) if errors else 0.0
     torque = run.torque + PEAKS * math.sqrt(size) * np.sign(run.torque)
     found = find_maxima(run, reference.values, torque, reference.sample_time)
-    found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
-    return found
+    return found | {"rms_torque": math.sqrt(float(np.mean(run.torque**2)) + size)}
 
 
 def _pose(
@@ -399,25 +342,28 @@ def _require_identifiable(problem: ClosedLoopProblem, J: FloatArray) -> None:
         )
 
 
-def _scatter(problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, noise: Noise, runs: int) -> FloatArray:
-    """Return the covariance of all free parameters, (free, free)."""
-    matrix = np.zeros((x.size, x.size))
-    if noise.left is not None:
-        found = stationary(J, J, np.resize(noise.left, len(J)))
-        wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
-        matrix += found.matrix * np.outer(wider, wider)
-    if noise.log == noise.force == 0.0:
-        return matrix
+def _whiten(left: FloatArray, samples: int) -> FloatArray:
+    """Return white noise of the size of a residual, (samples,)."""
+    size = float(np.sqrt(np.mean(left**2)))
+    return np.asarray(size * np.random.default_rng(0).standard_normal(samples))
+
+
+def _scatter(problem: ClosedLoopProblem, J: FloatArray, errors: Sequence[FloatArray]) -> FloatArray:
+    """Return the covariance of all free parameters from runs with noise, (free, free); of one by its spectrum."""
+    if len(errors) == 1:
+        return stationary(J, J, problem.filter(errors[0])).matrix
     norms = np.linalg.norm(J, axis=0)
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv((J / norms).T @ (J / norms))
     weights = (J / norms) @ inverse.T / norms  # (rows, free): what an error of the torque does to each parameter
-    moved = np.array([problem.filter(one) @ weights for one in _errors(problem, x, noise, runs)])
-    return np.asarray(matrix + moved.T @ moved / len(moved))
+    moved = np.array([problem.filter(one) @ weights for one in errors]).reshape(-1, J.shape[1])
+    return np.asarray(moved.T @ moved / max(len(moved), 1))
 
 
-def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int = 0) -> list[FloatArray]:
-    """Noise in the logged torque for each run, raw, (samples,) each."""
+def _draw_errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int = 0) -> list[FloatArray]:
+    """Return the noise in the logged torque for each run, raw, (samples,) each; none of a first record's alone."""
+    if noise.log == noise.force == 0.0:
+        return []
     experiment, quiet = problem.experiment, problem.torque(x)
 
     def error(number: int) -> FloatArray:

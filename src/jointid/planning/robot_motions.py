@@ -68,55 +68,41 @@ class Motions:
             np.hstack([-sines * w**2 @ a, -cosines * w**2 @ b]),
         )
 
-    @property
-    def whole(self) -> Bases:
-        """The basis at the instants of a period at which limits are checked."""
-        return self.bases(np.linspace(0.0, self.period, _POINTS * self.harmonics, endpoint=False))
-
-    def play(self, numbers: FloatArray, seen: Bases, whole: Bases) -> Bases:
-        """Positions, velocities and accelerations of all joints, (instants, n) each.
+    def play(self, numbers: FloatArray, time: FloatArray) -> Bases:
+        """Return positions, velocities and accelerations of all joints, (instants, n) each.
 
         Args:
             numbers: (size,) of the motion, between 0 and 1.
-            seen: `bases` of the instants.
-            whole: of `whole`.
+            time: (instants,) s.
         """
-        found = [np.empty((len(seen[0]), len(self.limits))) for _ in range(3)]
+        count = _POINTS * self.harmonics
+        seen, whole = self.bases(time), self.bases(np.linspace(0.0, self.period, count, endpoint=False))
+        found = [np.empty((len(time), len(self.limits))) for _ in range(3)]
         rows = numbers.reshape(len(self.limits), -1)
         for k, (limit, row) in enumerate(zip(self.limits, rows, strict=True)):
             weights, (share, place) = 2.0 * row[:-2] - 1.0, row[-2:]
             q, v, a = (basis @ weights for basis in whole)
-            assert limit.lower is not None
-            assert limit.upper is not None
-            assert limit.speed is not None
+            assert limit.lower is not None and limit.upper is not None
             margin = (_MARGIN if self.share == 1.0 else 2.0 * _MARGIN) * (limit.upper - limit.lower)
             room = limit.upper - limit.lower - 2.0 * margin
-            scales = [room / np.ptp(q), self.share * _INSIDE * limit.speed / np.max(np.abs(v))]
-            if limit.acceleration is not None:
-                scales.append(self.share * _INSIDE * limit.acceleration / np.max(np.abs(a)))
-            if limit.jerk is not None:
-                step = self.period / (_POINTS * self.harmonics)
-                scales.append(self.share * _INSIDE * limit.jerk * step / np.max(np.abs(np.diff(a, axis=0))))
-            if limit.stroke is not None:
-                scales.append((limit.stroke - 2.0 * margin) / np.ptp(q))
-            scale = min(scales) * (_LEAST + (1.0 - _LEAST) * share)
+            jerk = np.diff(a) * count / self.period
+            sizes = ((limit.speed, v), (limit.acceleration, a), (limit.jerk, jerk))
+            scales = [self.share * _INSIDE * most / np.max(np.abs(one)) for most, one in sizes if most is not None]
+            strokes = (room, math.inf if limit.stroke is None else limit.stroke - 2.0 * margin)
+            scale = min(*scales, min(strokes) / np.ptp(q)) * (_LEAST + (1.0 - _LEAST) * share)
             spare = room - scale * np.ptp(q)
             centre = limit.lower + margin + spare * place - scale * q.min()
             for out, basis, shift in zip(found, seen, (centre, 0.0, 0.0), strict=True):
                 out[:, k] = shift + scale * (basis @ weights)
-        q_, v_, a_ = found
-        return q_, v_, a_
+        return found[0], found[1], found[2]
 
 
-def complete(
-    limits: Sequence[AxisLimits], positions: FloatArray | None, velocities: FloatArray | None, names: Sequence[str]
-) -> tuple[AxisLimits, ...]:
+def complete(limits: Sequence[AxisLimits], motion: Bases | None, names: Sequence[str]) -> tuple[AxisLimits, ...]:
     """Complete limits from a record.
 
     Args:
         limits: of each joint.
-        positions: (samples, n) of the record; None without one.
-        velocities: likewise.
+        motion: positions, velocities and accelerations of the record, (samples, n) each; None without one.
         names: of the joints.
 
     Raises:
@@ -124,19 +110,13 @@ def complete(
     """
     found, missing = [], list[str]()
     for k, one in enumerate(limits):
-        given = {name: getattr(one, name) for name in ("lower", "upper", "speed")}
-        if positions is not None and velocities is not None:
-            seen = {
-                "lower": float(positions[:, k].min()),
-                "upper": float(positions[:, k].max()),
-                "speed": float(np.abs(velocities[:, k]).max()),
-            }
-            given = {name: seen[name] if value is None else value for name, value in given.items()}
-        lacking = [name for name, value in given.items() if value is None]
-        if lacking:
+        seen: dict[str, float] = {}
+        if motion is not None:
+            q, v = motion[0][:, k], motion[1][:, k]
+            seen = {"lower": float(q.min()), "upper": float(q.max()), "speed": float(np.abs(v).max())}
+        found.append(replace(one, **{name: size for name, size in seen.items() if getattr(one, name) is None}))
+        if lacking := [name for name in ("lower", "upper", "speed") if getattr(found[-1], name) is None]:
             missing.append(f"{names[k]} ({', '.join(lacking)})")
-        else:
-            found.append(replace(one, **given))
     if missing:
         raise MethodError(
             f"A motion is planned within limits of position and speed, and some are missing: {'; '.join(missing)}. "

@@ -16,15 +16,15 @@ Obstacles, and the robot's own body, are not known here: play the motion slowly 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import MethodError
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.estimation.result.parts import EstimateParts
@@ -42,14 +42,13 @@ from jointid.planning.designed import DesignedAxis
 from jointid.planning.goals import ALL, Goal, parse_goal
 from jointid.planning.predict import PEAKS, PredictedTest
 from jointid.planning.robot_motions import Motions, complete
-from jointid.planning.search import ASTRAY, MARGIN, Tried, largest, worst_excess
+from jointid.planning.search import MARGIN, Tried, judge
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
 from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers, robot_with
 from jointid.simulation.robots import (
     RobotLoop,
-    RobotRun,
     RobotSimulation,
     add_feed_forward,
     prepare_robot,
@@ -59,12 +58,15 @@ from jointid.simulation.robots import (
 from jointid.simulation.simulated import require_success
 from jointid.uncertainty.covariance import Covariance, covariance_of
 
+MotionOfJoints: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Positions, velocities and accelerations of the joints, (instants, n) each."""
+
 NOISE = 0.01
 """Of each joint's torque in motions drawn at random: the predicted noise without a first record."""
 
 _HARMONICS = (4, 6, 8)
 _INSTANTS = 160  # of a period, at which columns are taken in the search
-_USUAL = 20  # random motions, whose torques say what noise is usual
+_USUAL = 20  # random motions
 _FOR_MODES = 0.2  # of speed and acceleration, kept for the multisine where there are springs
 _ABOUT = (0.6, 1.6)  # of a mode's frequency: the band of the multisine
 _LINES = 20
@@ -86,11 +88,11 @@ class RobotPlan:
         """Return the motion with smaller travel."""
         return replace(self, factor=factor * self.factor)
 
-    def play(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def play(self, time: FloatArray) -> MotionOfJoints:
         """Return positions, velocities and accelerations of the joints, (instants, n) each."""
-        motions, numbers = self.motions, np.array(self.numbers)
-        q, v, a = motions.play(numbers, motions.bases(time), motions.whole)
-        first = motions.play(numbers, motions.bases(np.zeros(1)), motions.whole)[0]
+        numbers = np.array(self.numbers)
+        q, v, a = self.motions.play(numbers, time)
+        first = self.motions.play(numbers, np.zeros(1))[0]
         return first + self.factor * (q - first), self.factor * v, self.factor * a
 
 
@@ -104,12 +106,12 @@ class RobotTests:
         limits: that each joint keeps; of given ones alone where nothing is searched.
         given: those that were stated.
         noise_sizes: (n,) standard deviation of white noise on the log of each torque.
-        of_record: whether that is the noise of a first record.
+        noise: that in words.
+        assumed: whether nothing is known of the noise.
         first: what a first record says; None without one.
         drawn: robots that it may be, beside the one that is roughly known.
-        assumed: whether nothing is known of the noise.
-        least: no bound is known that no motion passes.
         simulated: whether candidates are simulated under the controllers, and not by the equations alone.
+        begin: first candidates: none, since a first record is no series.
     """
 
     robot: Robot
@@ -121,14 +123,14 @@ class RobotTests:
     samples: int
     sample_time: float
     noise_sizes: FloatArray
-    of_record: bool
+    noise: str
+    assumed: bool
     first: FirstRecord | None
     filtering: Filtering | None
     feed_forward: Literal["none", "gravity", "inverse-model"]
     drawn: tuple[_Regressor, ...] = ()
-    assumed: bool = False
     simulated: bool = True
-    least: None = None
+    begin: ClassVar[tuple[RobotPlan, ...]] = ()
 
     @property
     def families(self) -> tuple[Motions, ...]:
@@ -142,32 +144,17 @@ class RobotTests:
         return RobotPlan(family, tuple(u))
 
     @property
-    def begin(self) -> tuple[RobotPlan, ...]:
-        """First candidates: none, since a first record is no series."""
-        return ()
-
-    @property
     def rough(self) -> RobotTests:
         """The same by the equations of a rigid robot, for the search, where they tell the goal."""
         simulated = self.loop is not None and self.goal.name != ALL
         return replace(self, simulated=simulated, drawn=() if simulated else self.drawn)
 
-    @property
-    def time(self) -> FloatArray:
-        """Instants of the test, s."""
-        return np.asarray(np.arange(self.samples) * self.sample_time)
-
-    def record(self, plan: RobotPlan, samples: int | None = None) -> tuple[Record, ...]:
+    def record(self, plan: RobotPlan) -> tuple[Record, ...]:
         """Return a test as a record of each joint."""
-        del samples  # a series has one period
-        q, _, _ = plan.play(self.time)
+        q, _, _ = plan.play(np.asarray(np.arange(self.samples) * self.sample_time))
         if any(self.robot.flexible):
             q = q + _multisines(self.robot, _modes(self.robot, q), self.limits, self.samples, self.sample_time)
         return references(self.robot, q, self.sample_time)
-
-    def longer(self, plan: RobotPlan) -> None:
-        """Return no longer test."""
-        del plan
 
     def describe(self, plan: RobotPlan | None) -> str:
         """Return a test in words."""
@@ -178,42 +165,21 @@ class RobotTests:
         return f"a Fourier series of {count} harmonics of every joint, {lasts} s long{modes}"
 
     def try_plan(self, plan: RobotPlan, *, margin: float = MARGIN, than: Tried | None = None) -> Tried:
-        """Evaluate a motion, by the equations of a rigid robot or simulated."""
-        del than
+        """Judge a motion, by the equations of a rigid robot or simulated."""
         if self.simulated:
-            try:
-                found = self._predict(record := self.record(plan))
-                reached = self._find_largest(record, found)
-            except JointidError:
-                return Tried(plan, ASTRAY, tuple({} for _ in self.limits), math.inf)
-            covariance, names, values = found.covariance, found.joint, found.values
-        else:
-            q, v, a = plan.play(np.linspace(0.0, plan.motions.period, _INSTANTS, endpoint=False))
-            columns = self.model.columns(q, v, a)
-            covariance = _covariance(self._divide_by_noise(columns), self.samples / _INSTANTS)
-            names, values = self.model.names, dict(zip(self.model.names, self.model.values, strict=True))
-            step, numbers = plan.motions.period / _INSTANTS, (self.model, *self.drawn)
-            reached = largest(_maxima(q, v, a, step, columns @ one.values, self.noise_sizes, {}) for one in numbers)
-        score = self.goal.score(covariance.matrix, names, values)
-        return Tried(
-            plan, min(score, ASTRAY), reached, worst_excess(self.limits, reached, margin)
-        )  # fmt: skip
+            return self._judge(plan, self._predict(self.record(plan)), margin, than)
+        motion = plan.play(np.linspace(0.0, plan.motions.period, _INSTANTS, endpoint=False))
+        each = self._apply_equations(motion, plan.motions.period / _INSTANTS, self.samples / _INSTANTS)
+        return self._judge(plan, each, margin, than)
 
     def take(self, motion: Sequence[Record]) -> Tried:
-        """Evaluate a motion of one's own, or that of a past record."""
-        return Tried(None, 0.0, self._find_largest(motion, self._predict(motion)), 0.0)
+        """Judge a motion of one's own, or that of a past record."""
+        return self._judge(None, self._predict(motion))
 
-    def find_deviations(self, test: Sequence[Record]) -> list[FloatArray]:
-        """Return the deviations of the parameters in a test of each robot, the known one first; of one none."""
-        if self.loop is None or not self.drawn:  # to IDIM they are those of any robot that moves so
-            return []
-        found = [self._predict(test).covariance.std]
-        for one in self.drawn:
-            try:
-                found.append(replace(self, loop=replace(self.loop, robot=one.robot))._predict(test).covariance.std)
-            except JointidError:
-                found.append(np.full_like(found[0], np.inf))
-        return found
+    def _judge(
+        self, plan: RobotPlan | None, each: Iterator[PredictedTest], margin: float = 1.0, than: Tried | None = None
+    ) -> Tried:
+        return judge(plan, each, 1 + len(self.drawn), self.goal, self.limits, margin=margin, than=than)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -228,18 +194,18 @@ class RobotTests:
             "or a first record",
         )
 
-    def predict(self, test: Sequence[Record], longer: Sequence[Record] | None) -> dict[str, PredictedTest]:
+    def predict(self, test: Sequence[Record], plan: RobotPlan | None = None) -> dict[str, PredictedTest]:
         """Predict the first record's motion and the new one."""
-        del longer
+        del plan  # a series has one period
         found: dict[str, PredictedTest] = {}
         if (first := self.first) is not None:
-            found["present"] = self._predict(references(self.robot, first.motion[0], first.sample_time), first.motion)
-        return found | {"proposed": self._predict(test)}
+            known = references(self.robot, first.motion[0], first.sample_time)
+            found["present"] = next(self._predict(known, first.motion))
+        return found | {"proposed": next(self._predict(test))}
 
     def axes(self, test: Sequence[Record], tried: Tried, proposed: PredictedTest) -> tuple[DesignedAxis, ...]:
         """Return the loads of each joint in the test."""
-        q = self.differentiate_references(test)[0]
-        modes = _modes(self.robot, q)
+        modes = _modes(self.robot, differentiate_references(self.robot, test)[0])
         return tuple(
             DesignedAxis(
                 name, test[k], proposed.torques[k], proposed.sample_time, self.robot.position_unit(k),
@@ -250,74 +216,76 @@ class RobotTests:
             for k, name in enumerate(self.robot.names)
         )  # fmt: skip
 
-    @property
-    def noise(self) -> str:
-        """The noise in words."""
-        if self.of_record:
-            return "white, as the first record's residual"
-        if self.assumed:
-            return f"white, {100 * NOISE:g} % of each joint's usual torque"
-        return f"white, as stated: {', '.join(number(float(one), 3) for one in self.noise_sizes)}"
+    def _predict(self, test: Sequence[Record], motion: MotionOfJoints | None = None) -> Iterator[PredictedTest]:
+        """Predict a test of each robot, by the equations of a rigid one or, under its controllers, simulated.
 
-    def differentiate_references(self, test: Sequence[Record]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return positions, velocities and accelerations of the joints along references."""
-        shafts = [one.reference for one in test if one.reference is not None]
-        q = np.column_stack([one.values for one in shafts]) @ np.linalg.inv(self.robot.coupling).T
-        v = np.gradient(q, shafts[0].sample_time, axis=0)
-        return q, v, np.gradient(v, shafts[0].sample_time, axis=0)
-
-    def _find_largest(self, test: Sequence[Record], found: PredictedTest) -> tuple[Mapping[str, float], ...]:
-        """Return the maxima of a test over all robots, of which one is predicted already."""
-        each = [self._find_maxima(test, found)]
-        for one in self.drawn:
-            if self.loop is None:
-                run, torque = None, one.torque(*self.differentiate_references(test))
-            else:
-                run = _run(replace(self.loop, robot=one.robot), self._drive(test))[1]
-                torque = run.torque
-            each.append(self._find_maxima(test, replace(found, motion=run, torques=torque.T)))
-        return largest(each)
-
-    def _drive(self, test: Sequence[Record]) -> tuple[Record, ...]:
-        """Return a test with the feed-forward of the robot that is roughly known."""
-        if self.loop is None or self.feed_forward == "none":
-            return tuple(test)
-        return add_feed_forward(self.loop, test, self.feed_forward)
-
-    def _divide_by_noise(self, columns: FloatArray) -> FloatArray:
-        return (columns / self.noise_sizes[:, np.newaxis]).reshape(-1, columns.shape[2])
-
-    def _find_maxima(self, test: Sequence[Record], found: PredictedTest) -> tuple[Mapping[str, float], ...]:
+        The drives are given the feed-forward of the robot that is roughly known.
+        """
         assert test[0].reference is not None
-        step, motion, more = test[0].reference.sample_time, self.differentiate_references(test), dict[str, FloatArray]()
-        if isinstance(run := found.motion, RobotSimulation):
-            speeds = (motion[1], run.motor_velocity, run.link_velocity)
-            more["speed"] = np.max([np.abs(one).max(axis=0) for one in speeds], axis=0)
-            windup = np.abs(run.motor_position - run.link_position @ self.robot.coupling.T).max(axis=0)
-            more["windup"] = np.where(self.robot.flexible, windup, np.nan)
-        return _maxima(*motion, step, found.torques.T, self.noise_sizes, more)
-
-    def _predict(
-        self, test: Sequence[Record], motion: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    ) -> PredictedTest:
-        """Predict a test, by the equations of a rigid robot or, under its controllers, simulated."""
-        run = None
+        motion, step = motion or differentiate_references(self.robot, test), test[0].reference.sample_time
         if self.loop is None:
-            model, (q, v, a) = self.model, motion or self.differentiate_references(test)
-            columns = model.columns(q, v, a)
-            covariance, torque = _covariance(self._divide_by_noise(columns)), columns @ model.values
-            names, units, values = model.names, model.units, model.values
-        else:
-            names, units, values, covariance, run = _by_simulation(
-                self.loop, self._drive(test), self.noise_sizes, self.filtering
-            )
-            torque = run.torque
-        assert test[0].reference is not None
-        return PredictedTest(
-            "test", names, dict(zip(names, names, strict=True)), dict(zip(names, units, strict=True)),
-            dict(zip(names, map(float, values), strict=True)), covariance, np.ascontiguousarray(torque.T),
-            test[0].reference.sample_time, run,
+            yield from self._apply_equations(motion, step)
+            return
+        driven = test if self.feed_forward == "none" else add_feed_forward(self.loop, test, self.feed_forward)
+        for one in (self.robot, *(drawn.robot for drawn in self.drawn)):
+            yield self._simulate(replace(self.loop, robot=one), driven, motion, step)
+
+    def _apply_equations(self, motion: MotionOfJoints, step: float, times: float = 1.0) -> Iterator[PredictedTest]:
+        """Predict a motion whose instants each stand for several samples."""
+        columns = self.model.columns(*motion)
+        covariance = _covariance((columns / self.noise_sizes[:, np.newaxis]).reshape(-1, columns.shape[2]), times)
+        for one in (self.model, *self.drawn):
+            torque = columns @ one.values
+            reached = _maxima(*motion, step, torque, self.noise_sizes, {})
+            yield _predicted(self.model.names, self.model.units, one.values, covariance, torque, step, reached)
+
+    def _simulate(
+        self, loop: RobotLoop, driven: Sequence[Record], motion: MotionOfJoints, step: float
+    ) -> PredictedTest:
+        """Predict a test by DIDIM from a run under the controllers.
+
+        Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells
+        as much as the samples that it stands for.
+        """
+        parameters = robot_parameters(loop.robot)
+        kept = run_robot(prepare_robot(loop, driven), RobotNumbers.of(loop.robot), keep=True)
+        run = require_success(simulation_of(kept), "The robot's motion")
+        problem = robot_problem(loop, run.records(driven), parameters, self.filtering)
+        values = parameters.group(kept.numbers)
+        J = problem.slopes(kept, values)
+        assert problem.filtering.decimation is not None
+        weights = problem.with_sigma(self.noise_sizes / math.sqrt(problem.filtering.decimation)).weights(len(J))
+        units = parameter_units(loop.robot, parameters)
+        speeds = (motion[1], run.motor_velocity, run.link_velocity)
+        windup = np.abs(run.motor_position - run.link_position @ loop.robot.coupling.T).max(axis=0)
+        more = {
+            "speed": np.max([np.abs(one).max(axis=0) for one in speeds], axis=0),
+            "windup": np.where(loop.robot.flexible, windup, np.nan),
+        }
+        reached = _maxima(*motion, step, run.torque, self.noise_sizes, more)
+        return _predicted(
+            parameters.names, [units[name] for name in parameters.names], values,
+            _covariance(J * weights[:, np.newaxis]), run.torque, step, reached, run,
         )  # fmt: skip
+
+
+def _predicted(
+    names: Sequence[str], units: Sequence[str], values: FloatArray, covariance: Covariance, torque: FloatArray,
+    step: float, reached: tuple[Mapping[str, float], ...], run: RobotSimulation | None = None,
+) -> PredictedTest:  # fmt: skip
+    """Return the prediction of a robot's test from its torques, (samples, n); a symbol is the name."""
+    symbols, of_each = dict(zip(names, names, strict=True)), dict(zip(names, units, strict=True))
+    rough = dict(zip(names, map(float, values), strict=True))
+    torques = np.ascontiguousarray(torque.T)
+    return PredictedTest("test", tuple(names), symbols, of_each, rough, covariance, torques, step, reached, run)
+
+
+def differentiate_references(robot: Robot, test: Sequence[Record]) -> MotionOfJoints:
+    """Return positions, velocities and accelerations of the joints along references of the motors."""
+    shafts = [one.reference for one in test if one.reference is not None]
+    q = np.column_stack([one.values for one in shafts]) @ np.linalg.inv(robot.coupling).T
+    v = np.gradient(q, shafts[0].sample_time, axis=0)
+    return q, v, np.gradient(v, shafts[0].sample_time, axis=0)
 
 
 def robot_tests(
@@ -355,25 +323,26 @@ def robot_tests(
             f"The motion of a robot has the reference of each joint; received {played} for {len(robot)} "
             "joints: give one for each, in the order of the joints."
         )
-    model, present = _Regressor.of(robot), None if first is None else first.motion
-    if loop is None:
-        units = dict(zip(model.names, model.units, strict=True))
-    else:
+    model = _Regressor.of(robot)
+    units = dict(zip(model.names, model.units, strict=True))
+    if loop is not None:
         units = parameter_units(robot, robot_parameters(robot))
-    positions, velocities = (None, None) if present is None else present[:2]
     drawn = () if not within else _draw_robots(robot, within, _SIMULATED if loop is not None else _DRAWN, seed)
-    kept = complete(given, positions, velocities, robot.names) if motion is None else given
-    sizes = noise if noise is not None else np.zeros(len(robot)) if first is None else first.noise
-    tests = RobotTests(
-        robot, loop, model, parse_goal(goal, units), kept, given, samples, sample_time, sizes,
-        noise is None and first is not None, first, filtering, feed_forward, drawn, noise is None and first is None,
+    kept = given if motion is not None else complete(given, None if first is None else first.motion, robot.names)
+    if noise is not None:
+        sizes, said = noise, f"white, as stated: {', '.join(number(float(one), 3) for one in noise)}"
+    elif first is not None:
+        sizes, said = first.noise, "white, as the first record's residual"
+    else:
+        family = Motions(kept, samples * sample_time, _HARMONICS[-1])
+        motions = _draw_motions(family, seed) if motion is None else [differentiate_references(robot, motion)]
+        usual = np.array([model.torque(*one) for one in motions])
+        sizes = NOISE * np.sqrt(np.mean(usual**2, axis=(0, 1)))
+        said = f"white, {100 * NOISE:g} % of each joint's usual torque"
+    return RobotTests(
+        robot, loop, model, parse_goal(goal, units), kept, given, samples, sample_time, sizes, said,
+        noise is None and first is None, first, filtering, feed_forward, drawn,
     )  # fmt: skip
-    if tests.assumed:
-        usual = (
-            _usual(tests, seed) if motion is None else _share_of(model.torque(*tests.differentiate_references(motion)))
-        )
-        tests = replace(tests, noise_sizes=usual)
-    return tests
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -389,7 +358,7 @@ class FirstRecord:
     """
 
     noise: FloatArray
-    motion: tuple[FloatArray, FloatArray, FloatArray]
+    motion: MotionOfJoints
     sample_time: float
 
     @property
@@ -414,11 +383,8 @@ def first_record(estimate: EstimateParts, records: Sequence[Record]) -> FirstRec
         found = motion_of_robot(robot, records, estimate.settings.filtering)
         motion, sample_time = (found.q, found.v, found.a), found.sample_time
     else:
-        references = [record.reference for record in records if record.reference is not None]
-        sample_time = references[0].sample_time
-        q = np.column_stack([one.values for one in references]) @ np.linalg.inv(robot.coupling).T
-        v = np.gradient(q, sample_time, axis=0)
-        motion = q, v, np.gradient(v, sample_time, axis=0)
+        assert records[0].reference is not None
+        motion, sample_time = differentiate_references(robot, records), records[0].reference.sample_time
     # White noise has in the band the share 2 cutoff / rate of its power.
     return FirstRecord(left * np.sqrt(0.5 / (sample_time * torques.cutoff)), motion, sample_time)
 
@@ -479,17 +445,11 @@ def _covariance(J: FloatArray, times: float = 1.0) -> Covariance:
     return found
 
 
-def _usual(tests: RobotTests, seed: int) -> FloatArray:
-    """Return the noise of joints of which nothing is known, (n,): a share of their torques in random motions."""
-    family, rng = tests.families[-1], np.random.default_rng(seed)
-    instants = np.linspace(0.0, family.period, _INSTANTS, endpoint=False)
-    plans = (RobotPlan(family, tuple(rng.uniform(size=family.size))) for _ in range(_USUAL))
-    return _share_of(np.array([tests.model.torque(*one.play(instants)) for one in plans]))
-
-
-def _share_of(torques: FloatArray) -> FloatArray:
-    """Return the noise of torques by their size, (..., n)."""
-    return np.asarray(NOISE * np.sqrt(np.mean(torques**2, axis=tuple(range(torques.ndim - 1)))))
+def _draw_motions(family: Motions, seed: int) -> Iterator[MotionOfJoints]:
+    """Yield random motions, whose torques say what noise is usual."""
+    rng, instants = np.random.default_rng(seed), np.linspace(0.0, family.period, _INSTANTS, endpoint=False)
+    for _ in range(_USUAL):
+        yield RobotPlan(family, tuple(rng.uniform(size=family.size))).play(instants)
 
 
 def _maxima(
@@ -521,31 +481,6 @@ def references(robot: Robot, q: FloatArray, sample_time: float) -> tuple[Record,
         )
         for k, one in enumerate(shafts.T)
     )
-
-
-def _by_simulation(
-    loop: RobotLoop, driven: Sequence[Record], noise: FloatArray, filtering: Filtering | None
-) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, Covariance, RobotSimulation]:
-    """Return names, units, values and predicted covariance of the parameters by DIDIM, and the run.
-
-    Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
-    much as the samples that it stands for.
-    """
-    parameters, (kept, run) = robot_parameters(loop.robot), _run(loop, driven)
-    problem = robot_problem(loop, run.records(driven), parameters, filtering)
-    values = parameters.group(kept.numbers)
-    J = problem.slopes(kept, values)
-    assert problem.filtering.decimation is not None
-    weights = problem.with_sigma(noise / math.sqrt(problem.filtering.decimation)).weights(len(J))
-    units, names = parameter_units(loop.robot, parameters), parameters.names
-    covariance = _covariance(J * weights[:, np.newaxis])
-    return names, tuple(units[name] for name in names), values, covariance, run
-
-
-def _run(loop: RobotLoop, driven: Sequence[Record]) -> tuple[RobotRun, RobotSimulation]:
-    """Return a run with its tape, and as a simulation."""
-    kept = run_robot(prepare_robot(loop, driven), RobotNumbers.of(loop.robot), keep=True)
-    return kept, require_success(simulation_of(kept), "The robot's motion")
 
 
 def _draw_robots(robot: Robot, within: float, count: int, seed: int) -> tuple[_Regressor, ...]:

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Progress, Work
 from jointid.common.parallel import in_threads
 from jointid.models.limits import AxisLimits, find_excess
-from jointid.records.record import Record
+from jointid.planning.goals import Goal
+from jointid.planning.predict import PredictedTest
 
 MARGIN = 0.97
 """Of each limit, that a test may reach in the search: other joints and other noise reach more."""
@@ -39,6 +40,7 @@ _SMALLEST, _LONGEST = 2e-3, 0.5
 _MANY = 12  # numbers of a test: of more some are moved at a time, so that one axis changes while the others stay
 _PARTS = (0.1, 0.3, 1.0)
 _CANDIDATES = 6  # of a search, that are tried in full
+_CLEARLY = 0.02  # of a score: other joints change it by as much
 _REDUCED = 0.95  # of a signal, where the result passes a limit
 _TRIES = 12
 
@@ -61,7 +63,7 @@ class Family(Protocol):
 
 
 class Objective(Protocol):
-    """Objective of a test: its candidates and their worth."""
+    """What a search asks: tests of its families, and what each of them tells and reaches."""
 
     @property
     def families(self) -> Sequence[Any]:
@@ -73,17 +75,7 @@ class Objective(Protocol):
         ...
 
     def try_plan(self, plan: Any, *, margin: float = MARGIN, than: Tried | None = None) -> Tried:
-        """Evaluate a test.
-
-        Args:
-            plan: the test.
-            margin: admissible share of each limit.
-            than: a test to beat; the evaluation may end where it clearly loses.
-        """
-        ...
-
-    def record(self, plan: Any, samples: int | None = None) -> tuple[Record, ...]:
-        """Return a test as a record of each axis for the drives."""
+        """Judge a test; see `judge`."""
         ...
 
 
@@ -95,12 +87,14 @@ class Tried:
         score: of the goal, the smaller the better, see `Goal.score`.
         reached: of each axis the largest of each quantity, by name.
         over: by how much the limit that is passed farthest is passed, at most 1 where none is.
+        stds: (parameters,) standard deviations at each joint or robot, the known one first.
     """
 
     plan: Any
     score: float
     reached: tuple[Mapping[str, float], ...]
     over: float
+    stds: tuple[FloatArray, ...] = ()
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -108,17 +102,48 @@ class Tried:
         return max(self.over, 1.0), self.score
 
 
-def largest(each: Iterable[Sequence[Mapping[str, float]]]) -> tuple[Mapping[str, float], ...]:
-    """Return of each axis the largest of each quantity that a test reaches at several joints or robots."""
-    most: list[dict[str, float]] = []
-    for one in each:
-        most = most or [{} for _ in one]
-        for found, reached in zip(most, one, strict=True):
-            found.update({name: max(size, found.get(name, size)) for name, size in reached.items()})
-    return tuple(most)
+def judge(
+    plan: Any,
+    each: Iterator[PredictedTest],
+    count: int,
+    goal: Goal,
+    limits: Sequence[AxisLimits],
+    *,
+    margin: float = 1.0,
+    than: Tried | None = None,
+) -> Tried:
+    """Judge a test by its predictions: the mean of their scores, and the largest of what they reach.
+
+    Args:
+        plan: the test.
+        each: predictions of it at several joints or robots that it may be for, the known one first.
+        count: of these.
+        goal: that the score is of.
+        limits: of each axis.
+        margin: admissible share of each limit.
+        than: a test to beat; where this one clearly loses at the first joint, the others are skipped.
+    """
+    scores, stds, reached = list[float](), list[FloatArray](), [dict[str, float]() for _ in limits]
+    tried = Tried(plan, ASTRAY, (), math.inf)
+    for _ in range(count):
+        try:
+            with np.errstate(all="ignore"):
+                one = next(each)
+        except (JointidError, np.linalg.LinAlgError):
+            unknown = (*stds, np.full_like(stds[0], np.inf)) if stds else ()
+            return Tried(plan, ASTRAY, tuple(reached), math.inf, unknown)
+        for most, found in zip(reached, one.reached, strict=True):
+            most.update({name: max(size, most.get(name, size)) for name, size in found.items()})
+        scores.append(goal.score(one.covariance.matrix, one.joint, one.values))
+        stds.append(one.covariance.std)
+        score = min(float(np.mean(scores)), ASTRAY)
+        tried = Tried(plan, score, tuple(reached), _worst_excess(limits, reached, margin), tuple(stds))
+        if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
+            break
+    return tried
 
 
-def worst_excess(limits: Sequence[AxisLimits], reached: Sequence[Mapping[str, float]], margin: float) -> float:
+def _worst_excess(limits: Sequence[AxisLimits], reached: Sequence[Mapping[str, float]], margin: float) -> float:
     """Return the largest factor by which a share of the limits is exceeded; 0 where none is."""
     ends = ("lower", "upper")  # a position has no share
     factors = [0.0]
