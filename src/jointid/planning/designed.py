@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -91,40 +91,31 @@ class DesignedAxis:
 
 @dataclass(frozen=True, slots=True)
 class PlayedAxis:
-    """How a file that drives play says one axis.
+    """How a file that drives play says one axis; by default in the joint's own units.
 
     Attributes:
         position, torque: factors from the joint's numbers to the file's.
-        position_unit, torque_unit: of the file.
+        position_unit, torque_unit: of the file, where they are others.
         position_side, side: of the transmission that positions and torques are of; None without one.
         injected: column of an added signal, where the file has one.
     """
 
-    position: float
-    torque: float
-    position_unit: str
-    torque_unit: str
-    position_side: Side | None
-    side: Side | None
-    injected: str
+    position: float = 1.0
+    torque: float = 1.0
+    position_unit: str = ""
+    torque_unit: str = ""
+    position_side: Side | None = None
+    side: Side | None = None
+    injected: str = ""
 
 
-class Layout(Protocol):
-    """The columns of a file that drives play."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """A file that drives play: how each axis is said, the columns by their names, and options of its text."""
 
-    @property
-    def axes(self) -> Sequence[PlayedAxis]:
-        """How each axis is said."""
-        ...
-
-    @property
-    def options(self) -> Mapping[str, Any]:
-        """Options of the format of its text files."""
-        ...
-
-    def columns(self, records: Sequence[Record]) -> Mapping[str, FloatArray]:
-        """Return the columns of a test by their names."""
-        ...
+    axes: tuple[PlayedAxis, ...]
+    columns: Mapping[str, FloatArray]
+    options: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,21 +176,15 @@ class Design(Documented):
         return {axis.word(name): hertz for axis in self.axes for name, hertz in axis.modes.items()}
 
     @property
-    def well_known(self) -> tuple[str, ...]:
-        """Names of the parameters that will be known to a tenth of their value, one standard deviation."""
-        proposed = self.proposed
-        return tuple(n for n, std in proposed.std.items() if std < _KNOWN * abs(proposed.values[n]))
-
-    @property
     def peaks(self) -> tuple[str, ...]:
         """Largest torque of each axis, first as the file of the test says it."""
         found = []
         for k, axis in enumerate(self.axes):
             size, own = axis.reached["torque"], f"{number(axis.reached['torque'], 3)} {axis.torque_unit}"
             if self.layout is not None:
-                as_played = self.layout.axes[k]
-                stated = f"{number(size * as_played.torque, 3)} {as_played.torque_unit}"
-                side = f" of the {as_played.side}" if as_played.side else ""
+                played = self.layout.axes[k]
+                stated = f"{number(size * played.torque, 3)} {played.torque_unit}"
+                side = f" of the {played.side}" if played.side else ""
                 own = stated + side if stated == own else f"{stated}{side} ({own})"
             found.append(axis.word(own))
         return tuple(found)
@@ -227,7 +212,9 @@ class Design(Documented):
                 unit += f", {self._width(worst)} {unit} at worst"
             stated = f"{first} tells {self.goal.name.replace('_', ' ')} to {self._width(self.proposed)} {unit}"
             return stated if present is None else f"{stated}, the present one to {self._width(present)} {unit}"
-        stated = f"{first} tells {len(self.well_known)} of {len(self.proposed.joint)} parameters to a tenth"
+        proposed = self.proposed
+        well_known = [n for n, std in proposed.std.items() if std < _KNOWN * abs(proposed.values[n])]
+        stated = f"{first} tells {len(well_known)} of {len(proposed.joint)} parameters to a tenth"
         if gain is None:
             return stated
         if not math.isfinite(gain):
@@ -337,74 +324,46 @@ class Design(Documented):
 
     def files(self) -> dict[str, bytes]:
         """Files of `write`, by name."""
-        records = self.records()
-        columns = _columns(self.axes, records) if self.layout is None else self.layout.columns(records)
-        options = {} if self.layout is None else self.layout.options
+        layout = self.layout or Layout((PlayedAxis(),) * len(self.axes), _columns(self.axes, self.records()), {})
         with tempfile.TemporaryDirectory() as place:
             path = Path(place) / "test.csv"
-            write_columns(columns, path, **options)
+            write_columns(layout.columns, path, **layout.options)
             files = {"test.csv": path.read_bytes()}
         motion = self.trajectory()
         if motion is not None:
             files["trajectory.yaml"] = motion.to_yaml().encode("utf-8")
-        return files | {"how-to-run.md": self._page(columns).encode("utf-8")}
+        return files | {"how-to-run.md": self._page(layout).encode("utf-8")}
 
     def trajectory(self) -> Trajectory | None:
         """Return the motion of the joints behind their gears, rad or m; None of a test that adds to the torque."""
-        records = self.records()
-        references = [one.reference for one in records if one.reference is not None]
-        if any(one.injected is not None for one in records):
+        references = [one.reference for one in self.records() if one.reference is not None]
+        if any(axis.test.injected is not None for axis in self.axes):
             return None
-        factors = []
-        for axis in self.axes:
-            gear = axis.transmission
-            turned = gear is not None and gear.side == "motor"
-            factors.append(gear.torque("load") / gear.torque("motor") if gear is not None and turned else 1.0)
-        positions = np.column_stack([one.values * by for one, by in zip(references, factors, strict=True)])
+        positions = np.column_stack([one.values for one in references])
+        for k, axis in enumerate(self.axes):
+            if axis.transmission is not None and axis.transmission.side == "motor":
+                positions[:, k] *= axis.transmission.torque("load") / axis.transmission.torque("motor")
         if self.from_shafts is not None:
             positions = positions @ self.from_shafts.T
         return Trajectory.of([axis.name or "joint" for axis in self.axes], positions, references[0].sample_time)
 
-    def _page(self, columns: Mapping[str, FloatArray]) -> str:
+    def _page(self, layout: Layout) -> str:
         reference = self.axes[0].test.reference
         assert reference is not None
         every, length = number(1e3 * reference.sample_time, 6), number(len(reference) * reference.sample_time, 4)
         steps = [
-            f"`test.csv` holds the columns {join([f'`{name}`' for name in columns])}, a row every "
+            f"`test.csv` holds the columns {join([f'`{name}`' for name in layout.columns])}, a row every "
             f"{every} ms, {length} s."
         ]
-        injections = []
         if self.trajectory() is not None:
             steps.append(
                 "`trajectory.yaml` holds the same motion of the joints behind their gears, in rad, m and s, as a ROS 2 "
                 "JointTrajectory. It has fewer rows, between which a cubic of positions and velocities is the motion."
             )
-        for k, axis in enumerate(self.axes):
-            assert axis.test.reference is not None
-            own = _PLAIN if self.layout is None else self.layout.axes[k]
-            q, u = own.position_unit or axis.position_unit, own.torque_unit or axis.torque_unit
-            played = axis.test.reference.values * own.position
-            start, low, high = (number(float(one), 4) for one in (played[0], played.min(), played.max()))
-            gear = axis.transmission
-            side = own.side or (None if gear is None else gear.side)
-            said = axis.name or "The reference"
-            said += f" begins at {start} {q} and stays between {low} and {high} {q}"
-            if gear is not None and side is not None:
-                said += f". {_say_sides(gear, own.position_side or side, side)}"
-            steps.append(f"{said}. Bring the axis there first. Its peak torque is {self.peaks[k]}.")
-            injected = axis.test.injected
-            if injected is not None:
-                before = injected.at is InjectionPoint.BEFORE_LIMIT
-                where = "before the controller's limit" if before else "after its limit"
-                inside, sided = "true" if injected.in_torque else "false", f', side = "{side}"' if side else ""
-                declared = (
-                    f'and declare it in the joint file: `injected = {{ column = "injected", unit = "{u}", '
-                    f'at = "{injected.at}", in_torque = {inside}{sided} }}`'
-                )
-                injections.append(
-                    f"Add the signal, in {u}, to the controller's output, {where}. Log it with the same clock, "
-                    f"{f'in the column `{own.injected}`' if own.injected else declared}."
-                )
+        pairs = tuple(zip(self.axes, layout.axes, strict=True))
+        for (axis, played), peak in zip(pairs, self.peaks, strict=True):
+            steps.append(f"{_say_motion(axis, played)}. Bring the axis there first. Its peak torque is {peak}.")
+        injections = [_say_injection(axis, played) for axis, played in pairs if axis.test.injected is not None]
         kind = "robot" if self.axes[0].name else "joint"
         steps += [
             "Begin slowly, with half of the speed" + (" and a tenth of the added signal" if injections else "") + ".",
@@ -417,22 +376,39 @@ class Design(Documented):
         return f"# A test of this {kind}\n\n{peak}\n\n{numbered}\n\n```\n{self.to_document().text()}\n```\n"
 
 
-_PLAIN = PlayedAxis(1.0, 1.0, "", "", None, None, "")
-
-
-def _say_sides(gear: Transmission, of_positions: Side, of_torques: Side) -> str:
-    """State the side of positions and torques, and the factors to the other side."""
-    across: dict[Side, Side] = {"motor": "load", "load": "motor"}
-    to_other = {side: gear.torque(across[side]) / gear.torque(side) for side in across}
-    if of_positions == of_torques:
+def _say_motion(axis: DesignedAxis, played: PlayedAxis) -> str:
+    """State where the reference begins and stays, and on which side of a gear."""
+    assert axis.test.reference is not None
+    values, q = axis.test.reference.values * played.position, played.position_unit or axis.position_unit
+    start, low, high = (number(float(one), 4) for one in (values[0], values.min(), values.max()))
+    said = f"{axis.name or 'The reference'} begins at {start} {q} and stays between {low} and {high} {q}"
+    if (gear := axis.transmission) is None:
+        return said
+    own = played.side or gear.side
+    other: Side = "load" if own == "motor" else "motor"
+    positions, factor = played.position_side or own, gear.torque(other) / gear.torque(own)
+    if positions != own:
         return (
-            f"All numbers are of the {of_torques} side: on the {across[of_torques]} side positions are "
-            f"{to_other[of_torques]:g} times, torques {1 / to_other[of_torques]:g} times as large"
+            f"{said}. Positions are of the {positions} side, torques of the {own} side: on the {own} side positions "
+            f"are {1 / factor:g} times as large"
         )
     return (
-        f"Positions are of the {of_positions} side, torques of the {of_torques} side: on the {of_torques} side "
-        f"positions are {to_other[of_positions]:g} times as large"
+        f"{said}. All numbers are of the {own} side: on the {other} side positions are {factor:g} times, torques "
+        f"{1 / factor:g} times as large"
     )
+
+
+def _say_injection(axis: DesignedAxis, played: PlayedAxis) -> str:
+    """State how a signal is added to the torque, and how it is logged."""
+    injected, unit, gear = axis.test.injected, played.torque_unit or axis.torque_unit, axis.transmission
+    assert injected is not None
+    side = played.side or (None if gear is None else gear.side)
+    where = "before the controller's limit" if injected.at is InjectionPoint.BEFORE_LIMIT else "after its limit"
+    keys = [f'unit = "{unit}"', f'at = "{injected.at}"', f"in_torque = {str(injected.in_torque).lower()}"]
+    keys += [f'side = "{side}"'] if side else []
+    declared = f'and declare it in the joint file: `injected = {{ column = "injected", {", ".join(keys)} }}`'
+    logged = f"in the column `{played.injected}`" if played.injected else declared
+    return f"Add the signal, in {unit}, to the controller's output, {where}. Log it with the same clock, {logged}."
 
 
 def _columns(axes: Sequence[DesignedAxis], records: Sequence[Record]) -> dict[str, FloatArray]:
