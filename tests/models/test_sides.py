@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.common.transmission import OtherSide, Transmission
+from jointid.common.transmission import Transmission
 from jointid.models.disturbances import Drift, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
@@ -25,20 +25,17 @@ R = abs(TURNED_SCREW.motor_per_load)
 )
 def test_each_quantity_has_its_unit_and_its_power_of_the_ratio(torque_unit: str | None, units: dict[str, str]) -> None:
     joint = FlexibleJoint("prismatic", torque_unit=torque_unit, transmission=TURNED_SCREW)
-    there = OtherSide(TURNED_SCREW, torque_unit or "N")
+    unit = torque_unit or "N"
     factors = {"stiffness": R**-2, "motor_inertia": R**-2, "offset": -1 / R, "motor_viscous": R**-2}
     for p in joint.parameters:
         if p.name in units:
-            assert there.unit(joint.unit(p)) == units[p.name]
-            assert there.factor(p.name, joint.unit(p)) == pytest.approx(factors[p.name])
-    assert there.factor("load_coulomb", torque_unit or "N") == pytest.approx(1 / R)
-    assert (there.factor("initial_position", "m"), there.unit("m")) == (pytest.approx(-R), "rad")
-    assert (there.factor("period", "m"), there.unit("m/s")) == (pytest.approx(R), "rad/s")
-    assert (there.factor("log_delay", "s"), there.factor("velocity_gain", "as declared"), there.unit("s")) == (
-        1.0,
-        1.0,
-        "s",
-    )
+            crossed = TURNED_SCREW.cross(p.name, joint.unit(p), unit)
+            assert crossed == (p.name, units[p.name], pytest.approx(factors[p.name]))
+    for name, here, there, factor in (
+        ("load_coulomb", unit, torque_unit or "N m", 1 / R), ("initial_position", "m", "rad", -R),
+        ("period", "m", "rad", R), ("log_delay", "s", "s", 1.0), ("velocity_gain", "as declared", "as declared", 1.0),
+    ):  # fmt: skip
+        assert TURNED_SCREW.cross(name, here, unit) == (name, there, pytest.approx(factor))
 
 
 def test_both_ways_lead_back() -> None:
@@ -46,12 +43,9 @@ def test_both_ways_lead_back() -> None:
     back = Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
     effects = (PositionHarmonics(0.01, 2), Drift("both"))
     for joint in (RigidJoint("prismatic", AsymmetricFriction()), FlexibleJoint("prismatic", AsymmetricFriction())):
-        here, there = OtherSide(TURNED_SCREW, "N"), OtherSide(back, "N m")
         for p in (*joint.parameters, *effect_parameters(effects)):
-            unit, name = joint.unit(p), here.name(p.name)
-            assert here.factor(p.name, unit) * there.factor(p.name, here.unit(unit)) == pytest.approx(1.0), p.name
-            assert there.unit(here.unit(unit)) == unit
-            assert there.name(name) == p.name
+            name, unit, factor = TURNED_SCREW.cross(p.name, joint.unit(p), "N")
+            assert back.cross(name, unit, "N m") == (p.name, joint.unit(p), pytest.approx(1 / factor))
             assert (name != p.name) == p.name.endswith(("forwards", "backwards"))
 
 

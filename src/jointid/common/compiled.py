@@ -122,8 +122,8 @@ def assign(to: FloatArray, values: FloatArray) -> None:
 
 @compile_kernel
 def respond(
-    starts: NDArray[np.int64],
-    sources: NDArray[np.int64],
+    starts: NDArray[np.int32],
+    sources: NDArray[np.int32],
     weights: FloatArray,
     limits: FloatArray,
     gates: NDArray[np.int64],
@@ -133,12 +133,12 @@ def respond(
     excess: FloatArray,
     raw: FloatArray,
 ) -> None:
-    """Compute `raw`, and `excess` unless given, period by period; `z` becomes the final state.
+    """Compute `raw`, and `excess` unless given, period by period, from the state `z`.
 
     Args:
-        starts: (phases, rows + 1) first weight of each row; the rows are the elements, then the states.
-        sources: (weights,) index of a weight's signal: states, then inputs, then excesses.
-        weights: (weights,) nonzero weights.
+        starts: (phases * rows + 1,) of a sparse matrix, whose rows are the elements, then the states, of each phase.
+        sources: (weights,) its columns: states, then inputs, then excesses.
+        weights: (weights,) its values.
         limits: (elements,) which elements are limits.
         gates: (elements,) index of the limit that a gate watches, negative for a limit.
         free: whether limits and gates act and `excess` is computed.
@@ -147,31 +147,27 @@ def respond(
         excess: (periods, elements) in, or out.
         raw: (periods, elements) out.
     """
-    periods, width = inputs.shape
-    phases, rows = starts.shape[0], starts.shape[1] - 1
-    order, elements = z.size, limits.size
-    now = np.zeros(order + width + elements)
+    elements, order = limits.size, z.size
+    rows, known = elements + order, order + inputs.shape[1]
+    now, new = np.zeros(known + elements), np.zeros(rows)
     assign(now[:order], z)
-    new = np.zeros(order)
-    for k in range(periods):
-        phase = k % phases
-        assign(now[order : order + width], inputs[k])
+    for k in range(len(inputs)):
+        first = k * rows % (starts.size - 1)
+        assign(now[order:known], inputs[k])
         for row in range(rows):
             total = 0.0
-            for at in range(starts[phase, row], starts[phase, row + 1]):
+            for at in range(starts[first + row], starts[first + row + 1]):
                 total += weights[at] * now[sources[at]]
-            if row >= elements:
-                new[row - elements] = total
-                continue
-            raw[k, row] = total
-            if free:
-                cut = 0.0
-                if gates[row] >= 0:
-                    if total * excess[k, gates[row]] < 0.0:
-                        cut = -total
-                elif abs(total) > limits[row]:
-                    cut = np.copysign(limits[row], total) - total
-                excess[k, row] = cut
-            now[order + width + row] = excess[k, row]
-        assign(now[:order], new)
-    assign(z, now[:order])
+            new[row] = total
+            if row < elements:
+                if free:
+                    cut = 0.0
+                    if gates[row] >= 0:
+                        if total * excess[k, gates[row]] < 0.0:
+                            cut = -total
+                    elif abs(total) > limits[row]:
+                        cut = np.copysign(limits[row], total) - total
+                    excess[k, row] = cut
+                now[known + row] = excess[k, row]
+        assign(raw[k], new[:elements])
+        assign(now[:order], new[elements:])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -29,24 +28,6 @@ WIDTH = 80
 _LEAST, _ASKED = 13, 19  # characters of a fact's name and of a question, or blocks would not line up with each other
 _RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the header, and none else
 _WIDEST = 10_000  # characters of a table whose numbers are not to be cut
-
-# Typography of a page:
-_THIN = "\u202f"  # a thin space at which no line ends
-_UNITS = r"(?:%|°|k?Hz|[mµ]?s|k?g|k?N|[mk]?m|m?rad|[mk]?A|[mk]?V|dB|σ|sigma)"
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_RULES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
-    (r"\+-", "±"),
-    (r" >= ", " ≥ "),
-    (r" <= ", " ≤ "),
-    (r"(?<=[a-z])\^(-?\d)", lambda found: found[1].translate(_SUPERSCRIPTS)),
-    (r"(?:(?<=\bkg m)|(?<=/[sm])|(?<=\b[AV] s))2\b", "²"),  # of units alone: m2 is also the symbol of a mass
-    (r"(?<=\d)e([+-])0*(\d+)\b", lambda found: f"·10{(found[1].strip('+') + found[2]).translate(_SUPERSCRIPTS)}"),
-    (rf"(?<=\d) (?={_UNITS}(?![\w/]|\s*=))", _THIN),
-    (r"(?<=\d) (?=(?:N|kg|rad|m|A|V)(?:[ /](?:m|s|rad)\b|²))", _THIN),
-    (r"(?<=\bN) (?=m\b|s/)|(?<=\bN\u202fm) (?=s/)|(?<=\bkg) (?=m²)|(?<=\b[AV]) (?=s[²/])", _THIN),
-    (r"\bsigma\b", "σ"),
-    (r"(?<![\w.)\]⁻-])-(?=\d)", "−"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,18 +267,6 @@ def block_html(block: Block) -> str:
 def inert(answer: str) -> str:
     """Return JSON in which no tag, comment or entity of HTML can begin; it is the same JSON."""
     return answer.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def typeset(text: str) -> str:
-    """Typeset ±, minus signs, exponents, thin spaces before units, and p-values."""
-    for pattern, into in _RULES:
-        text = re.sub(pattern, into, text)
-    return text
-
-
-def typeset_block(block: Block) -> Block:
-    """Typeset the texts of a block, except code and names with values: hashes and names of files are among them."""
-    return block if isinstance(block, Code | Facts) else _with_texts(block, typeset)
 
 
 def _with_texts(block: Block, change: Callable[[str], str]) -> Block:

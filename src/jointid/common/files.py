@@ -45,20 +45,12 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def require_room(path: str | os.PathLike[str]) -> None:
-    """Refuse an output path that cannot be written, before long work.
-
-    An existing folder is tested itself, otherwise the nearest one above. A pipe or a device is not tested.
-    """
+    """Refuse an output path that cannot be written, before long work; an existing folder is tested itself."""
     path = Path(path)
     with explain(path):
         if not _is_device(path):
             place = _place_of(path)
-            folder = next(each for each in (place, *place.parents) if each.is_dir())
-            fresh = folder / f".jointid-{secrets.token_hex(4)}"
-            try:
-                fresh.write_bytes(b"\n")
-            finally:
-                fresh.unlink(missing_ok=True)
+            _require_writable(next(each for each in (place, *place.parents) if each.is_dir()))
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -101,44 +93,35 @@ def digest(*records: Path) -> str:
         RecordError: a file cannot be read.
     """
     made = hashlib.sha256()
-    try:
-        for each in (file for record in records for file in files_of(record)):
-            with open_file(each) as file:
-                while block := file.read(2**20):
-                    made.update(block)
-    except OSError as error:
-        reason = (error.strerror or type(error).__name__).lower()
-        raise RecordError(f"{error.filename} cannot be opened ({reason}); check the path.") from error
+    for each in (file for record in records for file in files_of(record)):
+        with explain(each, "opened", "check the path"), open_file(each) as file:
+            while block := file.read(2**20):
+                made.update(block)
     return made.hexdigest()
 
 
 def lock(descriptor: int) -> bool:
-    """Lock an open file; False if another process has it.
-
-    True, too, where the system has no locks, as Windows and some disks in a network.
-    """
-    try:
+    """Lock an open file; False if another process has it, True where the system or the disk has no locks."""
+    with contextlib.suppress(ImportError):
         import fcntl
 
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        return False
-    except (ImportError, OSError):
-        pass
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            return error.errno not in (errno.EAGAIN, errno.EACCES)
     return True
 
 
 @contextlib.contextmanager
-def explain(path: Path) -> Iterator[None]:
-    """Convert an `OSError` of writing a file or a folder to a sentence."""
+def explain(
+    path: Path, done: str = "written", remedy: str = "free space there, or choose another place"
+) -> Iterator[None]:
+    """Convert an `OSError` of a file or a folder to a sentence; what was to be written over is as it was."""
     try:
         yield
     except OSError as error:
         reason = (error.strerror or str(error) or type(error).__name__).lower()
-        kept = ", and what was there is as it was" if path.exists() else ""
-        raise RecordError(
-            f"{path} cannot be written ({reason}){kept}; free space there, or choose another place."
-        ) from error
+        raise RecordError(f"{path} cannot be {done} ({reason}); {remedy}.") from error
 
 
 def _is_device(path: Path) -> bool:
@@ -151,6 +134,11 @@ def _is_device(path: Path) -> bool:
 def _place_of(path: Path) -> Path:
     """Return the place of a file or folder that may be written."""
     place = Path(os.path.realpath(path))
-    if place.exists() and not os.access(place, os.W_OK):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    if place.exists():
+        _require_writable(place)
     return place
+
+
+def _require_writable(place: Path) -> None:
+    if not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

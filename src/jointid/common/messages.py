@@ -76,14 +76,15 @@ class Work:
     def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
         self._progress, self._what, self.total, self._unit = progress, what, total, unit
         self._lock, self._done = threading.Lock(), 0.0
-        self._began = self._told = time.monotonic()
+        self._told = time.monotonic()
 
     def reach(self, done: float) -> None:
         """Report the amount done."""
         self._done, now = done, time.monotonic()
         if now - self._told >= _OFTEN:
             self._told = now
-            self._progress(Pace(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}"))
+            whole = "" if math.isinf(self.total) or self._unit == "%" else f" of {self.total:.0f}"
+            self._progress(Pace(f"{self._what}: {done:.0f}{whole} {self._unit}"))
 
     def add(self) -> None:
         """Report one more step, from any thread."""
@@ -97,20 +98,6 @@ def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit
     for step in steps:
         yield step
         work.add()
-
-
-def describe_pace(done: float, total: float, unit: str, seconds: float) -> str:
-    """Describe progress and, if finite, the remaining time."""
-    whole = "" if math.isinf(total) else f" of {total:.0f}"
-    said = f"{done:.0f} %" if unit == "%" else f"{done:.0f}{whole} {unit}"
-    return f"{said}, {describe_time((total - done) * seconds / done)} left" if 0 < done < total < math.inf else said
-
-
-def describe_time(seconds: float) -> str:
-    """Format a duration: "8 s", "2 min", "1.5 h"."""
-    if seconds < 100:
-        return f"{max(round(seconds), 1)} s"
-    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,17 +95,14 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
 
 def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
     """Replace the parameters named in `changes`."""
-    wrong = [name for name, change in changes.items() if not isinstance(change, Parameter)]
-    if wrong:
-        raise MethodError(
-            f"A change of {', '.join(wrong)} is a Parameter; received {changes[wrong[0]]!r}: take the joint's own and "
-            "use its fix(value), or dataclasses.replace."
-        )
     parameters = tuple(parameters)
     names = [parameter.name for parameter in parameters]
-    unknown = [name for name in changes if name not in names]
-    if unknown:
-        raise MethodError(f"No parameter is called {', '.join(unknown)}; this model has {', '.join(names)}.")
+    for name, change in changes.items():
+        if name not in names or not isinstance(change, Parameter):
+            raise MethodError(
+                f"This model has the parameters {', '.join(names)}; received {name} = {change!r}: change its own, by "
+                "fix(value) or dataclasses.replace."
+            )
     return tuple(changes.get(parameter.name, parameter) for parameter in parameters)
 
 
@@ -133,10 +130,7 @@ class Bounds:
         """Test which parameters are at a bound and step outwards."""
         return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))
 
-    def shift_to(self, x: FloatArray) -> Bounds:
-        """Bounds on a step from a point."""
-        return Bounds(self.lower - x, self.upper - x)
-
-    def within(self, reach: FloatArray | None) -> Bounds:
-        """Tighten bounds on a step to a step limit, if given."""
-        return self if reach is None else Bounds(np.maximum(self.lower, -reach), np.minimum(self.upper, reach))
+    def shift_to(self, x: FloatArray, reach: FloatArray | None = None) -> Bounds:
+        """Bounds on a step from a point, no longer than `reach`."""
+        longest = math.inf if reach is None else reach
+        return Bounds(np.maximum(self.lower - x, -longest), np.minimum(self.upper - x, longest))

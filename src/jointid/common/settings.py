@@ -111,13 +111,10 @@ class Declared:
             return messages.either(self.choices) if self.choices else " or ".join(map(str, declared.only))
         if self.type not in (int, float):
             return _WORDS.get(self.type, "a table")
-        noun = "whole number" if self.type is int else "number"
-        if declared.above is not None:
-            return f"a positive {noun}" if declared.above == 0 else f"a {noun} above {declared.above:g}"
-        if declared.at_least is not None:
-            most = "or more" if declared.at_most is None else f"to {declared.at_most:g}"
-            return f"a {noun}, {declared.at_least:g} {most}"
-        return f"a {noun} other than 0" if declared.nonzero else f"a {noun}"
+        limits = {"above": declared.above, "at least": declared.at_least, "at most": declared.at_most}
+        said = [f"{word} {limit:g}" for word, limit in limits.items() if limit is not None]
+        said += ["not 0"] if declared.nonzero else []
+        return ", ".join(["a whole number" if self.type is int else "a number", *said])
 
     def fault(self, value: Any) -> str | None:
         """Describe an invalid value; None for a valid one."""

@@ -9,10 +9,10 @@ _EXACT = 1e7  # times its spread: a larger value would be mostly digits
 
 
 def printable(text: str) -> str:
-    """Escape control and bidirectional characters from untrusted text, except line ends and thin spaces."""
+    """Escape control and bidirectional characters from untrusted text, except line ends."""
     if text.replace("\n", "").isprintable():
         return text
-    return "".join(mark if mark.isprintable() or mark in "\n\u202f" else ascii(mark)[1:-1] for mark in text)
+    return "".join(mark if mark.isprintable() or mark == "\n" else ascii(mark)[1:-1] for mark in text)
 
 
 def short(text: str, longest: int = 40) -> str:

@@ -5,7 +5,7 @@ One ratio r, motor position per load position, describes it. Power passes withou
     q motor = r q load,        tau load = r tau motor
 
 A record is *referred* to the joint's side when it is read: positions by their factor, torques by its inverse.
-`OtherSide` refers an estimate to the other side. The motor's
+`Transmission.cross` refers an estimate to the other side. The motor's
 ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load::
 
     tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
@@ -36,6 +36,7 @@ _TURNED = (
     "gravity_sin", "counterbalance_constant", "counterbalance_cos", "counterbalance_sin",
 )  # fmt: skip
 """Ends of the names of what changes its sign with the direction; all else is odd in the motion, or a size."""
+_EXCHANGED = {"forwards": "backwards", "backwards": "forwards"}
 
 
 @add_settings_to_docstring
@@ -121,54 +122,28 @@ class Transmission:
             return 1.0
         return self.motor_per_load if side == "motor" else 1.0 / self.motor_per_load
 
+    def cross(self, name: str, unit: str, torque_unit: str) -> tuple[str, str, float]:
+        """Return name, unit and factor of a parameter on the other side, from those on this side.
+
+        Args:
+            name: of the parameter; a negative ratio exchanges its direction.
+            unit: of its value.
+            torque_unit: in which the joint's parameters are: N, N m, A or V.
+        """
+        ratio, kind = self.position(self.other), self.kind_of(self.other)
+        quantity = next((q for q in Quantity if unit_of(q, self.kind, torque_unit) == unit), None)
+        factor = 1.0
+        if quantity is not None:  # quantities of one unit scale alike
+            factor = abs(ratio) ** quantity.power
+            unit = unit_of(quantity, kind, TORQUE_UNIT[kind] if torque_unit in TORQUE_UNIT.values() else torque_unit)
+        if ratio < 0:
+            factor = -factor if name.endswith(_TURNED) else factor
+            stem, separator, way = name.rpartition("_")
+            name = f"{stem}{separator}{_EXCHANGED.get(way, way)}"
+        return name, unit, factor
+
     def __str__(self) -> str:
         """Return its description, in a sentence."""
         size = f"{self.ratio:g}:1" if self.ratio is not None else f"{1e3 * (self.lead or 0.0):g} mm per turn"
         turned = ", turned round" if self.sign < 0 else ""
         return f"{size}{turned}, without loss (efficiency taken as 1); values are on the {self.side} side"
-
-
-@dataclass(frozen=True, slots=True)
-class OtherSide:
-    """Conversion from the joint's side to the other.
-
-    Attributes:
-        torque_unit: in which the joint's parameters are: N, N m, A or V.
-    """
-
-    transmission: Transmission
-    torque_unit: str
-
-    @property
-    def side(self) -> Side:
-        """The other side."""
-        return self.transmission.other
-
-    @property
-    def ratio(self) -> float:
-        """Factor from a torque of the joint's side to the other side."""
-        return self.transmission.position(self.side)
-
-    def name(self, name: str) -> str:
-        """Name of a parameter on this side; a negative ratio exchanges directions."""
-        stem, separator, way = name.rpartition("_")
-        exchanged = {"forwards": "backwards", "backwards": "forwards"} if self.ratio < 0 else {}
-        return f"{stem}{separator}{exchanged.get(way, way)}"
-
-    def unit(self, unit: str) -> str:
-        """Return the unit of a quantity there, from its unit here."""
-        quantity = self._quantity(unit)
-        kind = self.transmission.kind_of(self.side)
-        own = TORQUE_UNIT[kind] if self.torque_unit in TORQUE_UNIT.values() else self.torque_unit
-        return unit if quantity is None else unit_of(quantity, kind, own)
-
-    def factor(self, name: str, unit: str) -> float:
-        """Factor of a value with that name and unit to the other side."""
-        quantity = self._quantity(unit)
-        size = abs(self.ratio) ** (0 if quantity is None else quantity.power)
-        return -size if self.ratio < 0 and name.endswith(_TURNED) else size
-
-    def _quantity(self, unit: str) -> Quantity | None:
-        """Quantity of a unit; quantities of one unit scale alike."""
-        kind = self.transmission.kind
-        return next((q for q in Quantity if unit_of(q, kind, self.torque_unit) == unit), None)

@@ -10,12 +10,12 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from jointid.common.errors import JointidError
-from jointid.common.messages import nearest
+from jointid.common.messages import suggest
 
 Kind: TypeAlias = Literal["prismatic", "revolute"]
 """How a joint, or one side of its transmission, moves."""
@@ -27,17 +27,24 @@ class UnitError(JointidError):
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit: name, dimension and factor to SI."""
+    """A unit: name, dimension, factor to SI, name there, powers of base units; a product of units has no name."""
 
     name: str
     dimension: str
     factor: float
     si: str
+    powers: Mapping[str, int]
+
+    def times(self, other: Unit, power: int = 1) -> Unit:
+        """Return the product with a power of another one."""
+        bases = dict.fromkeys([*self.powers, *other.powers])
+        powers = {base: self.powers.get(base, 0) + power * other.powers.get(base, 0) for base in bases}
+        return Unit("", "", self.factor * other.factor**power, "", {base: p for base, p in powers.items() if p})
 
 
-def _family(dimension: str, si: str, **factors: float) -> dict[str, Unit]:
+def _family(dimension: str, si: str, powers: Mapping[str, int], **factors: float) -> dict[str, Unit]:
     names = {name.replace("__", "/").replace("_", " "): factor for name, factor in factors.items()}
-    return {name: Unit(name, dimension, factor, si) for name, factor in names.items()}
+    return {name: Unit(name, dimension, factor, si, powers) for name, factor in names.items()}
 
 
 COUNTS = "encoder counts"
@@ -45,21 +52,25 @@ SHARE = "share of the rated torque"
 
 _DEGREE = math.pi / 180
 _TURN = 2 * math.pi
+_SPEED = {"m": 1, "s": -1}
+_RATE = {"rad": 1, "s": -1}
+_FORCE = {"kg": 1, "m": 1, "s": -2}
+_TORQUE = {"kg": 1, "m": 2, "s": -2}
 
 _UNITS: dict[str, Unit] = {
-    **_family("length", "m", m=1.0, mm=1e-3, cm=1e-2, um=1e-6, nm=1e-9, inch=0.0254),
-    **_family("angle", "rad", rad=1.0, mrad=1e-3, deg=_DEGREE, rev=_TURN, turn=_TURN),
-    **_family("linear velocity", "m/s", m__s=1.0, mm__s=1e-3, m__min=1 / 60, mm__min=1e-3 / 60),
-    **_family("angular velocity", "rad/s", rad__s=1.0, deg__s=_DEGREE, rev__s=_TURN, rpm=_TURN / 60),
-    **_family("force", "N", N=1.0, mN=1e-3, kN=1e3, lbf=4.4482216152605),
-    **_family("torque", "N m", N_m=1.0, Nm=1.0, mN_m=1e-3, mNm=1e-3, kN_m=1e3, kNm=1e3, N_cm=1e-2),
-    **_family("current", "A", A=1.0, mA=1e-3),
-    **_family("voltage", "V", V=1.0, mV=1e-3),
-    **_family(COUNTS, "counts", counts=1.0),
-    **_family(SHARE, "rated torque", permille=1e-3, per_mille=1e-3, **{"%": 1e-2}),
-    **_family("time", "s", s=1.0, ms=1e-3, us=1e-6, ns=1e-9, min=60.0, h=3600.0),
-    **_family("frequency", "Hz", Hz=1.0, kHz=1e3),
-    **_family("mass", "kg", kg=1.0, g=1e-3),
+    **_family("length", "m", {"m": 1}, m=1.0, mm=1e-3, cm=1e-2, um=1e-6, nm=1e-9, inch=0.0254),
+    **_family("angle", "rad", {"rad": 1}, rad=1.0, mrad=1e-3, deg=_DEGREE, rev=_TURN, turn=_TURN),
+    **_family("linear velocity", "m/s", _SPEED, m__s=1.0, mm__s=1e-3, m__min=1 / 60, mm__min=1e-3 / 60),
+    **_family("angular velocity", "rad/s", _RATE, rad__s=1.0, deg__s=_DEGREE, rev__s=_TURN, rpm=_TURN / 60),
+    **_family("force", "N", _FORCE, N=1.0, mN=1e-3, kN=1e3, lbf=4.4482216152605),
+    **_family("torque", "N m", _TORQUE, N_m=1.0, Nm=1.0, mN_m=1e-3, mNm=1e-3, kN_m=1e3, kNm=1e3, N_cm=1e-2),
+    **_family("current", "A", {"A": 1}, A=1.0, mA=1e-3),
+    **_family("voltage", "V", {"V": 1}, V=1.0, mV=1e-3),
+    **_family(COUNTS, "counts", {"counts": 1}, counts=1.0),
+    **_family(SHARE, "rated torque", {"share": 1}, permille=1e-3, per_mille=1e-3, **{"%": 1e-2}),
+    **_family("time", "s", {"s": 1}, s=1.0, ms=1e-3, us=1e-6, ns=1e-9, min=60.0, h=3600.0),
+    **_family("frequency", "Hz", {"cycle": 1, "s": -1}, Hz=1.0, kHz=1e3),  # 1 Hz and 1 rad/s are not the same
+    **_family("mass", "kg", {"kg": 1}, kg=1.0, g=1e-3),
 }
 
 POSITION_UNITS = {"prismatic": ("length", COUNTS), "revolute": ("angle", COUNTS)}
@@ -72,15 +83,10 @@ TORQUE_UNITS = {
 
 def unit(name: str) -> Unit:
     """Return the unit of that name."""
-    try:
-        return _UNITS[name]
-    except KeyError:
-        raise UnitError(f'Unit "{name}" is not known; {_known_instead(name)}.') from None
-
-
-def _known_instead(name: str) -> str:
-    meant = nearest(name, _UNITS)
-    return f"expected one of {', '.join(_UNITS)}" if meant is None else f'write "{meant}" if that is meant'
+    if name not in _UNITS:
+        meant = suggest(name, _UNITS, f"expected one of {', '.join(_UNITS)}")
+        raise UnitError(f'"{name}" is no unit that is known; {meant}')
+    return _UNITS[name]
 
 
 def units_of(*dimensions: str) -> tuple[str, ...]:
@@ -89,39 +95,30 @@ def units_of(*dimensions: str) -> tuple[str, ...]:
 
 
 _SPELLINGS = {
-    "N·m": "N m", "N⋅m": "N m", "N*m": "N m", "N.m": "N m", "newton": "N", "newtons": "N", "newton metre": "N m",
-    "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "°/s": "deg/s",
-    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "µm": "um", "μm": "um", "µs": "us", "μs": "us",
-    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "µsec": "us", "μsec": "us", "nsec": "ns",
-    "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hz": "Hz", "khz": "kHz",
-    "1/min": "rpm", "r/min": "rpm", "RPM": "rpm", "rev/min": "rpm", "U/min": "rpm", "min-1": "rpm", "min^-1": "rpm",
-    "U": "rev", "inc": "counts", "incs": "counts", "increment": "counts", "increments": "counts", "‰": "permille",
-    "m s-1": "m/s", "rad s-1": "rad/s", "ampere": "A", "amperes": "A", "volt": "V", "volts": "V", "count": "counts",
-    "amp": "A", "amps": "A", "percent": "%", "-": "", "1": "", "none": "",
+    "N·m": "N m", "N⋅m": "N m", "N*m": "N m", "N.m": "N m", "newton": "N", "newton metre": "N m", "°": "deg",
+    "degree": "deg", "radian": "rad", "°/s": "deg/s", "metre": "m", "meter": "m", "µm": "um", "μm": "um", "µs": "us",
+    "μs": "us", "sec": "s", "second": "s", "msec": "ms", "usec": "us", "µsec": "us", "μsec": "us", "nsec": "ns",
+    "minute": "min", "hour": "h", "hz": "Hz", "khz": "kHz", "1/min": "rpm", "r/min": "rpm", "RPM": "rpm",
+    "rev/min": "rpm", "U/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "U": "rev", "inc": "counts",
+    "increment": "counts", "count": "counts", "‰": "permille", "m s-1": "m/s", "rad s-1": "rad/s", "ampere": "A",
+    "amp": "A", "volt": "V", "percent": "%", "-": "", "1": "", "none": "",
 }  # fmt: skip
 
 
 def normalise_unit(name: str) -> str:
-    """Normalise the spelling of a unit; unknown ones stay."""
+    """Normalise the spelling of a unit, also of a plural; unknown ones stay."""
     name = name.strip()
-    return _SPELLINGS.get(name, _SPELLINGS.get(name.lower(), name))
+    spelt = (name, name.lower(), name.lower().removesuffix("s"))
+    return next((_SPELLINGS[one] for one in spelt if one in _SPELLINGS), name)
 
 
 # Products, quotients and powers
-
-_BASES: Mapping[str, Mapping[str, int]] = {
-    "length": {"m": 1}, "angle": {"rad": 1}, "linear velocity": {"m": 1, "s": -1},
-    "angular velocity": {"rad": 1, "s": -1}, "force": {"kg": 1, "m": 1, "s": -2}, "torque": {"kg": 1, "m": 2, "s": -2},
-    "current": {"A": 1}, "voltage": {"V": 1}, COUNTS: {"counts": 1}, SHARE: {"share": 1}, "time": {"s": 1},
-    "frequency": {"cycle": 1, "s": -1}, "mass": {"kg": 1},
-}  # fmt: skip
-"""The powers of the base units in each dimension; a cycle is one, since 1 Hz and 1 rad/s are not the same."""
 
 _LONGEST = 100  # characters of a unit
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--")
 _MULTIPLIED = str.maketrans("·⋅*×", "    ")
 _POINT = re.compile(r"(?<=[^\W\d])\.(?=[^\W\d])")  # between two units, as in N.m
-_BRACKET = re.compile(r"\(([^()]+)\)")
+_WORD = re.compile(r"[()/]|[^\s()/]+")
 _FACTOR = re.compile(r"(?P<number>\d+)|(?P<name>[^\W\d]+|[°%‰])\^?(?P<power>-?\d+)?")
 QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>.*)", re.DOTALL)
 
@@ -140,20 +137,6 @@ def per(above: str, below: str) -> str:
     return above if not below else f"{above}/{f'({below})' if ' ' in below else below}"
 
 
-@dataclass(frozen=True, slots=True)
-class Compound:
-    """A product of powers of units: factor to SI and base powers."""
-
-    factor: float
-    powers: Mapping[str, int]
-
-    def times(self, other: Compound, power: int = 1) -> Compound:
-        """Return the product with a power of another one."""
-        bases = dict.fromkeys([*self.powers, *other.powers])
-        powers = {base: self.powers.get(base, 0) + power * other.powers.get(base, 0) for base in bases}
-        return Compound(self.factor * other.factor**power, {base: p for base, p in powers.items() if p})
-
-
 def convert(number: float, unit: str, expected: str) -> float | None:
     """Convert a number to another unit; None for one of another dimension.
 
@@ -161,9 +144,8 @@ def convert(number: float, unit: str, expected: str) -> float | None:
     """
     wanted = parse_unit(expected)
     implied = {base: power for base, power in wanted.powers.items() if base != "rad"}
-    entry = _UNITS.get(normalise_unit(unit))
-    one = [] if entry is None else [Compound(entry.factor, _BASES[entry.dimension])]
-    for read in (*one, parse_unit(unit)):
+    known = _UNITS.get(normalise_unit(unit))
+    for read in filter(None, (known, parse_unit(unit))):
         if read.powers == wanted.powers or (read.powers == implied and "min" not in unit):
             return number * read.factor / wanted.factor
     return None
@@ -180,7 +162,7 @@ def parse_quantity(text: str) -> tuple[float, str]:
     return value, found["unit"].strip()
 
 
-def parse_unit(text: str) -> Compound:
+def parse_unit(text: str) -> Unit:
     """Parse a product, quotient or power of units.
 
     Raises:
@@ -194,43 +176,43 @@ def parse_unit(text: str) -> Compound:
     if "," in text:
         raise UnitError('write the number with a point, as "0.8 A s/rad"')
     spaced = _POINT.sub(" ", text.translate(_RAISED).translate(_MULTIPLIED).replace("per mille", "permille")).strip()
-    brackets = dict[str, Compound]()
-    if 0 < len(spaced) <= _LONGEST:
+    if 0 < len(spaced) <= _LONGEST and spaced.count("(") == spaced.count(")"):
         with contextlib.suppress(ValueError, OverflowError, ZeroDivisionError):
-            while inner := _BRACKET.search(spaced):
-                brackets[name := f"#{len(brackets)}"] = _read_quotient(inner[1], brackets)
-                spaced = f"{spaced[: inner.start()]} {name} {spaced[inner.end() :]}"
-            found = _read_quotient(spaced, brackets)
-            if 0.0 < found.factor < math.inf:
+            words = iter(_WORD.findall(spaced))
+            found = _read_product(words)
+            if 0.0 < found.factor < math.inf and next(words, None) is None:
                 return found
     raise UnitError(
         f'"{text.strip()[:_LONGEST]}" is no unit; expected products and quotients of units, as A s/rad or A/(rad s)'
     )
 
 
-def _read_quotient(text: str, brackets: Mapping[str, Compound]) -> Compound:
-    """Parse a quotient whose brackets are replaced by their names.
+def _read_product(words: Iterator[str]) -> Unit:
+    """Parse factors as far as a closing bracket, or the last.
 
     Raises:
         ValueError: behind a stroke stands a product, or nothing.
     """
-    above, *below = text.split("/")
-    factors = [(word, 1) for word in above.split()]
-    for each in below:
-        (word,) = each.split()
-        factors.append((word, -1))
-    found = Compound(1.0, {})
-    for word, power in factors:
-        found = found.times(brackets[word] if word in brackets else _read_factor(word), power)
+    found, power, divided = Unit("", "", 1.0, "", {}), 1, False
+    for word in words:
+        if word == ")":
+            break
+        if word == "/":
+            power, divided = -power, True
+            continue
+        if divided and power > 0:
+            raise ValueError
+        found = found.times(_read_product(words) if word == "(" else _read_factor(word), power)
+        power = 1
+    if power < 0:
+        raise ValueError
     return found
 
 
-def _read_factor(word: str) -> Compound:
-    if (said := _FACTOR.fullmatch(word)) is None:
+def _read_factor(word: str) -> Unit:
+    said = _FACTOR.fullmatch(word)
+    if said is None:
         raise ValueError
     if said["number"]:
-        return Compound(float(said["number"]), {})
-    entry = _UNITS.get(normalise_unit(said["name"]))
-    if entry is None:
-        raise UnitError(f'"{said["name"]}" is no unit that is known; {_known_instead(said["name"])}')
-    return Compound(1.0, {}).times(Compound(entry.factor, _BASES[entry.dimension]), int(said["power"] or 1))
+        return Unit("", "", float(said["number"]), "", {})
+    return Unit("", "", 1.0, "", {}).times(unit(normalise_unit(said["name"])), int(said["power"] or 1))

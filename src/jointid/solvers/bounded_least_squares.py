@@ -64,7 +64,7 @@ class LevenbergMarquardt:
         status, reach, share, idle, refused = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
         while status is None and used < self.evaluations and trace[-1].norm > self.enough:
             norm = trace[-1].norm
-            step = damped_step(error, J, bounds.shift_to(x).within(reach), damping, bounds.upper - bounds.lower)
+            step = damped_step(error, J, bounds.shift_to(x, reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
             worthless = self.worth > 0.0 and damping <= _DAMPING and not cut
             if worthless and _gain(norm, error + J @ step) <= self.worth:

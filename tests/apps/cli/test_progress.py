@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import sys
 from collections.abc import Callable
 from itertools import count
@@ -14,15 +13,7 @@ from rich.console import Console
 import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
-from jointid.common.messages import Detail, Pace, Suspicion, describe_pace, describe_time, follow, ignore_progress
-
-
-def test_the_time_left_is_of_what_was_done() -> None:
-    assert describe_pace(30, 120, "draws", 10.0) == "30 of 120 draws, 30 s left"
-    assert describe_pace(25.0, 100.0, "%", 60.0) == "25 %, 3 min left"
-    assert describe_pace(0, 120, "draws", 10.0) == "0 of 120 draws"
-    assert describe_pace(30, math.inf, "windows", 10.0) == "30 windows"
-    assert [describe_time(s) for s in (0.2, 99.0, 300.0, 7200.0)] == ["1 s", "99 s", "5 min", "2.0 h"]
+from jointid.common.messages import Detail, Pace, Suspicion, follow, ignore_progress
 
 
 def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,7 +22,7 @@ def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -
     said: list[str] = []
     assert list(follow(range(35), said.append, "bootstrapping", 35, "draws")) == list(range(35))
     assert [type(one) for one in said] == [Pace] * 8
-    assert said[0] == "bootstrapping: 4 of 35 draws, 8 s left"
+    assert said[0] == "bootstrapping: 4 of 35 draws"
 
 
 def test_the_first_pass_over_a_log_is_told_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,7 @@ from tomlkit import dumps
 from jointid import __version__
 from jointid.apps.web import folder, form
 from jointid.apps.web.folder import MODELS, Draft, Jobs, PageError, work
-from jointid.common.document import templates, typeset
+from jointid.common.document import templates
 from jointid.common.errors import JointFileError, JointidError
 from jointid.common.files import write_whole
 from jointid.config import load
@@ -115,7 +115,7 @@ class Page:
         now, runs = self.now, self.runs
         common = {
             "root": self.root, "version": __version__, "folder": self.path.name, "sent": now.records,
-            "robot": now.robot, "latest": f"/runs/{runs[0].path.name}" if runs else "", "typeset": typeset,
+            "robot": now.robot, "latest": f"/runs/{runs[0].path.name}" if runs else "",
         }  # fmt: skip
         made = templates(Path(__file__).with_name("templates"))
         made.globals["unit_in_name"] = unit_in_name

@@ -13,7 +13,7 @@ from jointid.common.document import Documented
 from jointid.common.errors import MethodError, UnknownName
 from jointid.common.messages import suggest
 from jointid.common.text import interval, number
-from jointid.common.transmission import SIDES, OtherSide, Side
+from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.disturbances import Effect
@@ -161,31 +161,19 @@ class Params(Mapping[str, EstimatedParameter]):
         return total, float(np.sqrt(max(float(stderr @ together @ stderr), 0.0)))
 
 
-def on_other_side(parameters: Sequence[EstimatedParameter], side: OtherSide | None) -> tuple[EstimatedParameter, ...]:
-    """Return parameters as they are on the other side of a transmission, in the same order; none without one."""
-    if side is None:
-        return ()
-    here = {p.name: p for p in parameters}
-    return tuple(_refer(p, here.get(side.name(p.name), p), side) for p in parameters)
-
-
-def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> EstimatedParameter:
-    """Return a parameter with the values that another one, the same but for the direction, has on this side."""
-    factor = side.factor(p.name, p.unit)
-
-    def scale(value: float | None) -> float | None:
-        return None if value is None else factor * value + 0.0  # of 0 there is no negative
-
-    return replace(
-        here,
-        name=p.name,
-        symbol=p.symbol,
-        unit=side.unit(p.unit),
-        value=scale(here.value),
-        stderr=None if here.stderr is None else abs(factor) * here.stderr,
-        lack_of_fit=abs(factor) * here.lack_of_fit,
-        lower_bound=scale(here.lower_bound),
-    )
+def on_other_side(
+    parameters: Sequence[EstimatedParameter], gear: Transmission, torque_unit: str
+) -> tuple[EstimatedParameter, ...]:
+    """Return parameters, in a unit of torque, as they are on the other side of a transmission, in the same order."""
+    here, found = {p.name: p for p in parameters}, list[EstimatedParameter]()
+    for p in parameters:
+        name, unit, factor = gear.cross(p.name, p.unit, torque_unit)
+        same = here.get(name, p)  # but for the direction
+        value, bound = (None if one is None else factor * one + 0.0 for one in (same.value, same.lower_bound))  # no -0
+        stderr = None if same.stderr is None else abs(factor) * same.stderr
+        own = replace(same, name=p.name, symbol=p.symbol, unit=unit, value=value, stderr=stderr, lower_bound=bound)
+        found.append(replace(own, lack_of_fit=abs(factor) * same.lack_of_fit))
+    return tuple(found)
 
 
 # The other parts
@@ -471,13 +459,7 @@ class EstimateParts:
         return FlexibleJoint.frequencies(self.values) if known else {}
 
     @property
-    def other(self) -> OtherSide | None:
-        """The other side of the transmission; None without one."""
-        joint = self.settings.system
-        gear = None if isinstance(joint, Robot) else joint.transmission
-        return None if gear is None else OtherSide(gear, self.data.torque_unit)
-
-    @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:
         """The parameters on the other side of the transmission, in the same order; none without one."""
-        return on_other_side(self.params.rows, self.other)
+        gear = getattr(self.settings.system, "transmission", None)  # a robot has none
+        return () if gear is None else on_other_side(self.params.rows, gear, self.data.torque_unit)

@@ -335,19 +335,16 @@ def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Floa
 
 
 def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray, free: bool) -> FloatArray:
+    from scipy.sparse import csr_array
+
     from jointid.common.compiled import respond as recur
 
-    whole = np.concatenate(  # the kernel reads the weights that are not 0, row by row
+    whole = np.concatenate(
         [np.concatenate([law.C, law.D, law.E], axis=2), np.concatenate([law.A, law.B, law.F], axis=2)], axis=1
     )
-    phases, rows, sources = np.nonzero(whole)
-    counts = np.zeros(whole.shape[:2], dtype=np.int64)
-    np.add.at(counts, (phases, rows), 1)
-    ends = np.cumsum(counts).reshape(counts.shape)
-    starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
-    weights, raw = whole[phases, rows, sources], np.empty((len(inputs), law.limits.size))
+    sparse, raw = csr_array(whole.reshape(-1, whole.shape[2])), np.empty((len(inputs), law.limits.size))
     recur(
-        starts, sources.astype(np.int64), weights, law.limits, law.gates, free, state.copy(),
+        sparse.indptr, sparse.indices, sparse.data, law.limits, law.gates, free, state.copy(),
         np.ascontiguousarray(inputs), excess, raw,
     )  # fmt: skip
     return raw

@@ -14,7 +14,7 @@ from jointid import __version__
 from jointid.common import text
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
-from jointid.common.transmission import OtherSide, Side
+from jointid.common.transmission import Side
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, on_other_side, show_value
@@ -173,11 +173,12 @@ class JointModel:
                 f"Without a transmission there is no {side} side; leave the side out, or add [transmission] to the "
                 "joint file and identify again."
             )
-        there = OtherSide(replace(transmission, side=self.side), self.torque_unit)
+        here = replace(transmission, side=self.side)
+        ratio = here.position(side)
         # An angle is stated per unit of position, which becomes another one.
-        gravity = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
-        law = None if self.law is None else self.law.scale(there.ratio)
-        parameters, kind = on_other_side(self.parameters, there), transmission.kind_of(side)
+        gravity = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * ratio)
+        law = None if self.law is None else self.law.scale(ratio)
+        parameters, kind = on_other_side(self.parameters, here, self.torque_unit), transmission.kind_of(side)
         return replace(self, kind=kind, side=side, parameters=parameters, gravity=gravity, law=law)
 
     def lost(self, *holds: str) -> list[str]:

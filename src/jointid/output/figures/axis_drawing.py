@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.common.charts import panels, styled
-from jointid.common.document import typeset
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
@@ -81,7 +80,6 @@ def write_values(axes: Axes, x: float, across: int, rows: Sequence[EstimatedPara
 
 def _write(axes: Axes, x: float, y: float, text: str, colour: str, *, bold: bool = False, across: int = 1) -> None:
     """Write a line about the middle of some columns, smaller where it is long."""
-    text = typeset(text)
     size = _POINTS * min(1.0, across * _LETTERS / len(text))
     axes.text(x, y, text, ha="center", fontsize=size, color=colour, weight="bold" if bold else "normal")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jointid import Record
-from jointid.common.document import Document, typeset_block
+from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.fields import dumps, plain
 from jointid.common.files import write_whole
@@ -142,7 +142,7 @@ class Report:
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
         blocks = report_blocks(self.data, self.figures, self.repetition, self.tuned)
-        return Document(self.title, tuple(map(typeset_block, blocks)), self.answer())
+        return Document(self.title, tuple(blocks), self.answer())
 
     def html(self) -> str:
         """Return one self-contained HTML page."""

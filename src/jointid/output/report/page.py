@@ -16,7 +16,7 @@ from pathlib import Path
 from jointid import __version__
 from jointid.common.document import Document, Heading, templates
 from jointid.common.errors import RecordError
-from jointid.common.files import digest, write_folder
+from jointid.common.files import digest, explain, write_folder
 from jointid.output.json import REPORT_ELEMENT
 
 _FEW = 4  # headings: a shorter page needs no list of contents
@@ -90,14 +90,12 @@ def repetition(
     given = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
     pairs = [*given.items(), *(("set", change) for change in changes), ("html", html)]
     command = shlex.join([*words, *(word for name, value in pairs for word in (f"--{name}", value))])
-    try:
+    with explain(joint, "opened", "check the path"):
         text = joint.read_text(encoding="utf-8")
-        date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
-    except OSError as error:
-        why = (error.strerror or type(error).__name__).lower()
-        raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
+    known = digest(*records)
+    date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
     names = ", ".join(record.name for record in records)
-    return Repetition(__version__, names, date, digest(*records), joint.name, text, command)
+    return Repetition(__version__, names, date, known, joint.name, text, command)
 
 
 def require_page(path: Path) -> None:
