@@ -30,14 +30,14 @@ print(kernel(1.5), sum(kernel.stats.cache_misses.values()))
 """
 
 
-def run(folder: Path, *full: str) -> tuple[float, int, str]:
-    """Return the result, how many kernels were compiled, and warnings."""
+def run(folder: Path, *full: str) -> tuple[float, int]:
+    """Return the result, and how many kernels were compiled."""
     (folder / "stamped.py").write_text(KERNEL)
     environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "cache")}
     command = [sys.executable, "-B", "-c", PROGRAM, *full]
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     result, count = ran.stdout.split()
-    return float(result), int(count), ran.stderr
+    return float(result), int(count)
 
 
 def test_a_change_of_any_kernel_or_tuple_is_another_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,15 +54,14 @@ def test_a_change_of_any_kernel_or_tuple_is_another_cache(tmp_path: Path, monkey
 
 @pytest.mark.slow
 def test_a_kernel_is_compiled_once_and_again_where_its_cache_is_damaged(tmp_path: Path) -> None:
-    assert [run(tmp_path)[:2] for _ in "ab"] == [(3.0, 1), (3.0, 0)]
+    assert [run(tmp_path) for _ in "ab"] == [(3.0, 1), (3.0, 0)]
     for ending in ("nbi", "nbc"):
         for path in tmp_path.rglob(f"*.{ending}"):
             path.write_bytes(path.read_bytes()[:-20])
-        assert [run(tmp_path)[:2] for _ in "ab"] == [(3.0, 1), (3.0, 0)]
+        assert [run(tmp_path) for _ in "ab"] == [(3.0, 1), (3.0, 0)]
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_told_and_costs_time_alone(tmp_path: Path) -> None:
-    result, _, said = run(tmp_path, "full")
-    assert result == 3.0 and "cannot be written" in said
-    assert [run(tmp_path)[:2] for _ in "ab"] == [(3.0, 1), (3.0, 0)]
+def test_a_full_disk_costs_time_alone(tmp_path: Path) -> None:
+    assert run(tmp_path, "full") == (3.0, 1)
+    assert [run(tmp_path) for _ in "ab"] == [(3.0, 1), (3.0, 0)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -19,10 +18,6 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 
 F = TypeVar("F", bound=Callable[..., object])
-
-
-class CacheWarning(UserWarning):
-    """The compiler's cache is unusable, so kernels are compiled again."""
 
 
 class KernelCache(FunctionCache):
@@ -46,10 +41,8 @@ class KernelCache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save a compiled kernel, if possible."""
-        try:
+        with contextlib.suppress(Exception):  # a full disk, or a type that is not kept
             super().save_overload(sig, data)
-        except Exception as error:
-            _warn(f"The compiler's cache in {self.cache_path} cannot be written ({type(error).__name__}: {error})")
 
 
 _SOURCES = (
@@ -70,12 +63,6 @@ def hash_kernels() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
-@cache  # said once
-def _warn(said: str) -> None:
-    remedy = "every start compiles again; free space, or name another folder by NUMBA_CACHE_DIR."
-    warnings.warn(f"{said}, so that {remedy}", CacheWarning, stacklevel=3)
-
-
 def compile_kernel(function: F) -> F:
     """Compile with Numba: cached on disk, without the GIL, with fused multiply-add.
 
@@ -83,10 +70,8 @@ def compile_kernel(function: F) -> F:
     """
     kernel: Any = _njit(function)
     if kernel is not function:  # Numba may be configured not to compile
-        try:
+        with contextlib.suppress(RuntimeError, OSError):  # there is no such folder, or there are no files of sources
             kernel._cache = KernelCache(function)
-        except (RuntimeError, OSError):  # there is no such folder, or there are no files of sources
-            _warn("The compiler's cache has no folder")
     return cast("F", kernel)
 
 

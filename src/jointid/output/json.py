@@ -16,7 +16,7 @@ from jointid import ClosedLoop, Record, __version__
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.fields import dumps, finite, plain, write
-from jointid.common.files import open_file
+from jointid.common.files import explain, open_file
 from jointid.config import File
 from jointid.estimation.methods.registry import METHODS
 from jointid.estimation.result.estimate import Estimate
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jointid.simulation.robots import RobotSimulation
 
 __all__ = [
-    "dumps", "load_estimate", "plain", "read_answer", "read_choices", "read_report", "simulation_answer", "to_dict",
+    "dumps", "load_estimate", "plain", "read_choices", "read_report", "simulation_answer", "to_dict",
     "write",
 ]  # fmt: skip
 
@@ -166,46 +166,30 @@ def read_choices(path: str | Path) -> dict[str, str]:
         return {"friction": FRICTIONS[settings["system"]["friction"]["name"]].name}
 
 
-def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
-    """Return the answer in a file, whatever it is of: in JSON, or carried along by the page of a report.
-
-    Of a report it is its estimate.
-
-    Raises:
-        RecordError: the file cannot be read, or holds no JSON object; the sentence ends with the remedy.
-    """
-    path = Path(path)
-    try:
-        with open_file(path) as file:
-            raw = file.read(_LARGEST + 1)
-        if len(raw) > _LARGEST:
-            raise RecordError(f"{path} has more than {_LARGEST} bytes, which no answer has; {remedy}.")
-        text = raw.decode("utf-8-sig")
-        if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
-            text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
-        answer = json.loads(text, parse_constant=finite)  # NaN and Infinity are words here, and so refused
-        answer = answer.get("estimate", answer)
-    except OSError as error:
-        raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
-    except (AttributeError, ValueError, RecursionError):
-        raise RecordError(f"{path} is no estimate; {remedy}.") from None
-    if not isinstance(answer, dict):
-        raise RecordError(f"{path} is no estimate; {remedy}.")
-    return answer
-
-
-def read_report(path: str | Path) -> Json:
+def read_report(path: str | os.PathLike[str]) -> Json:
     """Return the document of an estimate: from its JSON or that of a report, or from the page of a report.
 
     Raises:
         RecordError: the file cannot be read, or holds no estimate.
     """
-    answer = read_answer(path)
+    path, damaged = Path(path), RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
+    with explain(path, "read", _REMEDY), open_file(path) as file:
+        raw = file.read(_LARGEST + 1)
+    if len(raw) > _LARGEST:
+        raise damaged
+    try:
+        text = raw.decode("utf-8-sig")
+        if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
+            text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
+        answer = json.loads(text, parse_constant=finite)  # NaN and Infinity are words here, and so refused
+        answer = dict(answer.get("estimate", answer))
+    except (AttributeError, TypeError, ValueError, RecursionError):
+        raise damaged from None
     if answer.get("schema") == "jointid.estimate/1":
         with _undamaged(path):
             return _of_first_form(answer)
     if answer.get("schema") != ESTIMATE_SCHEMA:
-        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
+        raise damaged
     return answer
 
 

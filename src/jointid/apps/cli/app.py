@@ -161,11 +161,9 @@ def _show_warning(
     file: object = None,
     line: object = None,
 ) -> None:
-    """Print a warning on the compiler's cache as a sentence; a library's is for who looks for a fault of ours."""
+    """Print a warning of a library for who looks for a fault of ours."""
     del file, line
-    if category.__name__ == "CacheWarning":  # its module would load the compiler
-        tell(f"Warning: {message}")
-    elif console.details:
+    if console.details:
         tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
 
 

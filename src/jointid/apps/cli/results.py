@@ -40,13 +40,13 @@ def report(
         held_out: another record, that the estimate has not seen, which it is held against.
         estimate: what identify --json wrote, to report it with its record, and identify nothing.
     """
-    from jointid import Report
+    from jointid import Report, figures
     from jointid import validate as validate_estimate
     from jointid.output.json import load_estimate
     from jointid.output.report import repetition, tune_to_limit
-    from jointid.output.report.page import require_page
+    from jointid.output.report.page import PAGES
 
-    require_page(html)
+    figures.require_format(html, PAGES)
     spare((html, options.json), held_out)
     file = options.load(joint, html, estimate=estimate)
     unseen = None if held_out is None else file.record(held_out)

@@ -271,7 +271,7 @@ class Estimate(EstimateParts, Documented):
 
     @property
     def plot(self) -> jointid.figures.Plots:
-        """The figures: ``estimate.plot.torque()``, ``.residual(record)``, ``.spectrum()``, ``.response()`` and more."""
+        """The figures: ``estimate.plot()``, ``.plot.residual(record)``, ``.spectrum()``, ``.response()`` and more."""
         import jointid
 
         return jointid.figures.Plots(self)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 from jointid.models.friction import StribeckFriction
-from jointid.output.export.bodies import Model, require_timestep, robot_bodies
+from jointid.output.export.bodies import Body, Model, require_timestep, robot_bodies
 from jointid.output.export.joint_model import number
 from jointid.output.export.pd_law import PDLaw, in_steps
 
@@ -23,40 +24,24 @@ _NO_LAW = PDLaw(
 )  # fmt: skip
 
 
-class Actuator(NamedTuple):
-    """An actuator of a simulator, in SI units.
-
-    Attributes:
-        name: of the joint.
-        armature: inertia of the rotor; of a rigid joint alone also that of its load.
-        viscous, coulomb: friction of both sides, the mean of both directions.
-        rise: Stribeck's force; 0 without.
-        law: of the controller.
-        steps: of the simulator, by which commands are late.
-    """
-
-    name: str
-    armature: float
-    viscous: float
-    coulomb: float
-    rise: float
-    law: PDLaw
-    steps: int
+_Configure: TypeAlias = Callable[[Body, PDLaw, float, int], tuple[str, dict[str, Any]]]
+"""Returns the class and the keys of an actuator: of a joint, its law, Stribeck's force, and the steps of the simulator
+by which commands are late."""
 
 
 def isaac_lab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[str]]:
     """Return a dict of actuators of Isaac Lab as a Python file, and its losses."""
 
-    def configure(one: Actuator) -> tuple[str, dict[str, Any]]:
+    def configure(one: Body, law: PDLaw, force: float, steps: int) -> tuple[str, dict[str, Any]]:
         keys: dict[str, Any] = {
-            "joint_names_expr": [re.escape(one.name)], "stiffness": one.law.stiffness, "damping": one.law.damping,
-            "armature": one.armature, "friction": one.coulomb + max(one.rise, 0.0), "dynamic_friction": one.coulomb,
-            "viscous_friction": one.viscous,
+            "joint_names_expr": [re.escape(one.joint)], "stiffness": law.stiffness, "damping": law.damping,
+            "armature": one.armature, "friction": one.friction + max(force, 0.0), "dynamic_friction": one.friction,
+            "viscous_friction": one.damping,
         }  # fmt: skip
-        if one.law.limit < math.inf:
-            keys["effort_limit" if one.steps else "effort_limit_sim"] = one.law.limit
-        if one.steps:
-            return "DelayedPDActuatorCfg", keys | {"min_delay": one.steps, "max_delay": one.steps}
+        if law.limit < math.inf:
+            keys["effort_limit" if steps else "effort_limit_sim"] = law.limit
+        if steps:
+            return "DelayedPDActuatorCfg", keys | {"min_delay": steps, "max_delay": steps}
         return "ImplicitActuatorCfg", keys
 
     rise = "the speed over which friction rises towards standstill"
@@ -66,14 +51,15 @@ def isaac_lab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[s
 def mjlab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[str]]:
     """Return a tuple of actuators of mjlab as a Python file, and its losses."""
 
-    def configure(one: Actuator) -> tuple[str, dict[str, Any]]:
+    def configure(one: Body, law: PDLaw, force: float, steps: int) -> tuple[str, dict[str, Any]]:
+        del force
         keys: dict[str, Any] = {
-            "target_names_expr": (re.escape(one.name),), "stiffness": one.law.stiffness, "damping": one.law.damping,
-            "armature": one.armature, "frictionloss": one.coulomb, "viscous_damping": one.viscous,
+            "target_names_expr": (re.escape(one.joint),), "stiffness": law.stiffness, "damping": law.damping,
+            "armature": one.armature, "frictionloss": one.friction, "viscous_damping": one.damping,
         }  # fmt: skip
-        keys |= {"effort_limit": one.law.limit} if one.law.limit < math.inf else {}
-        keys |= {"delay_min_lag": one.steps, "delay_max_lag": one.steps} if one.steps else {}
-        return "IdealPdActuatorCfg" if one.law.share else "BuiltinPositionActuatorCfg", keys
+        keys |= {"effort_limit": law.limit} if law.limit < math.inf else {}
+        keys |= {"delay_min_lag": steps, "delay_max_lag": steps} if steps else {}
+        return "IdealPdActuatorCfg" if law.share else "BuiltinPositionActuatorCfg", keys
 
     rise = f"{StribeckFriction.adds}; {StribeckFriction.instead} is written"
     return _write(model, timestep, configure, "mjlab.actuator", rise, keyed=False)
@@ -82,7 +68,7 @@ def mjlab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[str]]
 def _write(
     model: Model,
     timestep: float,
-    configure: Callable[[Actuator], tuple[str, dict[str, Any]]],
+    configure: _Configure,
     module: str,
     rise: str,
     *,
@@ -93,7 +79,7 @@ def _write(
     Args:
         model: a joint or a robot.
         timestep: of the physics in s, of which a delay is a number.
-        configure: returns a configuration, its class and keys.
+        configure: of a joint.
         module: that the configurations come from.
         rise: the loss where friction rises towards standstill.
         keyed: whether it is a dict by the joints' names, or a tuple.
@@ -102,13 +88,20 @@ def _write(
         MethodError: the time step is out of range, or no such actuator can have these numbers.
     """
     require_timestep(timestep)
-    kinds, lines, lost = set[str](), list[str](), list[str]()
-    for one in _actuators(model, timestep):
-        kind, keys = configure(one)
+    kinds, lines, lost, alone, force = set[str](), list[str](), list[str](), model.alone, 0.0
+    robot = model.robot("" if alone is None else alone.name)
+    bodies = robot_bodies(robot)
+    if alone is not None:
+        bodies = [replace(bodies[0], armature=alone.masses["motor"].inertia)]
+        rises = alone.joint.friction == StribeckFriction() and not alone.flexible
+        force = alone.values["stribeck_force"] if rises else 0.0
+    for body, law in zip(bodies, model.laws or (None,) * len(robot), strict=True):
+        known = law or _NO_LAW
+        kind, keys = configure(body, known, force, in_steps(known.command_delay, timestep)[0])
         kinds.add(kind)
-        lost += _losses(model, one, rise, timestep)
+        lost += _losses(model, known, rise if force else "", timestep)
         said = (f"{key}={number(value) if isinstance(value, float) else ascii(value)}" for key, value in keys.items())
-        name = f"{one.name!a}: " if keyed else ""
+        name = f"{body.joint!a}: " if keyed else ""
         lines += [f"    {name}{kind}(", *(f"        {key}," for key in said), "    ),"]
     lost = [*dict.fromkeys(lost)]
     head = [f"# {line}" for line in model.remarks(lost, bodies=False)]
@@ -117,22 +110,10 @@ def _write(
     return "\n".join(text), lost
 
 
-def _actuators(model: Model, timestep: float) -> Iterator[Actuator]:
-    robot, alone = model.robot("" if model.alone is None else model.alone.name), model.alone
-    for one, law in zip(robot_bodies(robot), model.laws or (None,) * len(robot), strict=True):
-        armature, rise, known = one.armature, 0.0, law or _NO_LAW
-        if alone is not None:
-            armature = alone.masses["motor"].inertia
-            rises = alone.joint.friction == StribeckFriction() and not alone.flexible
-            rise = alone.values["stribeck_force"] if rises else 0.0
-        steps, _ = in_steps(known.command_delay, timestep)
-        yield Actuator(one.joint, armature, one.damping, one.friction, rise, known, steps)
-
-
-def _losses(model: Model, one: Actuator, rise: str, timestep: float) -> Iterator[str]:
-    alone, law = model.alone, one.law
-    yield from model.lost("coulomb", "law of the spring", *(["law of friction"] if one.rise else []))
-    if one.rise:
+def _losses(model: Model, law: PDLaw, rise: str, timestep: float) -> Iterator[str]:
+    alone = model.alone
+    yield from model.lost("coulomb", "law of the spring", *(["law of friction"] if rise else []))
+    if rise:
         yield rise
     if alone is not None and alone.flexible:
         yield "the inertia of the load, which is that of the body in the simulator's model"

@@ -39,11 +39,6 @@ def torque(answer: Estimate | Validation) -> Figure:
     return charts.torque_figure(axes, title)
 
 
-def residual(validation: Validation) -> Figure:
-    """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
-    return charts.residual_figure(AxisSignals.of_validation(validation), validation)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Plots:
     """The figures of an estimate, by matplotlib: ``figure.savefig(path)`` writes one."""
@@ -51,10 +46,6 @@ class Plots:
     estimate: Estimate
 
     def __call__(self) -> Figure:
-        """Return `torque`."""
-        return self.torque()
-
-    def torque(self) -> Figure:
         """Return the measured and the predicted torque over time, and their difference."""
         return torque(self.estimate)
 
@@ -64,7 +55,8 @@ class Plots:
         Args:
             record: of the identification, or another one; an estimate keeps no motion. Of a robot one of each joint.
         """
-        return residual(validate(self.estimate, record))
+        found = validate(self.estimate, record)
+        return charts.residual_figure(AxisSignals.of_validation(found), found)
 
     def spectrum(self) -> Figure:
         """Return the amplitude spectra of measured and predicted torque, and of their difference.
@@ -109,7 +101,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def require_format(path: Path | None) -> None:
-    """Raise a `RecordError` if a figure cannot be saved under that name; None is no figure."""
-    if path is not None and path.suffix.lower() not in FORMATS:
-        raise RecordError(f'A figure is saved as {", ".join(FORMATS)}; received "{path.name}": change its suffix.')
+def require_format(path: Path | None, formats: Sequence[str] = FORMATS) -> None:
+    """Raise a `RecordError` if nothing of these formats can be saved under that name; None is nothing to save."""
+    if path is not None and path.suffix.lower() not in formats:
+        raise RecordError(f'It is saved as {" or ".join(formats)}; received "{path.name}": change its suffix.')

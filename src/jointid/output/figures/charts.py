@@ -20,7 +20,6 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.report_data import estimate_spectra
 from jointid.diagnostics.validation import Validation
-from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.position_forces import Motion
@@ -351,22 +350,4 @@ def profiles_figure(estimate: Estimate, found: Intervals | ReportData) -> Figure
             axes.plot(ends, np.abs(ends - one.estimate) / std, color="#666666", linewidth=0.8, linestyle="--")
         axes.axhline(2.0, **LEVEL)
         axes.set(xlabel=f"{one.formula} [{one.unit}]", ylabel="rise [sigma]", ylim=(0.0, 3.2))
-    return figure
-
-
-@styled
-def bounds_figure(estimate: Estimate) -> Figure:
-    """Draw the lower bound of a refused stiffness, by the load's share of the inertia."""
-    known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
-    if not known:
-        raise RecordError("The stiffness is not refused, so there is no bound to draw.")
-    figure, (soft, slow) = panels((280, 280), 2)
-    share = [b.share for b in known]
-    stiffness, mode = np.array([(b.stiffness, b.frequency) for b in known], dtype=np.float64).T
-    for axes, least, floor in ((soft, stiffness, 0.5 * stiffness.min()), (slow, mode, 0.0)):
-        axes.fill_between(share, floor, least, color=OTHERS[3], label="excluded", **BAND)
-        axes.plot(share, least, color=OTHERS[3], linewidth=1.2, marker="o")
-        axes.set_xlabel("load's share of the inertia")
-    soft.set(ylabel=f"stiffness [{estimate['stiffness'].unit}]", yscale="log")
-    slow.set_ylabel("free-free mode [Hz]")
     return figure

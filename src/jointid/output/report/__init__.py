@@ -21,8 +21,9 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict
-from jointid.output.report.page import Repetition, page, repetition, require_page
+from jointid.output.report.page import PAGES, Repetition, page, repetition
 from jointid.output.report.sections import draw_figures, report_blocks
 from jointid.tuning.tuned import Tuned
 
@@ -120,13 +121,6 @@ class Report:
         own = self.estimate.data.record if robot is None else robot.model.name
         return ", ".join(filter(None, (self.name or own, again.record_date, f"jointid {again.version}")))
 
-    def _repr_html_(self) -> str:
-        """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""
-        return self.estimate._repr_html_()
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.title!r})"
-
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
         given, names = self.data, ("diagnosis", "validation", "checks", "profiles", "parabolic", "absent")
@@ -158,7 +152,7 @@ class Report:
             RecordError: another suffix, or the file cannot be written.
         """
         path = Path(path)
-        require_page(path)
+        require_format(path, PAGES)
         write_whole(path, self.html())
         return path
 
@@ -174,7 +168,5 @@ def tune_to_limit(estimate: Estimate, shown: Iterable[DriveNumber] = ()) -> Tune
         return None
     try:
         return tune(estimate, shown=shown)
-    except JointidError as error:  # a refused parameter, say: the report is written all the same
+    except (JointidError, LinAlgError) as error:  # a refused parameter, say: the report is written all the same
         return str(error)
-    except LinAlgError as error:  # values far outside all bounds have no margins
-        return f"they cannot be computed from these values ({error})."

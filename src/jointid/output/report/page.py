@@ -15,10 +15,10 @@ from pathlib import Path
 
 from jointid import __version__
 from jointid.common.document import Document, Heading, templates
-from jointid.common.errors import RecordError
 from jointid.common.files import digest, explain, write_folder
 from jointid.output.json import REPORT_ELEMENT
 
+PAGES = (".html", ".htm")
 _FEW = 4  # headings: a shorter page needs no list of contents
 
 
@@ -96,9 +96,3 @@ def repetition(
     date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
     names = ", ".join(record.name for record in records)
     return Repetition(__version__, names, date, known, joint.name, text, command)
-
-
-def require_page(path: Path) -> None:
-    """Raise a `RecordError` if a page cannot be saved under that name."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise RecordError(f'A report is saved as .html; received "{path.name}": change its suffix.')

@@ -22,7 +22,7 @@ from jointid.common.document import (
     Tone,
 )
 from jointid.common.errors import RecordError
-from jointid.common.text import number, sentence
+from jointid.common.text import sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
@@ -41,11 +41,6 @@ _PICTURES = {
         "",
         "Measured and predicted torque lie on each other where the model is right; below is what they differ by. The "
         "motion is {motion}. Lines break where nothing is compared.",
-    ),
-    "bounds": (
-        "Lower bound of the stiffness",
-        "The stiffness is refused; what lies in the shaded part is excluded with 95 % confidence, for a mode damped by "
-        "up to 15 %. The more of the inertia is behind the spring, the stiffer it must be.",
     ),
     "residual": (
         "Residual",
@@ -144,7 +139,6 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
         "spectra": lambda: charts.spectra_figure(axes, cutoff, {} if estimate.robot else estimate.frequencies),
     }
     if estimate.robot is None:
-        every["bounds"] = lambda: charts.bounds_figure(estimate)
         every["correlation"] = lambda: charts.correlation_figure(estimate)
         every["profiles"] = lambda: charts.profiles_figure(estimate, given)
         if given.response is not None:
@@ -186,18 +180,11 @@ def _result(given: ReportData) -> Iterator[Block]:
         yield Paragraph("All numbers are behind the gears.")
 
 
-def _beside(given: ReportData, name: str) -> Table | None:
-    """Return the table beside a picture; None where there is none."""
+def _beside(given: ReportData, name: str) -> Block | None:
+    """Return the numbers beside a picture; None where there are none."""
     if name == "residual":
         return bands_table(given.estimate, "The residual by frequency")
-    if name == "profiles":
-        ends = [("no end found" if end is None else number(end, 4) for end in one.interval) for one in given.profiles]
-        cells = tuple(
-            (one.formula, number(one.estimate), *end, one.unit) for one, end in zip(given.profiles, ends, strict=True)
-        )
-        caption = f"Profile intervals, {100 * given.profiles[0].level:.4g} %"
-        return Table(("quantity", "estimate", "from", "to", "unit"), cells, caption, words=(0, 4))
-    return None
+    return Listing(tuple(map(str, given.profiles))) if name == "profiles" else None
 
 
 def _settings(given: ReportData, repetition: Repetition) -> Iterator[Block]:
