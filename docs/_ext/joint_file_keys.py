@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, get_args, get_origin
 
-from jointid.common.settings import Declared
+from jointid.common.settings import Setting
 from jointid.config.declaration import FileKey, list_keys, table_of, table_of_items
 from jointid.config.quantities import list_units
 from jointid.config.tables import JOINT_FILE, ROBOT_FILE
@@ -57,7 +57,7 @@ def page() -> str:
         if name == "record":
             keys = _of_any_channel(keys)
         mark = f"[[{name}]]" if get_origin(table.type) is tuple else f"[{name}]"
-        said = f"{table.setting.help[:1].upper()}{table.setting.help[1:]}."
+        said = f"{table.help[:1].upper()}{table.help[1:]}."
         parts.append(_section(f"`{mark}`", said, keys))
     robot = _merged(list(_convert(_of_robots())))
     return "".join([*parts, _section("Of a robot file", "Of `[[joints]]` each entry has its own keys.", robot)])
@@ -83,7 +83,7 @@ def _convert(keys: Iterable[FileKey]) -> Iterator[Key]:
     """Yield the rows of keys; one of several laws comes once for each."""
     for key in keys:
         one = key.declared
-        said = "its value, by its name" if one.name == "<name>" else one.setting.description
+        said = "its value, by its name" if one.name == "<name>" else one.description
         unit = _UNIT.search(said)
         kind = _choice([key.kind]) if key.kind else ""
         values = kind if key.place == "controller.law" else _values(one)
@@ -125,10 +125,10 @@ def _of_any_channel(keys: list[Key]) -> list[Key]:
     return list(found.values())
 
 
-def _values(one: Declared) -> str:
+def _values(one: Setting) -> str:
     """Return in words what may stand there."""
-    if one.choices or one.setting.only:
-        return _choice(one.choices or one.setting.only)
+    if one.choices or one.only:
+        return _choice(one.choices or one.only)
     if (table := table_of(one.type)) is not None:
         return f"{_values(table.keys[table.shorthand])} or table" if table.shorthand else "table"
     if get_origin(one.type) is tuple:
@@ -137,21 +137,21 @@ def _values(one: Declared) -> str:
     if get_origin(one.type) is not None:
         return "table"
     word = _WORDS[one.type]
-    if one.setting.above == 0:
+    if one.above == 0:
         word = f"positive {word}"
-    elif one.setting.above is not None:
-        word = f"{word} above {one.setting.above:g}"
-    elif one.setting.at_least is not None:
-        word = f"{word}, {one.setting.at_least:g} or more"
-    more = ["text with a unit"] if one.type is float and list_units(one.setting.unit) else []
-    return " or ".join([word, *more, *([_choice([one.setting.none])] if one.setting.none else [])])
+    elif one.above is not None:
+        word = f"{word} above {one.above:g}"
+    elif one.at_least is not None:
+        word = f"{word}, {one.at_least:g} or more"
+    more = ["text with a unit"] if one.type is float and list_units(one.unit) else []
+    return " or ".join([word, *more, *([_choice([one.none])] if one.none else [])])
 
 
 def _choice(values: Iterable[object]) -> str:
     return ", ".join(f"`{json.dumps(value)}`" for value in values)
 
 
-def _default(one: Declared) -> str:
+def _default(one: Setting) -> str:
     """Return the value of a key that is left out, as the file has it."""
     if one.required:
         return "required"

@@ -1,10 +1,16 @@
-"""One document, three renderings; what comes in as text stays text in each of them."""
+"""One document, three renderings; what comes in as text stays text in each of them, and in a notebook."""
 
 from __future__ import annotations
 
 import io
+import sys
+from functools import cache
 from html.parser import HTMLParser
+from typing import Any
 
+import pytest
+
+import jointid as ji
 from jointid.common.document import (
     Code,
     Document,
@@ -18,66 +24,96 @@ from jointid.common.document import (
     block_html,
     plain_console,
 )
+from tests.output.report import reports
 
 EVIL = '<script>alert("1")</script>\x1b[31m[red](javascript:x)'
-EVERY = Document(
-    "a title",
-    (
-        Facts((("read", "torque"),)),
-        Table(("symbol", "value"), (("ZZ", "94.9"), ("offset", "-3")), "the table"),
-        Heading("checks"),
-        Verdicts(
-            (
-                ("fit", True, ("4 % remains",)),
-                ("whiteness", False, ("one", "two")),
-                ("loop", None, ("-",)),
-            )
+
+
+def every(text: str) -> Document:
+    """A document with every kind of block, of one text."""
+    return Document(
+        text,
+        (
+            Facts(((text, text),)),
+            Table((text, text), ((text, text),), text),
+            Heading(text),
+            Verdicts(((text, True, (text,)), (text, False, (text, text)), (text, None, (text,)))),
+            Paragraph(text),
+            Listing((text, text)),
+            Code(text, text),
+            Picture("p.svg", lambda: b"<svg/>", text),
         ),
-        Paragraph("a paragraph"),
-        Listing(("first", "second")),
-        Code("x = 1", "a program"),
-        Picture("p.svg", lambda: b"<svg/>", "a picture"),
-    ),
-)
-HOSTILE = Document(
-    EVIL,
-    (
-        Facts(((EVIL, EVIL),)),
-        Table((EVIL, EVIL), ((EVIL, EVIL),), EVIL),
-        Heading(EVIL),
-        Verdicts(((EVIL, False, (EVIL,)),)),
-        Paragraph(EVIL),
-        Listing((EVIL,)),
-        Code(EVIL, EVIL),
-        Picture("p.svg", lambda: b"", EVIL),
-    ),
-)
+    )
 
 
 class Tags(HTMLParser):
+    """The tags of a text, as a browser takes it apart; each that is closed was the last to be opened."""
+
     def __init__(self, text: str) -> None:
         super().__init__()
+        self.open: list[str] = []
         self.found: list[str] = []
         self.feed(text)
+        self.close()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        del attrs
         self.found.append(tag)
+        self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: object) -> None:
+        del attrs
+        self.found.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
 
 
 def test_html_makes_no_tag_of_a_text() -> None:
-    hostile, every = ("".join(map(block_html, document.blocks)) for document in (HOSTILE, EVERY))
-    assert "script" not in Tags(hostile).found
-    assert Tags(hostile).found.count("table") == Tags(every).found.count("table") == 1
+    hostile, friendly = (Tags("".join(map(block_html, every(text).blocks))) for text in (EVIL, "a text"))
+    assert hostile.found == friendly.found and "table" in hostile.found and not hostile.open
 
 
 def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
-    def printed(document: Document) -> str:
+    def printed(text: str) -> str:
         out = io.StringIO()
-        document.print(plain_console(file=out, force_terminal=True, width=100, color_system="standard"))
+        every(text).print(plain_console(file=out, force_terminal=True, width=100, color_system="standard"))
         return out.getvalue()
 
-    said = printed(EVERY)
-    assert "\x1b[1;31mno" in said
-    assert "94.9" in said
-    assert "\x1b[31m[red]" not in printed(HOSTILE)
-    assert "\\x1b[31m" in printed(HOSTILE)
+    assert "\x1b[1;31mno" in printed("a text")
+    assert "\x1b[31m[red]" not in printed(EVIL)
+    assert "\\x1b[31m" in printed(EVIL)
+
+
+@cache
+def results() -> dict[str, Any]:
+    """Every kind of result that a notebook shows, of a record with a hostile name."""
+    record, loop = reports.rigid_record(name=reports.EVIL)
+    estimate = ji.identify(record, loop)
+    return {"record": record, "estimate": estimate, "validation": ji.validate(estimate, record)}
+
+
+@pytest.mark.parametrize("name", ["record", "estimate", "validation"])
+def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
+    made = results()[name]
+    html = made._repr_html_()
+    found = Tags(html)
+    assert not found.open and not {"script", "a"} & {*found.found}
+    assert html.index("<p>") < html.index("<table") if "<table" in html else True
+    assert html.count(f"<p>{made.sentence.split('<')[0][:30]}") == 1  # a title that is the answer is not said again
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ji.ExtraError):
+        results()["estimate"].to_dataframe()
+
+
+def test_pictures_are_a_word_away() -> None:
+    record, estimate, validation = results().values()
+    assert [axes.get_ylabel() for axes in record.plot().axes] == [
+        f"{name.replace('_', ' ')} [{channel.unit}]" for name, channel in record.items()
+    ]
+    assert record.plot().axes[-1].get_xlabel() == "time [s]"
+    for figure in (estimate.plot(), validation.plot()):
+        assert figure.axes[0].get_ylabel() == "torque [N m]"

@@ -6,7 +6,7 @@ import base64
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -16,6 +16,7 @@ from jointid.common.text import printable
 if TYPE_CHECKING:
     from jinja2 import Environment
     from rich.console import Console, RenderableType
+    from rich.text import Text
 
 _MARKS: Mapping[bool | None, tuple[str, str]] = {
     True: ("yes", "green"),
@@ -134,14 +135,13 @@ class Document:
 
     def print(self, console: Console) -> None:
         """Print on a console, in colour where it has any; see `plain_console`."""
-        console.print(printable(self.title), style="bold")
+        console.print(self.title, style="bold")
         before: Block | None = None
         for block in self.blocks:
             if not (isinstance(before, Heading) or (before is None and isinstance(block, Facts))):
                 console.print()
             style = "bold" if isinstance(block, Heading) else None
-            shown = _render(_with_texts(block, printable), console)
-            console.print(shown, style=style, crop=False, soft_wrap=isinstance(block, Code))
+            console.print(_render(block, console), style=style, crop=False, soft_wrap=isinstance(block, Code))
             before = block
 
     @property
@@ -189,7 +189,13 @@ def plain_console(**options: Any) -> Console:
     """Return a console of rich to which names of files are plain text, whatever they hold."""
     from rich.console import Console
 
-    return Console(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
+    class PlainConsole(Console):
+        """A console that no text controls."""
+
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(printable(text), **options)
+
+    return PlainConsole(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
 
 
 def _render(block: Block, console: Console) -> RenderableType:
@@ -267,15 +273,3 @@ def block_html(block: Block) -> str:
 def inert(answer: str) -> str:
     """Return JSON in which no tag, comment or entity of HTML can begin; it is the same JSON."""
     return answer.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _with_texts(block: Block, change: Callable[[str], str]) -> Block:
-    """Return a block with each of its texts changed."""
-
-    def changed(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return tuple(map(changed, value))
-        return change(value) if isinstance(value, str) else value
-
-    texts: dict[str, Any] = {one.name: changed(getattr(block, one.name)) for one in fields(block)}
-    return replace(block, **texts)

@@ -9,7 +9,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import lru_cache
 from numbers import Integral, Real
@@ -26,7 +26,7 @@ _KEY = "setting"  # of a field's metadata
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The declaration of one setting, beside its name, type and default.
+    """The declaration of one setting.
 
     Attributes:
         help: its meaning, a phrase.
@@ -35,10 +35,13 @@ class Setting:
         infinite: whether its value may be infinite. nonzero: whether it may not be 0.
         only: the whole numbers that are allowed, where they are few.
         none: the word of the joint file for None, where leaving the key out means something else.
-        expected: what is expected of a value, in words, where type and bounds do not say it.
         accept: refuses a value by raising a `JointidError`.
         choices: the words that are allowed, where the type does not list them.
         systems: what it is for, "rigid", "flexible" or "robot"; empty for all.
+        name: of the field.
+        type: of its value, without None.
+        optional: whether its value may be None.
+        default: of the field; `dataclasses.MISSING` where it has none.
     """
 
     help: str
@@ -50,51 +53,24 @@ class Setting:
     nonzero: bool = False
     only: tuple[int, ...] = ()
     none: str = ""
-    expected: str = ""
     accept: Callable[[Any], object] | None = None
     choices: tuple[str, ...] = ()
     systems: tuple[str, ...] = ()
+    name: str = ""
+    type: Any = None
+    optional: bool = False
+    default: Any = None
+
+    def __post_init__(self) -> None:
+        if get_origin(self.type) is Literal:
+            object.__setattr__(self, "choices", tuple(map(str, get_args(self.type))))
+        elif isinstance(self.type, type) and issubclass(self.type, StrEnum):
+            object.__setattr__(self, "choices", tuple(choice.value for choice in self.type))
 
     @property
     def description(self) -> str:
         """Its meaning, and its unit in brackets."""
         return f"{self.help} [{self.unit}]" if self.unit else self.help
-
-
-def declare(help: str, **declared: Any) -> Mapping[str, Setting]:  # noqa: A002
-    """Metadata of a setting without a default; see `Setting`."""
-    return {_KEY: Setting(help, **declared)}
-
-
-def setting(default: Any, help: str, **declared: Any) -> Any:  # noqa: A002
-    """Field of a setting with a default; see `Setting`."""
-    return field(default=default, metadata=declare(help, **declared))
-
-
-@dataclass(frozen=True, slots=True)
-class Declared:
-    """A setting as its dataclass declares it.
-
-    Attributes:
-        type: of its value, without None.
-        optional: whether its value may be None.
-        default: of the field; `dataclasses.MISSING` where it has none.
-    """
-
-    name: str
-    type: Any
-    optional: bool
-    default: Any
-    setting: Setting
-
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """Allowed words, empty for other types."""
-        if get_origin(self.type) is Literal:
-            return tuple(str(choice) for choice in get_args(self.type))
-        if isinstance(self.type, type) and issubclass(self.type, StrEnum):
-            return tuple(choice.value for choice in self.type)
-        return self.setting.choices
 
     @property
     def required(self) -> bool:
@@ -104,16 +80,15 @@ class Declared:
     @property
     def expected(self) -> str:
         """Description of the expected value."""
-        declared = self.setting
-        if declared.expected:
-            return declared.expected
-        if self.choices or declared.only:
-            return messages.either(self.choices) if self.choices else " or ".join(map(str, declared.only))
+        if self.choices or self.only:
+            return messages.either(self.choices) if self.choices else " or ".join(map(str, self.only))
+        if get_origin(self.type) is tuple and ... not in get_args(self.type):
+            return f"a list of {len(get_args(self.type))} numbers"
         if self.type not in (int, float):
             return _WORDS.get(self.type, "a table")
-        limits = {"above": declared.above, "at least": declared.at_least, "at most": declared.at_most}
+        limits = {"above": self.above, "at least": self.at_least, "at most": self.at_most}
         said = [f"{word} {limit:g}" for word, limit in limits.items() if limit is not None]
-        said += ["not 0"] if declared.nonzero else []
+        said += ["not 0"] if self.nonzero else []
         return ", ".join(["a whole number" if self.type is int else "a number", *said])
 
     def fault(self, value: Any) -> str | None:
@@ -137,30 +112,39 @@ class Declared:
         return self.type != tuple[int, int] or (len(value) == 2 and min(value) >= 0)  # a part checks itself
 
     def _within(self, value: Any) -> bool:
-        declared = self.setting
         return (
-            (abs(value) <= sys.float_info.max or (declared.infinite and abs(value) == math.inf))
-            and (declared.above is None or value > declared.above)
-            and (declared.at_least is None or value >= declared.at_least)
-            and (declared.at_most is None or value <= declared.at_most)
-            and not (declared.nonzero and value == 0)
-            and (not declared.only or value in declared.only)
+            (abs(value) <= sys.float_info.max or (self.infinite and abs(value) == math.inf))
+            and (self.above is None or value > self.above)
+            and (self.at_least is None or value >= self.at_least)
+            and (self.at_most is None or value <= self.at_most)
+            and not (self.nonzero and value == 0)
+            and (not self.only or value in self.only)
         )
+
+
+def declare(help: str, **declared: Any) -> Mapping[str, Setting]:  # noqa: A002
+    """Metadata of a setting without a default; see `Setting`."""
+    return {_KEY: Setting(help, **declared)}
+
+
+def setting(default: Any, help: str, **declared: Any) -> Any:  # noqa: A002
+    """Field of a setting with a default; see `Setting`."""
+    return field(default=default, metadata=declare(help, **declared))
 
 
 _WORDS: Mapping[Any, str] = {
     bool: "true or false",
     str: "text in quotes",
     tuple[str, ...]: "a list of names in quotes",
-    tuple[int, int]: "a list of two whole numbers, 0 or more",
     tuple[float, ...]: "a list of one or more numbers",
+    Mapping[str, float]: "a table of numbers",
 }
 
 
 @lru_cache(maxsize=256)
-def settings_of(owner: type) -> tuple[Declared, ...]:
+def settings_of(owner: type) -> tuple[Setting, ...]:
     """Settings of a dataclass, in order."""
-    hints, found = get_type_hints(owner), list[Declared]()
+    hints, found = get_type_hints(owner), list[Setting]()
     for one in fields(owner):
         if _KEY in one.metadata:
             hint = hints[one.name]
@@ -168,7 +152,8 @@ def settings_of(owner: type) -> tuple[Declared, ...]:
             kept = [part for part in parts if part is not NoneType]
             default = one.default if one.default_factory is MISSING else one.default_factory()
             kind = kept[0] if len(kept) == 1 else hint
-            found.append(Declared(one.name, kind, len(kept) < len(parts), default, one.metadata[_KEY]))
+            stated = {"name": one.name, "type": kind, "optional": len(kept) < len(parts), "default": default}
+            found.append(replace(one.metadata[_KEY], **stated))
     return tuple(found)
 
 
@@ -188,8 +173,8 @@ def check_settings(owner: Any, error: type[JointidError] = MethodError, called: 
     if faults:
         raise error(faults if issubclass(error, FaultsError) else "\n".join(faults))  # type: ignore[arg-type]
     for one in declared:
-        if one.setting.accept is not None and (value := getattr(owner, one.name)) is not None:
-            one.setting.accept(value)
+        if one.accept is not None and (value := getattr(owner, one.name)) is not None:
+            one.accept(value)
 
 
 def add_settings_to_docstring(owner: type[T]) -> type[T]:

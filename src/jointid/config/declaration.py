@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, get_args, get_origin
 
 from jointid.common import messages
 from jointid.common.errors import Fault, JointFileError, JointidError
-from jointid.common.settings import Declared, Setting, settings_of
+from jointid.common.settings import Setting, settings_of
 from jointid.common.units import UnitError
 from jointid.config.quantities import is_quantity, list_units, to_si
 
@@ -60,7 +60,7 @@ class Table:
             documentation shows; without them, those of each variant.
     """
 
-    keys: Mapping[str, Declared]
+    keys: Mapping[str, Setting]
     make: Callable[..., Any] = dict
     shorthand: str = ""
     instead: Mapping[str, str] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class Table:
     variants: Mapping[str, Table] = field(default_factory=dict)
 
 
-def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> dict[str, Declared]:
+def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> dict[str, Setting]:
     """Return the keys that are settings of classes; one of several is described once for each.
 
     Args:
@@ -76,24 +76,24 @@ def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> di
         system: leaves out settings that are for other systems, see `Setting.systems`; all are meant without it.
         without: names that are left out.
     """
-    found: dict[str, list[Declared]] = {}
+    found: dict[str, list[Setting]] = {}
     for one in (one for owner in owners for one in settings_of(owner)):
-        foreign = system and one.setting.systems and system not in one.setting.systems
+        foreign = system and one.systems and system not in one.systems
         if one.name not in without and not foreign:
             found.setdefault(one.name, []).append(one)
     return {name: merge(same) for name, same in found.items()}
 
 
-def merge(same: list[Declared]) -> Declared:
+def merge(same: list[Setting]) -> Setting:
     """Return one declaration of a setting that several classes have; its default is that of all, or none."""
-    help_text = "; ".join(dict.fromkeys(one.setting.help for one in same))
-    merged = replace(same[0], setting=replace(same[0].setting, help=help_text))
+    help_text = "; ".join(dict.fromkeys(one.help for one in same))
+    merged = replace(same[0], help=help_text)
     return merged if len({str(one.default) for one in same}) == 1 else replace(merged, default=None, optional=True)
 
 
-def key(name: str, kind: Any, help_text: str, default: Any = None, **declared: Any) -> dict[str, Declared]:
+def key(name: str, kind: Any, help_text: str, default: Any = None, **declared: Any) -> dict[str, Setting]:
     """Return a key that no class has as a setting; `MISSING` is the default of one that must be there."""
-    return {name: Declared(name, kind, default is None, default, Setting(help_text, **declared))}
+    return {name: Setting(help_text, name=name, type=kind, optional=default is None, default=default, **declared)}
 
 
 @cache
@@ -175,7 +175,7 @@ class Reader:
             return self.read(own, raw, place)
         if (below := table_of_items(one.type)) is not None:
             return self._items(one, below, raw, place)
-        return None if one.setting.none and raw == one.setting.none else self._single(one, raw, place)
+        return None if one.none and raw == one.none else self._single(one, raw, place)
 
     def _complete(self, table: Table, given: dict[str, Any], place: Place) -> None:
         """Refuse what is missing, or said twice."""
@@ -185,19 +185,19 @@ class Reader:
             if name in given and name in said:
                 given[name] = self._refuse((*place, name), f" says the same as {said[name]}; leave one of them out.")
             elif one.required and name not in {*given, *said} and not spared:
-                rest = messages.missing(one.expected, one.setting.description)
+                rest = messages.missing(one.expected, one.description)
                 given[name] = self._refuse((*place, name), rest, "missing")
 
-    def _single(self, one: Declared, raw: Any, place: Place) -> Any:
+    def _single(self, one: Setting, raw: Any, place: Place) -> Any:
         """Return a value that is no table."""
         try:
-            if one.type is float and isinstance(raw, str) and is_quantity(raw) and list_units(one.setting.unit):
-                self.texts[place] = raw, one.setting.unit
-                found = to_si(raw, one.setting.unit)
+            if one.type is float and isinstance(raw, str) and is_quantity(raw) and list_units(one.unit):
+                self.texts[place] = raw, one.unit
+                found = to_si(raw, one.unit)
             else:
                 found = _convert(str if one.choices else one.type, raw)
-            if one.setting.accept is not None:
-                one.setting.accept(found)
+            if one.accept is not None:
+                one.accept(found)
             elif fault := one.fault(found):
                 return self._refuse(place, fault)
         except UnitError as error:
@@ -208,7 +208,7 @@ class Reader:
             found = self._refuse(place, f": {error}")
         return found
 
-    def _items(self, one: Declared, below: Table, raw: Any, place: Place) -> Any:
+    def _items(self, one: Setting, below: Table, raw: Any, place: Place) -> Any:
         """Return the tables of a list, or by their names."""
         is_list = get_origin(one.type) is tuple
         if type(raw) is not (list if is_list else dict) or len(raw) > _MOST_KEYS or (one.required and not raw):
@@ -268,7 +268,7 @@ class FileKey:
     """
 
     place: str
-    declared: Declared
+    declared: Setting
     kind: str = ""
 
 

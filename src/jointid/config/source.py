@@ -128,13 +128,11 @@ class Run:
     payload_center: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
         "its centre of mass in the frame of the last link [m]",
-        expected="a list of three numbers",
         systems=ROBOT,
     )
     payload_inertia: tuple[float, float, float, float, float, float] = setting(
         6 * (0.0,),
         "its inertia xx, xy, xz, yy, yz, zz about that centre, along the axes of the last link [kg m2]",
-        expected="a list of six numbers",
         systems=ROBOT,
     )
 

@@ -11,7 +11,7 @@ from dataclasses import MISSING, dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 from jointid.common.errors import JointFileError
-from jointid.common.settings import Declared, declare, setting
+from jointid.common.settings import Setting, declare, setting
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.config.declaration import Place, Reader, Table, fault_at, key, key_error, keys_of, merge
@@ -122,7 +122,6 @@ class RobotTable:
     base: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
         "roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
-        expected="a list of three numbers",
         accept=_require_angles,
     )
     feed_forward: FeedForward = setting("none", "what the drives are given beside the controllers' torque")
@@ -130,7 +129,6 @@ class RobotTable:
         default_factory=dict,
         metadata=declare(
             "by the names of joints of the model that stand still and that no log has, their positions [rad or m]",
-            expected="a table of numbers",
         ),
     )
     in_motion: bool = setting(False, "whether the records begin while the robot moves, as its references do")
@@ -195,7 +193,7 @@ def _make_record(channels: Mapping[str, Column] | None = None, **given: Any) -> 
 # Controllers and filters
 
 
-def _variant(word: str, keys: Mapping[str, Declared], owner: Callable[..., Any]) -> Table:
+def _variant(word: str, keys: Mapping[str, Setting], owner: Callable[..., Any]) -> Table:
     """Return the table of a law or of a kind of filter; a number that it needs and that is to be learned is 1."""
     gives = _INVERTED.get(word, "")
     other, means, unit, product = INVERSES.get(gives, ("", "", "", 1.0))
@@ -212,13 +210,13 @@ def _variant(word: str, keys: Mapping[str, Declared], owner: Callable[..., Any])
     return Table({**keys, **key(other, float, means, unit=unit, above=0)}, make, instead={other: gives})
 
 
-def _join_keys(variants: Mapping[str, Table]) -> dict[str, Declared]:
+def _join_keys(variants: Mapping[str, Table]) -> dict[str, Setting]:
     """Return the keys of all variants as documentation shows them: each with the variants that have it."""
-    found: dict[str, list[Declared]] = {}
+    found: dict[str, list[Setting]] = {}
     for word, table in variants.items():
         for name, one in table.keys.items():
-            told = one.setting.help if name == "kind" else f"of {word}: {one.setting.help}"
-            shown = replace(one, setting=replace(one.setting, help=told), default=None, optional=True)
+            told = one.help if name == "kind" else f"of {word}: {one.help}"
+            shown = replace(one, help=told, default=None, optional=True)
             found.setdefault(name, []).append(shown)
     return {name: merge(same) for name, same in found.items()}
 
@@ -344,7 +342,7 @@ _SHARED = (
 )  # fmt: skip
 
 
-def _runs(system: str) -> dict[str, Declared]:
+def _runs(system: str) -> dict[str, Setting]:
     run: Any = Table(keys_of(Run, system=system), Run)
     return key("records", tuple[run, ...], "records that are identified together")
 

@@ -17,7 +17,7 @@ import tomlkit
 
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
-from jointid.common.settings import Declared, Setting
+from jointid.common.settings import Setting
 from jointid.config.declaration import FileKey, flatten_keys, list_keys
 from jointid.config.tables import JOINT_FILE
 from jointid.config.toml import apply_changes, parse_toml
@@ -54,7 +54,7 @@ class Field:
     """
 
     key: str
-    declared: Declared
+    declared: Setting
     choices: Mapping[str, str] = field(default_factory=dict)
     is_column: bool = False
 
@@ -106,7 +106,7 @@ class Section:
 def _make_field(key: FileKey) -> Field | None:
     """Return the field of a key; None where its value is no number, word or text."""
     one, last = key.declared, key.place.rpartition(".")[2]
-    words = one.choices or one.setting.only or (("true", "false") if one.type is bool else ())
+    words = one.choices or one.only or (("true", "false") if one.type is bool else ())
     if key.place.startswith("record.channels.") and last == "unit":
         words = tuple(chain.from_iterable(known_units(key.place.split(".")[2], kind) for kind in _KINDS))
     if words:
@@ -135,8 +135,8 @@ _METHOD = _find("method.frequency", "filtering.cutoff")
 _LAWS = {law: tuple(one for one in _find("controller", law=law) if one.key != LAW) for law in _LAW.choices if law}
 _UNKNOWN = {"": "not known: do without it", LEARN: "not known: learn it from this record"}
 _CONTROLLER = replace(_LAW, choices={law: law for law in _LAWS} | _UNKNOWN)
-_LINES = Setting("as in a joint file: [parameters], then coulomb = 20.0")
-_EXTRA = (Field(EXTRA, Declared(EXTRA, dict, True, None, _LINES)),)
+_LINES = "as in a joint file: [parameters], then coulomb = 20.0"
+_EXTRA = (Field(EXTRA, Setting(_LINES, name=EXTRA, type=dict, optional=True, default=None)),)
 _FURTHER = Section("Further lines of the joint file: all that has no field", _EXTRA, folded=True)
 ROBOT = (Section("The robot file", _EXTRA),)
 """The form of a robot, whose text is the whole file."""

@@ -130,7 +130,7 @@ class Method(Protocol):
             MethodError: such a setting is not at its default.
         """
         for one in settings_of(type(self)):
-            systems, default = one.setting.systems, one.default
+            systems, default = one.systems, one.default
             if systems and system not in systems and getattr(self, one.name) != default:
                 meant = " or ".join(CALLED[each] for each in systems)
                 raise MethodError(

@@ -384,13 +384,13 @@ def in_torque(unit: str, torque_unit: str) -> str:
 
 
 def declared_unit(controller: Controller, name: str) -> str:
-    """Declared units of a controller's number, for prismatic and revolute axes."""
+    """Setting units of a controller's number, for prismatic and revolute axes."""
     owner: Any = controller
     *path, last = name.split(".")
     for part in path:
         owner = owner[int(part)] if part.isdigit() else getattr(owner, part)
     kind: Any = type(owner)  # mypy does not take a type for something with a hash
-    return next((one.setting.unit for one in settings_of(kind) if one.name == last), "")
+    return next((one.unit for one in settings_of(kind) if one.name == last), "")
 
 
 def number(controller: Controller, name: str) -> float:
