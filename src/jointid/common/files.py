@@ -50,7 +50,11 @@ def require_room(path: str | os.PathLike[str]) -> None:
     with explain(path):
         if not _is_device(path):
             place = _place_of(path)
-            _require_writable(next(each for each in (place, *place.parents) if each.is_dir()))
+            fresh = next(each for each in (place, *place.parents) if each.is_dir()) / f".jointid-{secrets.token_hex(4)}"
+            try:
+                fresh.write_bytes(b"\n")  # which a full disk refuses, too
+            finally:
+                fresh.unlink(missing_ok=True)
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -134,11 +138,6 @@ def _is_device(path: Path) -> bool:
 def _place_of(path: Path) -> Path:
     """Return the place of a file or folder that may be written."""
     place = Path(os.path.realpath(path))
-    if place.exists():
-        _require_writable(place)
-    return place
-
-
-def _require_writable(place: Path) -> None:
-    if not os.access(place, os.W_OK):
+    if place.exists() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return place
