@@ -38,33 +38,24 @@ class Detail(str):
 
     Attributes:
         brief: what everybody else is told; nothing when empty.
+        pace: whether it says how far a piece of work is, which is told now and then.
+        of_drive: whether it says why an attempt fails, as it would with the record of another drive.
     """
 
-    brief: str = ""
-
-
-class Pace(Detail):
-    """A line of progress that says how far a piece of work is."""
-
-
-class Suspicion(Detail):
-    """A line of progress "brief: why" on an attempt that fails.
-
-    Attributes:
-        of_drive: whether the record may come from another drive.
-    """
-
-    of_drive: bool
-
-    def __new__(cls, brief: str, why: object, *, of_drive: bool = False) -> Self:
-        """Return the line, without the reason where `brief` ends with it."""
-        made = super().__new__(cls, brief if brief.endswith(str(why)) else f"{brief}: {why}")
-        made.brief, made.of_drive = brief, of_drive
+    def __new__(cls, said: object, brief: str = "", *, pace: bool = False, of_drive: bool = False) -> Self:
+        """Return the line: `said` behind `brief`, unless that ends with it."""
+        text = str(said)
+        made = super().__new__(cls, f"{brief}: {text}" if brief and not brief.endswith(text) else brief or text)
+        made.brief, made.pace, made.of_drive = brief, pace, of_drive
         return made
+
+    brief: str
+    pace: bool
+    of_drive: bool
 
 
 class Work:
-    """Progress of a piece of work: a `Pace` each second.
+    """Progress of a piece of work: a line of its pace each second.
 
     Args:
         progress: the listener.
@@ -84,7 +75,7 @@ class Work:
         if now - self._told >= _OFTEN:
             self._told = now
             whole = "" if math.isinf(self.total) or self._unit == "%" else f" of {self.total:.0f}"
-            self._progress(Pace(f"{self._what}: {done:.0f}{whole} {self._unit}"))
+            self._progress(Detail(f"{self._what}: {done:.0f}{whole} {self._unit}", pace=True))
 
     def add(self) -> None:
         """Report one more step, from any thread."""

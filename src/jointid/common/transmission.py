@@ -103,11 +103,6 @@ class Transmission:
         """Whether motor and load move in the same kind, but by different amounts."""
         return self.motor == self.load and abs(self.motor_per_load) != 1.0
 
-    @property
-    def other(self) -> Side:
-        """The other side."""
-        return "motor" if self.side == "load" else "load"
-
     def kind_of(self, side: Side) -> units.Kind:
         """Return a side's kind of motion."""
         return self.load if side == "load" else self.motor
@@ -130,7 +125,8 @@ class Transmission:
             unit: of its value.
             torque_unit: in which the joint's parameters are: N, N m, A or V.
         """
-        ratio, kind = self.position(self.other), self.kind_of(self.other)
+        other: Side = "motor" if self.side == "load" else "load"
+        ratio, kind = self.position(other), self.kind_of(other)
         quantity = next((q for q in Quantity if unit_of(q, self.kind, torque_unit) == unit), None)
         factor = 1.0
         if quantity is not None:  # quantities of one unit scale alike

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, RecordError
-from jointid.common.messages import Message, Progress, Suspicion, ignore_progress
+from jointid.common.messages import Detail, Message, Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
@@ -292,7 +292,7 @@ def _suspect(
     if fits and (fault := fits[0].hypothesis.fault) is not None and fits[0].error <= most:
         told = explain(fault, fits[0].number, fits[0].error, loop, shown)
         words = ", or ".join(one.words for one in told)
-        progress(Suspicion(f"the likeliest cause so far: {words}", words))
+        progress(Detail(words, f"the likeliest cause so far: {words}"))
 
 
 def _found_beside(estimate: Estimate, loop: ClosedLoop) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Message, Progress, Suspicion, ignore_progress
+from jointid.common.messages import Detail, Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
@@ -158,7 +158,7 @@ def identify(
 
     def tell(message: str) -> None:
         progress(message)
-        if isinstance(message, Suspicion) and message.of_drive:
+        if isinstance(message, Detail) and message.of_drive:
             screen()
 
     fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=tell)

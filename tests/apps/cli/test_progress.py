@@ -13,7 +13,7 @@ from rich.console import Console
 import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
-from jointid.common.messages import Detail, Pace, Suspicion, follow, ignore_progress
+from jointid.common.messages import Detail, follow, ignore_progress
 
 
 def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,7 +21,7 @@ def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("time.monotonic", lambda: 0.25 * next(seconds))
     said: list[str] = []
     assert list(follow(range(35), said.append, "bootstrapping", 35, "draws")) == list(range(35))
-    assert [type(one) for one in said] == [Pace] * 8
+    assert [isinstance(one, Detail) and one.pace for one in said] == [True] * 8
     assert said[0] == "bootstrapping: 4 of 35 draws"
 
 
@@ -33,13 +33,13 @@ def test_the_first_pass_over_a_log_is_told_too(monkeypatch: pytest.MonkeyPatch) 
     said: list[str] = []
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
     ji.identify(record, loop, windows=ji.Windowing(length=6.0), progress=said.append)
-    assert next(one for one in said if isinstance(one, Pace)) == "passing over the log: 1 windows"
+    assert next(one for one in said if isinstance(one, Detail) and one.pace) == "passing over the log: 1 windows"
 
 
 def test_a_terminal_shows_the_last_line_and_nothing_is_left_behind() -> None:
     file = io.StringIO()
     bars = Bars(Console(file=file, force_terminal=True, width=110))
-    told = (Pace("bootstrapping: 12 of 40 draws"), f"a sentence {'[of a file] ' * 12}")
+    told = (Detail("bootstrapping: 12 of 40 draws", pace=True), f"a sentence {'[of a file] ' * 12}")
     for line in ("a stage", *told, Detail("iteration 3")):
         bars(line)
     bars.clear()
@@ -59,7 +59,7 @@ def test_details_are_for_who_asks_for_them(monkeypatch: pytest.MonkeyPatch, caps
     def search(listener: Callable[[str], None]) -> list[str]:
         listener("searching the spring")
         listener(Detail("iteration 0: torque error 17 %"))
-        listener(Suspicion("searching by least squares", "The loop is not stable; check the gain."))
+        listener(Detail("The loop is not stable; check the gain.", "searching by least squares"))
         listener("searching by least squares")
         return capsys.readouterr().err.splitlines()
 

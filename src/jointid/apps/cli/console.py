@@ -16,7 +16,7 @@ from cyclopts import Parameter
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.files import require_room
-from jointid.common.messages import Detail, Pace, Progress, ignore_progress
+from jointid.common.messages import Detail, Progress, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ def listen(quiet: bool) -> Progress:
         if begun and begun != stage:
             stage, told = begun, now
             tell(begun)
-        elif isinstance(message, Pace) and now - told >= _BETWEEN:
+        elif isinstance(message, Detail) and message.pace and now - told >= _BETWEEN:
             told = now
             tell(message)
 

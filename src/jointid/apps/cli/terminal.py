@@ -7,7 +7,7 @@ import sys
 from rich.console import Console
 from rich.text import Text
 
-from jointid.common.messages import Detail, Pace
+from jointid.common.messages import Detail
 from jointid.common.text import printable
 
 _BESIDE = 10  # characters of a line that are not the stage's
@@ -28,7 +28,7 @@ class Bars:
 
     def __call__(self, message: str) -> None:
         """Rewrite the line; print a sentence that is longer above it."""
-        stage = printable(message.brief if isinstance(message, Detail) and not isinstance(message, Pace) else message)
+        stage = printable(message.brief if isinstance(message, Detail) and not message.pace else message)
         if len(stage) > self._console.width - _BESIDE:
             self._console.print(Text(stage), soft_wrap=True)
         elif stage:

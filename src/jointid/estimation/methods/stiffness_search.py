@@ -25,7 +25,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Suspicion, ignore_progress
+from jointid.common.messages import Detail, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import History, Solved, glancing, is_significant, least_squares, or_moving, roughly
@@ -109,14 +109,14 @@ class StiffnessSearch:
             rigid = rough_rigid_joint(self.task, self.cutoff, self.history)
         except MethodError as error:
             # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-            tell(Suspicion("without a rigid joint to begin with", error, of_drive=True))
+            tell(Detail(error, "without a rigid joint to begin with", of_drive=True))
             return self._without_rigid_joint()
         try:
             solved = self._from_rigid_joint(rigid)
         except MethodError as error:
             if self.frequency is not None:
                 raise
-            tell(Suspicion("with other inertias than that joint's", error, of_drive=True))
+            tell(Detail(error, "with other inertias than that joint's", of_drive=True))
             solved = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
         edge = rigid.problem.filtering.cutoff
         assert edge is not None
@@ -133,7 +133,7 @@ class StiffnessSearch:
             try:
                 rigid = rough_rigid_joint(self.task, edge / lower, self.history)
             except MethodError as error:  # a short record shows too little there
-                tell(Suspicion(f"not below {edge / lower:.3g} Hz", error))
+                tell(Detail(error, f"not below {edge / lower:.3g} Hz"))
                 break
             solved = self._better_of(solved, self._from_rigid_joint(rigid))
         return solved
@@ -192,7 +192,7 @@ class StiffnessSearch:
         try:
             return self._refine(explore(wide, None, self.frequency, history))
         except MethodError as error:
-            history.progress(Suspicion("starting from a joint that follows its reference", error))
+            history.progress(Detail(error, "starting from a joint that follows its reference"))
         filtering = Filtering(cutoff=rigid_cutoff(self.task.record))
         loop = _rigid_loop(self.task)
         follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
@@ -222,7 +222,7 @@ class StiffnessSearch:
             cost, mode, x, held = min(ends, key=lambda end: end[0])
             if len(ends) == _GLANCED and cost > _DOUBTED * wide.size:
                 said = f"the first leave {100 * cost / wide.size:.0f} % of the torque"
-                history.progress(Suspicion("searching from other starts", said, of_drive=True))
+                history.progress(Detail(said, "searching from other starts", of_drive=True))
             together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
             if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break
@@ -277,7 +277,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, history: History) -> Sol
             found = search(edge)
             break
         except MethodError as error:
-            history.progress(Suspicion(f"no rigid joint was found below {edge:.3g} Hz", error))
+            history.progress(Detail(error, f"no rigid joint was found below {edge:.3g} Hz"))
             edge /= lower
     found = found or search(edge)
     slow = max(_RIGID_BELOW * crossover(found.problem.experiment.law, found.values["inertia"]), _least_cutoff(record))

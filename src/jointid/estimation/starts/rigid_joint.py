@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Suspicion
+from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
 from jointid.estimation.problems.rest import steady_weights
@@ -59,7 +59,7 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[Start]:
     if not found:
         raise failures[0]
     if found[0].nominal_inertia is not None:
-        progress(Suspicion("starting from an inertia that suits the gains", failures[0]))
+        progress(Detail(failures[0], "starting from an inertia that suits the gains"))
     return found
 
 
