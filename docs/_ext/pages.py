@@ -40,7 +40,6 @@ REPOSITORY = {
 """Files of the repository that are pages, too, and what their pages are called."""
 
 BY_MODULE = (
-    "models.disturbances.Drift",
     "models.position_forces.PositionHarmonics",
     "models.linear.frequency_response",
     "common.parameters.Parameter",

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.models.disturbances import Drift, EncoderOffset
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.paper.twin import twin
@@ -68,16 +67,9 @@ def resting() -> None:
         (lambda: ji.IDIM("best"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.identify(RECORD, RIGID, ji.IDIM("iv")), ji.MethodError),
         (run_away, ji.MethodError),
-        # effects and forces
-        (lambda: ji.IDIM(effects=(Drift("all"),)), ji.MethodError),  # type: ignore[arg-type]
+        # forces
         (lambda: PositionHarmonics(-0.1), ji.MethodError),
         (lambda: PositionHarmonics(0.1, harmonics=0), ji.MethodError),
-        (
-            lambda: ji.identify(RECORD, RIGID, ji.IDIM(effects=(PositionHarmonics(0.1), PositionHarmonics(0.2)))),
-            ji.MethodError,
-        ),
-        (lambda: ji.identify(RECORD, RIGID, ji.IDIM(effects=(Drift("force", "load"),))), ji.MethodError),
-        (lambda: ji.identify(RECORD, RIGID, ji.IDIM(effects=(EncoderOffset(),))), ji.MethodError),
         (lambda: ji.RigidJoint("prismatic", gravity=Gravity("link")), ji.MethodError),
         (
             lambda: ji.RigidJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant")),

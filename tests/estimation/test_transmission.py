@@ -20,7 +20,6 @@ from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.models.controllers import Cascade
-from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
@@ -233,12 +232,12 @@ def scaled(record: Record, position: float, torque: float, time: float) -> Recor
 
 @pytest.mark.parametrize("gear", [TURNED, SCREW], ids=["turned round", "screw"])
 def test_inverse_models_have_both_sides_too(gear: Transmission) -> None:
-    """Ripple and drift as well: a force that is even in the position is turned round, one that is odd is not."""
+    """Ripple as well: a force that is even in the position is turned round, one that is odd is not."""
     period = 2 * math.pi
     record = logged("rigid")
-    motor = identify(record, joint_of("rigid", None), IDIM(effects=(PositionHarmonics(period, 2), Drift("both"))))
-    effects = (PositionHarmonics(period / abs(gear.motor_per_load), 2), Drift("both"))
-    there = identify(on_side(record, gear), joint_of("rigid", gear), IDIM(effects=effects))
+    motor = identify(record, replace(joint_of("rigid", None), ripple=PositionHarmonics(period, 2)), IDIM())
+    ripple = PositionHarmonics(period / abs(gear.motor_per_load), 2)
+    there = identify(on_side(record, gear), replace(joint_of("rigid", gear), ripple=ripple), IDIM())
     assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-7  # a parabola of small amplitudes
     assert [p.unit for p in there.other_side] == [p.unit for p in motor.params.rows]
 

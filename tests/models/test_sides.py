@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jointid.common.transmission import Transmission
-from jointid.models.disturbances import Drift, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
@@ -39,11 +38,11 @@ def test_each_quantity_has_its_unit_and_its_power_of_the_ratio(torque_unit: str 
 
 
 def test_both_ways_lead_back() -> None:
-    """Over every parameter that a joint and its effects have, whatever the direction."""
+    """Over every parameter that a joint has, whatever the direction."""
     back = Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
-    effects = (PositionHarmonics(0.01, 2), Drift("both"))
+    ripple = PositionHarmonics(0.01, 2)
     for joint in (RigidJoint("prismatic", AsymmetricFriction()), FlexibleJoint("prismatic", AsymmetricFriction())):
-        for p in (*joint.parameters, *effect_parameters(effects)):
+        for p in (*joint.parameters, *ripple.parameters):
             name, unit, factor = TURNED_SCREW.cross(p.name, joint.unit(p), "N")
             assert back.cross(name, unit, "N m") == (p.name, joint.unit(p), pytest.approx(1 / factor))
             assert (name != p.name) == p.name.endswith(("forwards", "backwards"))

@@ -16,11 +16,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
-from jointid.estimation.problems.inverse_model import idim_channels, motion_of
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, idim_channels, motion_of
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
-from jointid.models.disturbances import EncoderOffset, effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import differentiate
@@ -91,15 +90,13 @@ def predict_joint(identified: IdentifiedJoint, record: Record) -> Predicted:
     if identified.method == "drive_side":
         return _simulate_along_motion(identified, record)
     assert record.torque is not None
-    joint, filtering, effects = identified.joint, identified.filtering, identified.effects
-    if joint.model == "flexible" and not any(isinstance(one, EncoderOffset) for one in effects):
-        effects = (*effects, EncoderOffset())
-    names = [p.name for p in (*joint.parameters, *effect_parameters(effects))]
-    model = motion_of(record, identified.delay, filtering, joint, effects)
+    joint, filtering, zeros = identified.joint, identified.filtering, identified.joint.model == "flexible"
+    names = [p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ()))]
+    model = motion_of(record, identified.delay, filtering, joint, zeros=zeros)
     values = np.array([identified.values.get(name, 0.0) for name in names])
     error, columns = model.decimate(filtering, record.torque.sample_time, values)
     whole = error + columns @ values
-    zero = np.array([name == "encoder_offset" for name in names])  # counted from elsewhere in each record
+    zero = np.array([name == ENCODER_OFFSET.name for name in names])  # counted from elsewhere in each record
     step = np.linalg.lstsq(columns[:, zero], error, rcond=None)[0]
     values[zero] += step
     motor = model.motor

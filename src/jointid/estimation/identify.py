@@ -122,7 +122,7 @@ def _in_windows(
     robot, free = isinstance(model, _ROBOTS), isinstance(method, DIDIM) and method.free and len(records) > 1
     if free or (several and several.free):
         return False
-    if isinstance(method, IDIM) and (method.effects or method.estimator not in (None, "weighted" if robot else "ols")):
+    if isinstance(method, IDIM) and method.estimator not in (None, "weighted" if robot else "ols"):
         return False  # which needs all rows at once
     if robot or (len(records) == 1 and (isinstance(method, IDIM) or (method is None and isinstance(model, Joint)))):
         return True
@@ -223,8 +223,6 @@ def fit_robot(
     check_robot_records(records, robot)
     if method is not None:
         method.require_settings_of("robot")
-    if isinstance(method, IDIM) and method.effects:
-        raise MethodError("IDIM.effects are of a joint, and this is a robot; leave them out.")
     every = [record for log in each_log(records) for record in log]
 
     def of_logs(read: Sequence[Record]) -> FitResult:

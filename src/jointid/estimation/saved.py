@@ -21,6 +21,7 @@ from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict
@@ -29,9 +30,7 @@ from jointid.estimation.robots.idim import InverseModelRobot, friction_formulas
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import SimulatedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
-from jointid.models.disturbances import Drift, Effect, EncoderOffset
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.models.position_forces import PositionHarmonics
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
 from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.names import name_of
@@ -72,10 +71,13 @@ def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: Cl
     shares = {name: math.inf if fit[name] is None else _size(fit[name]) for name in errors}
     robot, part, names = None, None, read(tuple[str, ...], params["names"])
     if isinstance(system, Joint):
+        known = {p.name for p in system.parameters}
+        if beyond := [row.name for row in rows if row.of_joint and row.name not in known | {ENCODER_OFFSET.name}]:
+            raise RecordError(f"it has {', '.join(beyond)}, and this joint has not; declare the same joint")
         if loop is not None:  # with the numbers of the controller that were identified beside the joint
             freed = {row.name: row.value for row in rows if row.free and row.value is not None}
-            known = freed.keys() & numbers_of(loop.controller).keys()
-            loop = replace(loop, controller=with_numbers(loop.controller, {name: freed[name] for name in known}))
+            of_law = freed.keys() & numbers_of(loop.controller).keys()
+            loop = replace(loop, controller=with_numbers(loop.controller, {name: freed[name] for name in of_law}))
     else:
         robot = system if isinstance(system, Robot) else system.robot
         if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
@@ -106,7 +108,7 @@ def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: Cl
         settings=Settings(
             settings["method"], str(settings["variant"]), robot or system,  # type: ignore[arg-type]
             loop if method_of(settings["method"]).needs_controller else None, filtering, finite(settings["delay"]),
-            tuple(map(_effect, settings["effects"])), timing=read(Timing | None, settings["timing"]),
+            timing=read(Timing | None, settings["timing"]),
             controller=str(answer["controller_sha256"]),
         ),
         robot=part,
@@ -236,12 +238,6 @@ def _rows(
     shared = tuple(row for key, row in found.items() if key == row.name)
     own = (tuple(row for key, row in found.items() if key == f"{row.name}@{k + 1}") for k in range(records))
     return shared, tuple(own)
-
-
-def _effect(raw: dict[str, Any]) -> Effect:
-    kinds: dict[str, type[Any]] = {kind.__name__: kind for kind in (PositionHarmonics, Drift, EncoderOffset)}
-    found: Effect = read(kinds[raw["type"]], raw)
-    return found
 
 
 def _verdict(one: dict[str, Any]) -> Verdict:

@@ -28,7 +28,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.problems.inverse_model import motion_of
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, motion_of
 from jointid.estimation.problems.log_windows import (
     InverseWindow,
     LoopWindow,
@@ -57,7 +57,6 @@ from jointid.estimation.robots.simulated import (
     nominal_numbers,
     problem_of,
 )
-from jointid.models.disturbances import Effect, effect_parameters
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, cut
@@ -224,11 +223,12 @@ def joint_in_windows(
     _require_sums(idim, (None, "ols"))
 
     def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
-        effects, found = fit.settings.effects, {row.name: row for row in fit.params.rows}
-        wanted = (*adjust_parameters(joint.parameters, changes), *effect_parameters(effects))
+        found = {row.name: row for row in fit.params.rows}
+        zeros = ENCODER_OFFSET.name in found
+        wanted = (*adjust_parameters(joint.parameters, changes), *((ENCODER_OFFSET,) if zeros else ()))
         kept = np.array([0.0 if p.free else p.start or 0.0 for p in wanted])
         free = [i for i, p in enumerate(wanted) if p.free]
-        regress = partial(_regress_joint, joint, fit.settings.delay, fit.settings.filtering, effects)
+        regress = partial(_regress_joint, joint, fit.settings.delay, fit.settings.filtering, zeros)
         rings = ringing(fit.settings.filtering, fit.data.sample_time)
         window = InverseWindow(tuple(wanted[i] for i in free), free, kept, regress, speeds_of(regress(records)), rings)
         return window, np.array([found[wanted[i].name].value for i in free], dtype=np.float64)
@@ -245,20 +245,19 @@ def _require_sums(method: IDIM, estimators: Sequence[str | None]) -> None:
     """Refuse what needs all rows at once.
 
     Raises:
-        MethodError: the estimator weighs single rows or simulates instruments, or there are effects.
+        MethodError: the estimator weighs single rows or simulates instruments.
     """
-    if method.estimator not in estimators or method.effects:
-        what = "with effects" if method.effects else f"by {method.estimator}"
-        raise MethodError(f"IDIM {what} needs all rows at once; identify a part of the record.")
+    if method.estimator not in estimators:
+        raise MethodError(f"IDIM by {method.estimator} needs all rows at once; identify a part of the record.")
 
 
 def _regress_joint(
-    joint: Joint, delay: float, filtering: Filtering, effects: Sequence[Effect], records: Sequence[Record]
+    joint: Joint, delay: float, filtering: Filtering, zeros: bool, records: Sequence[Record]
 ) -> Regression:
-    """Return the regression of a window; effects are those of a whole record, without its time."""
+    """Return the regression of a window."""
     (record,) = records
     assert record.torque is not None and filtering.decimation is not None
-    model, sample_time = motion_of(record, delay, filtering, joint, effects), record.torque.sample_time
+    model, sample_time = motion_of(record, delay, filtering, joint, zeros=zeros), record.torque.sample_time
     equations, samples, parameters = model.columns.shape
     Y, W = model.decimate(filtering, sample_time, np.zeros(parameters))
     sides = [model.motor, *([] if model.load is None else [model.load])]

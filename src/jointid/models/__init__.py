@@ -1,1 +1,1 @@
-"""Equations: friction, gravity, joints, disturbances, controllers. No data, no solver, no state."""
+"""Equations: friction, gravity, joints, controllers. No data, no solver, no state."""

@@ -207,12 +207,8 @@ class PositionHarmonics:
             for word, letter in (("cosine", "a"), ("sine", "b"))
         )
 
-    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
-        """Return cosine and sine of each harmonic, (samples, 2 harmonics)."""
-        return self.columns_at(motion.position)
-
     def columns_at(self, position: FloatArray) -> FloatArray:
-        """Return the columns at positions, (samples,)."""
+        """Return cosine and sine of each harmonic at positions, (samples,): (samples, 2 harmonics)."""
         phases = np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
         return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
 

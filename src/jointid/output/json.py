@@ -203,7 +203,8 @@ def _of_first_form(old: Json) -> Json:
     parameters = {}
     for key, p in every.items():
         name, axis = key.partition("@")[0], p.get("axis", "")
-        beside = name.rpartition(".")[2] in ("current_lag", "delay") or name.rpartition(".")[2].startswith("initial_")
+        own = name.rpartition(".")[2]
+        beside = own in ("current_lag", "delay", "encoder_offset") or own.startswith("initial_")
         parameters[key] = {
             **p, "name": name, "stderr": p.get("std"), "lack_of_fit": p.get("lack_of_fit") or 0.0, "axis": axis,
             "of_joint": (robot is None or bool(axis)) and not beside,
@@ -245,7 +246,6 @@ def _of_first_form(old: Json) -> Json:
         "settings": {
             "method": old["method"], "variant": old["variant"], "system": system, "filtering": old["filtering"],
             "delay": old.get("delay", 0.0), "timing": old.get("torque_timing"),
-            "effects": [_effect(**one) for one in old.get("effects") or ()],
         },
         "robot": robot and {
             "names": [*old["parameters"]], "formulas": [p["formula"] for p in sums],
@@ -257,8 +257,3 @@ def _of_first_form(old: Json) -> Json:
 
 def _share(percent: object) -> float | None:
     return None if percent is None else finite(percent) / 100
-
-
-def _effect(kind: str, **settings: object) -> Json:
-    named = {"harmonics": "PositionHarmonics", "drift": "Drift", "encoder_offset": "EncoderOffset"}
-    return {"type": named[kind], **settings}

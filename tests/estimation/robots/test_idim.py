@@ -18,7 +18,6 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import InverseModelRobot, drives, robot_instruments
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.models.position_forces import PositionHarmonics
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -242,5 +241,3 @@ def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
         ji.identify(records, robot, ji.DIDIM())
     with pytest.raises(MethodError, match="the records of its joints"):
         ji.identify(records[0], robot)
-    with pytest.raises(MethodError, match=r"IDIM\.effects are of a joint, and this is a robot"):
-        ji.identify(records, robot, IDIM(effects=(PositionHarmonics(0.1),)))

@@ -24,6 +24,7 @@ from jointid.estimation.methods.linear import (
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
+    ENCODER_OFFSET,
     InverseModel,
     idim_channels,
     motion_of,
@@ -35,12 +36,6 @@ from jointid.estimation.result.build_result import build_data, build_rows
 from jointid.estimation.result.estimate import relative_error
 from jointid.estimation.result.parts import Checks, Fit, Params, Settings
 from jointid.models.controllers import Controller
-from jointid.models.disturbances import (
-    Effect,
-    EncoderOffset,
-    effect_parameters,
-    require_effects,
-)
 from jointid.models.joints import Joint
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
@@ -59,7 +54,7 @@ _SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class IDIM(Method):
-    """Settings of IDIM; its effects are further columns, `PositionHarmonics` or `Drift`."""
+    """Settings of IDIM."""
 
     name = "idim"
     title = "IDIM"
@@ -71,7 +66,6 @@ class IDIM(Method):
         "iv, instruments from the simulated loop, for which the controller is needed; without it ols for a joint, "
         "weighted for a robot",
     )
-    effects: tuple[Effect, ...] = ()
 
     @classmethod
     def describe(cls, model: str) -> str:
@@ -98,27 +92,23 @@ class IDIM(Method):
         assert record.torque is not None
         sample_time, estimator = record.torque.sample_time, self.estimator or "ols"
         delay = loop.controller.law(sample_time).delay if loop else 0.0
-        require_effects(self.effects, joint)
         limit = noise_limit_of(record, joint, idim_channels(joint.model)[1:])
         filtering = task.filtering.resolve(sample_time, joint.model, limit)
 
-        def solve_with(effects: tuple[Effect, ...]) -> _Found:
-            parameters = (*task.parameters, *effect_parameters(effects))
+        def solve_with(zeros: bool) -> _Found:
+            parameters = (*task.parameters, *((ENCODER_OFFSET,) if zeros else ()))
             require_free(parameters)
-            model = motion_of(record, delay, filtering, joint, effects)
+            model = motion_of(record, delay, filtering, joint, zeros=zeros)
             Y, W = model.decimate(filtering, sample_time, np.zeros(len(parameters)))
             rows = Rows(Y, W, tuple(p.name for p in parameters), len(model.torque))
             columns = None
             if estimator == "iv" and loop is not None:
-                columns = simulated_instruments(record, loop, model, parameters, filtering, effects)
+                columns = simulated_instruments(record, loop, model, parameters, filtering)
             return _Found(
-                parameters, model, rows, solve_rows(rows, estimator, {p.name: p for p in parameters}, columns), effects
+                parameters, model, rows, solve_rows(rows, estimator, {p.name: p for p in parameters}, columns)
             )
 
-        own = self.effects
-        if joint.model == "flexible" and EncoderOffset() not in own and _zeros_differ(solve_with):
-            own = (*own, EncoderOffset())
-        found = solve_with(own)
+        found = solve_with(joint.model == "flexible" and _zeros_differ(solve_with))
         model, solved, covariance = found.model, found.solution, found.solution.covariance
         held = solved.held
         parameters = [p.fix(held[p.name]) if p.name in held else p for p in found.parameters]
@@ -131,7 +121,9 @@ class IDIM(Method):
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
         return FitResult(
             params=Params(
-                build_rows(parameters, values, std, joint.unit, values.keys(), held=held), tuple(std), correlation
+                build_rows(parameters, values, std, joint.unit, [p.name for p in task.parameters], held=held),
+                tuple(std),
+                correlation,
             ),
             fit=Fit(
                 measured=measured,
@@ -154,7 +146,7 @@ class IDIM(Method):
                 tests=() if solved.test is None else (solved.test,),
             ),
             data=build_data(record, tuple(read), sample_time),
-            settings=Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay, found.effects),
+            settings=Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay),
         )
 
 
@@ -163,27 +155,24 @@ class _Found:
     """A regression and its solution.
 
     Attributes:
-        parameters: of joint and effects, in the order of the model's columns.
+        parameters: of the joint, and perhaps of the encoders' zeros, in the order of the model's columns.
         model: torque and columns, raw. rows: of all parameters. solution: of these.
-        effects: whose columns follow the joint's.
     """
 
     parameters: tuple[Parameter, ...]
     model: InverseModel
     rows: Rows
     solution: Solution
-    effects: tuple[Effect, ...]
 
 
-def _zeros_differ(solve_with: Callable[[tuple[Effect, ...]], _Found]) -> bool:
+def _zeros_differ(solve_with: Callable[[bool], _Found]) -> bool:
     """Return True if a record shows that its two encoders count from different zeros."""
-    offset = EncoderOffset()
     try:
-        found = solve_with((offset,))
+        found = solve_with(True)
     except MethodError:  # nothing tells it from the other forces
         return False
     rows, solution = found.rows, found.solution
-    at = rows.names.index(offset.parameters[0].name)
+    at = rows.names.index(ENCODER_OFFSET.name)
     least = max(_SHOWN * solution.covariance.std[at], _SLIGHT * float(np.sqrt(np.mean(rows.Y**2))))
     return bool(abs(solution.values[at]) > least)
 

@@ -14,7 +14,7 @@ not reach it; positions go through the same filters as the measured ones, and th
 ``Z' (Y - W x) = 0``. The next estimate is simulated in turn until nothing changes: two to five simulations.
 
 Instruments need not be perfect, only free of the record's noise. So values outside their bounds are simulated at the
-bound, and effects that the loop does not have (ripple, drift) are put on the simulated motion as columns.
+bound.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
-from jointid.models.disturbances import Effect
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, InverseModel, inverse_model
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
@@ -240,7 +239,6 @@ def simulated_instruments(
     model: InverseModel,
     parameters: Sequence[Parameter],
     filtering: Filtering,
-    effects: Sequence[Effect],
 ) -> Instruments:
     """Return a function from parameters to the regressor on the simulated motion.
 
@@ -267,7 +265,7 @@ def simulated_instruments(
             )
         positions = (run.motor_position, *(() if run.load_position is None else (run.load_position,)))
         whole = tuple(np.pad(position[:size], (0, max(size - position.size, 0)), "edge") for position in positions)
-        moved = inverse_model(loop.joint, torque, whole, filtering, effects=effects)
+        moved = inverse_model(loop.joint, torque, whole, filtering, zeros=parameters[-1] is ENCODER_OFFSET)
         moved = replace(moved, moving=model.moving)  # of the same rows
         return moved.decimate_columns(moved.columns, filtering, sample_time)
 

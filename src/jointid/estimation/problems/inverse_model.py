@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.rest import steady_weights
-from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint
 from jointid.models.position_forces import Motion
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
@@ -37,6 +37,13 @@ from jointid.records.signals.filtering import (
 )
 from jointid.records.signals.position_noise import find_noise_limit
 
+ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
+"""The spring's force by the difference of two encoders' zeros, which acts on the load and against the motor.
+
+An encoder counts from where it was switched on, or from its own mark. The difference at a rest of the record is not
+enough: friction may hold the spring wound up there.
+"""
+
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 
 
@@ -51,7 +58,7 @@ class InverseModel:
 
     Attributes:
         torque: (equations, samples): of the motor, and for a flexible joint 0 for the load.
-        columns: (equations, samples, parameters) all of the joint's, then those of its effects.
+        columns: (equations, samples, parameters) all of the joint's, then perhaps that of the encoders' zeros.
         inside: the samples that the position filter's ends do not reach.
         motor, load: their motion, filtered; the load's is None for a rigid joint.
         moving: (equations, samples) 0 where the equation's mass rests or turns round; None where all samples count.
@@ -108,7 +115,8 @@ def inverse_model(
     positions: tuple[FloatArray, ...],
     filtering: Filtering,
     delay: float = 0.0,
-    effects: Sequence[Effect] = (),
+    *,
+    zeros: bool = False,
 ) -> InverseModel:
     """Return torque and regressor of a measured, simulated or reconstructed motion.
 
@@ -118,15 +126,17 @@ def inverse_model(
         positions: (samples,) each, raw, at the torque's rate: motor, and load for a flexible joint.
         filtering: resolved.
         delay: seconds from the logged torque to the torque that acts.
-        effects: whose columns follow, in order.
+        zeros: whether the column of the encoders' zeros follows, see `ENCODER_OFFSET`.
     """
     sample_time, size = torque.sample_time, torque.values.size
     respected = filtering.timing == "respected"
     motor, *others = (_motion(position, sample_time, filtering) for position in positions)
     load = others[0] if others else None
     regressor = joint.regressor(motor, load)
-    further = effect_columns(effects, motor, load, sample_time, len(regressor))
-    columns = through_window(np.concatenate([regressor, further], axis=2), filtering)
+    if zeros:
+        offset = np.array([-1.0, 1.0])[:, np.newaxis, np.newaxis]
+        regressor = np.concatenate([regressor, np.broadcast_to(offset, (2, size, 1))], axis=2)
+    columns = through_window(regressor, filtering)
     rows = np.zeros((len(columns), size))
     rows[0] = window_torque(torque, delay) if respected else torque.values
     inside = filtering.inside(size)
@@ -207,16 +217,14 @@ def noise_limit_of(record: Record, joint: Joint, names: Sequence[str]) -> float:
     return find_noise_limit(positions, torque.sample_time)
 
 
-def motion_of(
-    record: Record, delay: float, filtering: Filtering, joint: Joint, effects: Sequence[Effect] = ()
-) -> InverseModel:
+def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint, *, zeros: bool = False) -> InverseModel:
     """Return torque and regressor of a record with the positions a joint needs; `filtering` resolved.
 
     Raises:
         RecordError: a channel is missing, not sampled, or at another rate.
     """
     torque, positions = torque_and_positions(record, joint, idim_channels(joint.model)[1:], _title(joint))
-    model = inverse_model(joint, torque, positions, filtering, _late(record, delay, torque.sample_time), effects)
+    model = inverse_model(joint, torque, positions, filtering, _late(record, delay, torque.sample_time), zeros=zeros)
     if filtering.timing != "respected":  # the published pipeline takes all rows
         return model
     assert filtering.position_cutoff is not None

@@ -17,7 +17,6 @@ from jointid.common.errors import MethodError, RecordError, extra
 from jointid.common.fields import write
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
-from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.position_forces import Motion
 from jointid.records.signals.filtering import Filtering
@@ -40,13 +39,12 @@ class IdentifiedJoint:
         method: its name, as in a joint file.
         joint: the model.
         loop: the closed loop, for DIDIM.
-        values: every parameter of the joint, of its effects, and on the drive side the log's ``current_lag``, by name.
+        values: every parameter of the joint, and on the drive side the log's ``current_lag``, by name.
         filtering: resolved, as it was identified with.
         delay: seconds from the logged torque to the torque that acts.
         record: name of the record or records that it was identified from.
         fingerprints: of the torque of each of its records, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
-        effects: torques beside the joint's own model; `values` has their parameters too.
         timing: reading of a torque of unstated timing; None: as its record has it.
     """
 
@@ -59,7 +57,6 @@ class IdentifiedJoint:
     record: str
     fingerprints: tuple[str, ...]
     controller: str = ""
-    effects: tuple[Effect, ...] = ()
     timing: Timing | None = None
 
 
@@ -146,7 +143,7 @@ class Estimate(EstimateParts, Documented):
         log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
         return IdentifiedJoint(
             settings.method, settings.joint, settings.loop, {**self.values, **log}, settings.filtering, settings.delay,
-            data.record, data.fingerprints, self.controller_sha256, settings.effects, settings.timing,
+            data.record, data.fingerprints, self.controller_sha256, settings.timing,
         )  # fmt: skip
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
@@ -165,8 +162,7 @@ class Estimate(EstimateParts, Documented):
             (samples, parameters), of a robot (samples, n, parameters); without samples, less the first.
 
         Raises:
-            MethodError: the three have not one shape, a friction is not linear in its parameters, or effects beside the
-                joint were identified.
+            MethodError: the three have not one shape, or a friction is not linear in its parameters.
         """
         motion = [np.asarray(one, dtype=np.float64) for one in (q, v, a)]
         axes: tuple[int, ...] = () if self.robot is None else (len(self.robot.model),)
@@ -180,11 +176,6 @@ class Estimate(EstimateParts, Documented):
             kept = [self.robot.names.index(name) for name in self.values]
             columns = self.robot.regressor(*rows)[:, :, kept]
         else:
-            if self.settings.effects:
-                raise MethodError(
-                    "The torque of a motion has no effects beside the joint, as a drift; identify the joint without "
-                    "effects."
-                )
             moved, joint = Motion(*rows), self.settings.joint
             columns = joint.regressor(moved, moved).sum(axis=0)
         return columns.reshape(*shape, -1)

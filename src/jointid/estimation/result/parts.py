@@ -16,7 +16,6 @@ from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.estimation.result.robot import IdentifiedRobot
-from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import EncoderLag
@@ -364,7 +363,6 @@ class Settings:
         system: the model, a joint or a robot. loop: the closed loop of a joint, when the method simulated one.
         filtering: as used.
         delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
-        effects: torques beside the joint's own model; their parameters follow the joint's.
         timing: reading of a torque of unstated timing; None where it was stated, or nothing else tried.
         controller: of an estimate from a file the fingerprint of the law that it was identified under.
     """
@@ -376,7 +374,6 @@ class Settings:
     loop: ClosedLoop | None
     filtering: Filtering
     delay: float = 0.0
-    effects: tuple[Effect, ...] = ()
     timing: Timing | None = None
     controller: str = ""
 
@@ -448,7 +445,7 @@ class EstimateParts:
 
     @property
     def values(self) -> dict[str, float]:
-        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
+        """The parameters of the joint by name, fixed ones included; a refused one is missing."""
         return {p.name: p.value for p in self.params.rows if p.of_joint and p.value is not None}
 
     @property

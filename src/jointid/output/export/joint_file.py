@@ -57,7 +57,7 @@ def joint_file(
         if stated:
             lines.append(f"{declared.name} = {_toml(parameter_table(known, declared))}")
     lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
-    lost += [*outside, *alone.effects_lost]
+    lost += outside
     written = "\n".join(["[parameters]", *(f"# {line}" for line in alone.remarks(lost)), *lines, ""])
     before = file.path.parent
     made = edit(dumps(file), replace_table(written), move_paths(before, before if folder is None else folder))

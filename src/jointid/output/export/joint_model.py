@@ -19,7 +19,6 @@ from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, on_other_side, show_value
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
-from jointid.models.disturbances import EncoderOffset
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
 from jointid.output.export.pd_law import PDLaw, pd_law
@@ -213,14 +212,7 @@ class JointModel:
             ("weight", body, "the weight of the link, which changes with the position"),
             ("", self.turns and not body, f"the weight of the link: {turns}"),
         ]
-        return [*(said for part, there, said in found if there and part not in holds), *self.effects_lost]
-
-    @property
-    def effects_lost(self) -> list[str]:
-        """The sentence on what was identified beside the joint itself; or none."""
-        effects = self.estimate.settings.effects
-        kinds = sorted({type(effect).__name__ for effect in effects if not isinstance(effect, EncoderOffset)})
-        return [f"what was identified beside the joint: {', '.join(kinds)}"] if kinds else []
+        return [said for part, there, said in found if there and part not in holds]
 
     def remarks(self, lost: Iterable[str]) -> list[str]:
         """Return the lines of a comment: what it is, its source, every parameter with 2 sigma, what is lost."""
