@@ -189,7 +189,7 @@ def test_an_answer_goes_to_json_and_back(tmp_path: Path) -> None:
     record = twin("L19", noise="none").record.without("reference", "injected")
     estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
     answers.write(answers.to_dict(estimate), tmp_path / "found.json")
-    back = answers.load_estimate(tmp_path / "found.json", ji.DriveSide(JOINT)).identified
-    assert back.method == "drive_side"
-    assert back.values == pytest.approx(estimate.identified.values)
+    back = answers.load_estimate(tmp_path / "found.json", ji.DriveSide(JOINT))
+    assert back.settings.method == "drive_side"
+    assert back.values == pytest.approx(estimate.values)
     assert ji.validate(back, record).filtered_error == pytest.approx(estimate.fit.filtered_error, rel=1e-6)

@@ -157,7 +157,9 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
         },
     )
     answers.write(answers.to_dict(whole), tmp_path / "out.json")
-    assert answers.load_estimate(tmp_path / "out.json", LOOP).identified == whole.identified
+    back = answers.load_estimate(tmp_path / "out.json", LOOP)
+    assert (back.values, back.settings.filtering) == (whole.values, whole.settings.filtering)
+    assert back.data.fingerprints == whole.data.fingerprints and back.controller_sha256 == whole.controller_sha256
 
 
 @pytest.mark.parametrize(

@@ -83,8 +83,8 @@ def intervals(
         MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
             another one.
     """
-    # An estimate that lacks a value refuses to be `identified`.
-    if estimate.settings.method != "didim" or estimate.identified.loop is None:
+    estimate.require_values()
+    if estimate.settings.method != "didim" or estimate.settings.loop is None:
         raise MethodError(
             f"Profiles are of DIDIM, whose criterion can be followed; this estimate is by "
             f"{estimate.settings.method.upper()}."

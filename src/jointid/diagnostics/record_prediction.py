@@ -18,7 +18,7 @@ from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, idim_channels, motion_of
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
-from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, law_fingerprint
+from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
@@ -78,22 +78,23 @@ class Predicted(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def predict_joint(identified: IdentifiedJoint, record: Record) -> Predicted:
+def predict_joint(estimate: Estimate, record: Record) -> Predicted:
     """Predict the record of a joint.
 
     Raises:
         RecordError: a channel is missing.
-        MethodError: the joint cannot be simulated on this record.
+        MethodError: a value is refused, or the joint cannot be simulated on this record.
     """
-    if identified.loop is not None:
-        return _simulate_loop(identified, identified.loop, record)
-    if identified.method == "drive_side":
-        return _simulate_along_motion(identified, record)
+    known, settings = estimate.require_values(), estimate.settings
+    if settings.loop is not None:
+        return _simulate_loop(estimate, settings.loop, record)
+    if settings.method == "drive_side":
+        return _simulate_along_motion(estimate, record)
     assert record.torque is not None
-    joint, filtering, zeros = identified.joint, identified.filtering, identified.joint.model == "flexible"
+    joint, filtering, zeros = settings.joint, settings.filtering, settings.joint.model == "flexible"
     names = [p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ()))]
-    model = motion_of(record, identified.delay, filtering, joint, zeros=zeros)
-    values = np.array([identified.values.get(name, 0.0) for name in names])
+    model = motion_of(record, settings.delay, filtering, joint, zeros=zeros)
+    values = np.array([known.get(name, 0.0) for name in names])
     error, columns = model.decimate(filtering, record.torque.sample_time, values)
     whole = error + columns @ values
     zero = np.array([name == ENCODER_OFFSET.name for name in names])  # counted from elsewhere in each record
@@ -124,14 +125,14 @@ def _fit_columns(columns: FloatArray, whole: FloatArray, values: FloatArray, nam
     return Refit(left, columns, fitted - values, names)
 
 
-def _simulate_loop(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> Predicted:
+def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> Predicted:
     assert record.torque is not None
     record.require(loop.channels, "Validation of a DIDIM estimate")
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
     around = with_torque(INITIAL_STATE, experiment, measured)
-    free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, identified.filtering, loop, experiment)
-    problem = free.keeping({p.name: identified.values[p.name] for p in loop.joint.parameters})
+    free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, estimate.settings.filtering, loop, experiment)
+    problem = free.keeping({p.name: estimate.values[p.name] for p in loop.joint.parameters})
     x, runs = fit_initial_state(problem)
     run = require_success(problem.simulate(x))
     other_law = (
@@ -142,14 +143,14 @@ def _simulate_loop(identified: IdentifiedJoint, loop: ClosedLoop, record: Record
         [run.motor_position, run.motor_velocity, run.motor.acceleration], loop.joint, loop.channels,
     )._replace(
         initial=initial_of(problem.values(x)), simulations=runs + 1,
-        warnings=() if identified.controller in ("", law_fingerprint(loop)) else (other_law,),
+        warnings=() if estimate.controller_sha256 in ("", law_fingerprint(loop)) else (other_law,),
     )  # fmt: skip
 
 
-def _simulate_along_motion(identified: IdentifiedJoint, record: Record) -> Predicted:
+def _simulate_along_motion(estimate: Estimate, record: Record) -> Predicted:
     """Predict the torque along the motor's motion, with the log's own delay."""
-    joint, filtering, values = identified.joint, identified.filtering, identified.values
-    log = LOG_DELAY.fix(-identified.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
+    joint, filtering, values = estimate.settings.joint, estimate.settings.filtering, estimate.require_values()
+    log = LOG_DELAY.fix(-estimate.settings.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
     free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
     found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None

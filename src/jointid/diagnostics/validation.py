@@ -27,7 +27,7 @@ from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.model_free import compare_law, compare_robot_laws
 from jointid.diagnostics.record_prediction import Predicted, Refit, predict_joint, predict_robot
-from jointid.estimation.result.estimate import Estimate, IdentifiedJoint, fingerprint, relative_error
+from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.unknown_timing import read_as
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
@@ -339,7 +339,7 @@ def _rms_of_all(shares: Sequence[float | None]) -> float | None:
 
 
 @one_thread()
-def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Record]) -> Validation:
+def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validation:
     """Compare an identified joint or robot with a record.
 
     Args:
@@ -351,7 +351,8 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
         RecordError: a channel is missing, or the record contradicts its description.
         MethodError: the joint or robot cannot be simulated on this record.
     """
-    if isinstance(estimate, Estimate) and estimate.robot is not None:
+    settings, source, prints = estimate.settings, estimate.data.record, estimate.data.fingerprints
+    if estimate.robot is not None:
         if not (isinstance(record, Sequence) and all(isinstance(one, Record) for one in record)):
             raise MethodError("The estimate of a robot is validated on one log: give a record of each joint, in order.")
         robot, setup = estimate.robot.model, getattr(estimate.robot, "setup", None)
@@ -361,21 +362,18 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
                 "of each joint, in order."
             )
         given = _with_torques(record, getattr(setup, "loops", [None] * len(robot)))
-        records = read_as(given, estimate.settings.timing)
+        records = read_as(given, settings.timing)
         found = predict_robot(estimate, records)
-        method, source, prints = estimate.settings.method, estimate.data.record, estimate.data.fingerprints
         gear: Transmission | None = None
         axes = [(robot.names[k], robot.torque_unit(k), robot.position_unit(k), gear) for k in range(len(robot))]
     else:
         if isinstance(record, Sequence):
             raise MethodError("The estimate of a joint is validated on one record; validate it on each alone.")
-        identified = estimate.identified if isinstance(estimate, Estimate) else estimate
-        (record,) = _with_torques([record], [identified.loop])
+        (record,) = _with_torques([record], [settings.loop])
         record.require(("torque",), "Validation")
         check_record(record)
-        records, joint = read_as([record], identified.timing), identified.joint
-        found = predict_joint(identified, records[0])
-        method, source, prints = identified.method, identified.record, identified.fingerprints
+        records, joint = read_as([record], settings.timing), settings.joint
+        found = predict_joint(estimate, records[0])
         length = POSITION_UNIT[joint.kind]
         assert record.torque is not None
         axes = [("", record.torque.unit, length, joint.transmission)]
@@ -383,7 +381,7 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     own = fingerprint(np.concatenate(torques)) in prints
     refit = None if own else found.with_free()
     anew, nominal = None if refit is None else refit.error, None
-    if not own and isinstance(estimate, Estimate) and found.nominal_errors is not None:
+    if not own and found.nominal_errors is not None:
         nominal = found.nominal_errors() if estimate.require_robot().model.has_masses else None
     size = np.linalg.norm(found.whole, axis=1)
     rows, compared = found.error.shape[1] // found.equations, np.zeros(found.measured.shape)
@@ -407,11 +405,11 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record | Sequence[Rec
     first = records[0]
     causes = () if refit is None else _find_causes(estimate, records, found, refit, made)
     warnings = found.warnings
-    if isinstance(estimate, Estimate) and not estimate.fit.converged:
+    if not estimate.fit.converged:
         warnings += ("the search for the estimate did not settle: do not rely on it",)
     warnings += (scale_verdict(()).said,) if any(one.computed for one in records) else ()
     return Validation(
-        "direct" if own else "cross", method, first.name, source,
+        "direct" if own else "cross", settings.method, first.name, source,
         (*found.channels, *(("injected",) if first.injected is not None else ())), found.sample_time,
         found.borders, tuple(made), found.initial,
         found.simulations, warnings, first.resampled, causes,
@@ -428,7 +426,7 @@ def _with_torques(records: Sequence[Record], loops: Sequence[ClosedLoop | None])
 
 
 def _find_causes(
-    estimate: Estimate | IdentifiedJoint,
+    estimate: Estimate,
     records: Sequence[Record],
     found: Predicted,
     refit: Refit,
@@ -442,12 +440,11 @@ def _find_causes(
     missed = [axis.prediction in (Prediction.NOT_AS_DECLARED, Prediction.ANOTHER_JOINT) for axis in axes]
     if not any(missed):
         return ()
-    robot = estimate.robot if isinstance(estimate, Estimate) else None
+    robot, loop = estimate.robot, estimate.settings.loop
     if robot is not None:
         laws = compare_robot_laws(robot.model, records, getattr(getattr(robot, "setup", None), "controllers", ()))
     else:
-        identified = estimate.identified if isinstance(estimate, Estimate) else estimate
-        laws = [None if identified.loop is None else compare_law(records[0], identified.loop)]
+        laws = [None if loop is None else compare_law(records[0], loop)]
     if any(bad and law is not None and not law.holds for bad, law in zip(missed, laws, strict=True)):
         return (Cause.CONTROLLER,)
     if any(axis.prediction is Prediction.NOT_AS_DECLARED for axis in axes):

@@ -278,7 +278,7 @@ def possible_joints(estimate: Estimate, confidence: float) -> Interval:
     Raises:
         MethodError: the estimate has no deviations or no correlations.
     """
-    joint, values = estimate.settings.joint, estimate.identified.values
+    joint, values = estimate.settings.joint, estimate.require_values()
     free = [p.name for p in estimate.params.rows if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
     chosen = [p for p in estimate.params.rows if p.name in moving and p.free]

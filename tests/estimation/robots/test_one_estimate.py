@@ -94,7 +94,6 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
         lambda found: found.report(logged()[1][0]),
         lambda found: found.plot.response(),
         lambda found: found.plot.spectrum(),
-        lambda found: found.identified,
     ],
 )
 def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[ji.Estimate], object]) -> None:

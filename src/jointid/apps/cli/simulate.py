@@ -67,7 +67,7 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
     driven = replace(file.driving(options.record), begin=0.0)
-    values = file.axis.values() if estimate is None else estimate.identified.values
+    values = file.axis.values() if estimate is None else estimate.require_values()
     ready(options.progress, derivatives=False)
     found = require_success(run(file.loop, driven, values))
     show(f"{100 * found.at_limit:.2f} % of the time at the limit")

@@ -17,47 +17,17 @@ from jointid.common.errors import MethodError, RecordError, extra
 from jointid.common.fields import write
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
-from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     import jointid
-    from jointid.records.record import Record, Timing
+    from jointid.records.record import Record
 
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
 _MOST = 64  # times that a position loop may be slower
-
-
-@dataclass(frozen=True, slots=True)
-class IdentifiedJoint:
-    """The part of an estimate that predicts a torque; it can be read back from a file.
-
-    Attributes:
-        method: its name, as in a joint file.
-        joint: the model.
-        loop: the closed loop, for DIDIM.
-        values: every parameter of the joint, and on the drive side the log's ``current_lag``, by name.
-        filtering: resolved, as it was identified with.
-        delay: seconds from the logged torque to the torque that acts.
-        record: name of the record or records that it was identified from.
-        fingerprints: of the torque of each of its records, see `fingerprint`.
-        controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
-        timing: reading of a torque of unstated timing; None: as its record has it.
-    """
-
-    method: str
-    joint: Joint
-    loop: ClosedLoop | None
-    values: dict[str, float]
-    filtering: Filtering
-    delay: float
-    record: str
-    fingerprints: tuple[str, ...]
-    controller: str = ""
-    timing: Timing | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -125,9 +95,8 @@ class Estimate(EstimateParts, Documented):
         of = "robot" if self.robot is not None else f"{self.settings.joint.model} joint"
         return f"<Estimate of a {of} by {self.settings.method}: {self.answer}>"
 
-    @property
-    def identified(self) -> IdentifiedJoint:
-        """The part that predicts a torque, of another record, say.
+    def require_values(self) -> dict[str, float]:
+        """Return every parameter of the joint by name, and on the drive side the log's ``current_lag``.
 
         Raises:
             MethodError: a value is refused, without which no torque can be predicted.
@@ -139,12 +108,8 @@ class Estimate(EstimateParts, Documented):
                 f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque; "
                 f"{remedy}."
             )
-        settings, data = self.settings, self.data
         log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
-        return IdentifiedJoint(
-            settings.method, settings.joint, settings.loop, {**self.values, **log}, settings.filtering, settings.delay,
-            data.record, data.fingerprints, self.controller_sha256, settings.timing,
-        )  # fmt: skip
+        return {**self.values, **log}
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
         """Return the columns of the torque of a motion.
@@ -206,7 +171,7 @@ class Estimate(EstimateParts, Documented):
         """
         columns = self.regressor(q, v, a)
         if columns.shape[-1] != len(self.values):
-            self.identified  # noqa: B018 - it says what is refused
+            self.require_values()  # which says what is refused
         return np.asarray(columns @ np.array([*self.values.values()]))
 
     def to_document(self, *, details: bool = False) -> Document:
