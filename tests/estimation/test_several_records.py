@@ -91,8 +91,7 @@ def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
         assert found[f"{name}@1"].value == pytest.approx(axis.truth[name], rel=1e-4), name
         assert found[f"{name}@2"].value == pytest.approx(loaded[name], rel=1e-4), name
     second = found.data.records[1]
-    assert second.values["load_inertia"] == pytest.approx(loaded["load_inertia"], rel=1e-6)
-    assert second.measured == pytest.approx(second.predicted, abs=1e-5)
+    assert second.relative_error < 1e-6
     # By itself each record has the same inertia on the load: the gain takes it to kilograms, what was added is off.
     assert {p.name: p.value for p in second.alone}["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
 
@@ -268,7 +267,6 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     for name in found.values:
         if name not in ("inertia", "offset"):
             assert not found.checks.agreement[name].differs, name
-    assert all(record.repeatable.significant for record in found.data.records)
     assert all(
         record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
     )

@@ -115,7 +115,6 @@ class Solved:
         lost: names of parameters that are not determined. held: of those at a bound.
         errors: (equations,) share of the filtered torque that is left.
         found: by the last pass. segments: what each of several records says by itself; of one record of its segments.
-        repeatable: what of the residual repeats with the motion.
     """
 
     starts: Sequence[Start]
@@ -127,7 +126,6 @@ class Solved:
     errors: FloatArray
     found: Pass
     segments: Sequence[Segment]
-    repeatable: Repeatable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,9 +373,7 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
     residual, slopes = compress(sums)
     held = find_active_bounds(problem.free, end.x, residual, slopes)
     lost, errors = find_lost(problem.free, end.x, covariance.std), found.relative_errors()
-    told = method.answer(
-        Solved(starts, problem, end.x, covariance, lost, held, errors, found, changes.segments, repeated)
-    )
+    told = method.answer(Solved(starts, problem, end.x, covariance, lost, held, errors, found, changes.segments))
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     names = [] if told.robot is None else told.robot.model.names
     axis_errors = dict(zip(names, map(float, errors), strict=False))

@@ -25,7 +25,7 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
 from jointid.estimation.result.agreement import Agreement, Alone, compare_records
 from jointid.estimation.result.assemble import FitResult
@@ -47,7 +47,7 @@ from jointid.solvers.regression import projection
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.identifiability import find_separable
-from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
+from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
 _SOLVER = LevenbergMarquardt(evaluations=100)
 _NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
@@ -135,13 +135,6 @@ class BySelf:
         signal = self.problem.filter(self.problem.measured)
         return max(level, _NOTHING_LEFT * float(np.sqrt(np.mean(signal**2))))
 
-    @property
-    def repeatable(self) -> Repeatable:
-        """The part of the residual that repeats with the motion."""
-        report = self.fit.fit.residuals
-        assert report is not None and report.repeatable is not None
-        return report.repeatable
-
     def acting(self, values: Mapping[str, float], gain: float) -> dict[str, float]:
         """Return values in terms of the acting torque, `gain` times the logged one."""
         own = {p.name for p in self.problem.joint.parameters}
@@ -224,8 +217,9 @@ def _build_result(solved: _Solved, simulations: int) -> FitResult:
     more = {p.name: p.widening for p in compared.parameters}
     wider = judged.covariance.matrix + np.diag([more.get(p.name, 0.0) for p in problem.free])
     covariance = covariance_of(wider, judged.covariance.bandwidth)
-    shares = tuple(_record_fit(solved, k) for k in range(len(solved.alone)))
-    predicted = np.concatenate([share.predicted for share in shares])
+    torques = [one.torque(problem.of_member(end.x, k)) for k, one in enumerate(problem.problems)]
+    predicted = np.concatenate(torques)
+    shares = tuple(_record_fit(solved, k, torque) for k, torque in enumerate(torques))
     error = problem.filter(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
     held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
@@ -310,31 +304,21 @@ def _compare(solved: _Solved) -> Agreement:
     return compare_records(each, units)
 
 
-def _record_fit(solved: _Solved, number: int) -> RecordFit:
-    """Return the estimate from one record, and the fit of the common model to it."""
+def _record_fit(solved: _Solved, number: int, torque: FloatArray) -> RecordFit:
+    """Return the estimate from one record, and the fit of the common model, its torque (samples,), to it."""
     problem, one = solved.problem.problems[number], solved.alone[number]
-    x, record = solved.problem.of_member(solved.end.x, number), one.record
-    values, predicted = problem.values(x), problem.torque(x)
-    error = problem.filter(problem.measured - predicted)
+    error, record = problem.filter(problem.measured - torque), one.record
     assert record.torque is not None
     return RecordFit(
         name=record.name,
         fingerprint=fingerprint(record.torque.values),
-        resampled=record.resampled,
-        loop=problem.loop,
         channels=list_loop_channels(problem.loop, record),
         added_inertia=sum(solved.problem.layout.added[number].values()),
         alone=one.rows(solved.gain),
-        values={p.name: values[p.name] for p in problem.joint.parameters},
-        initial=initial_of(values),
         level=one.level,
-        repeatable=one.repeatable,
-        sample_time=problem.sample_time,
-        filtering=problem.filtering,
         rows=error.size,
-        measured=problem.measured,
-        predicted=predicted,
-        relative_error=relative_error(problem.measured, predicted, problem.filtering.borders),
+        relative_error=relative_error(problem.measured, torque, problem.filtering.borders),
         filtered_error=problem.filtered_error(error),
         alone_error=problem.filtered_error(one.residual),
+        resampled=record.resampled,
     )

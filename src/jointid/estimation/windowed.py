@@ -27,7 +27,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method, default_method
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, motion_of
 from jointid.estimation.problems.log_windows import (
     InverseWindow,
@@ -171,7 +171,6 @@ def _tell_record(number: int, solved: Solved, both: RecordsProblem) -> RecordFit
     member, problem, layout = solved.problem.members[number], _problem(solved.starts[number]), both.layout
     record = cast("InMemory", member.log[0]).record
     assert record.torque is not None
-    own = problem.values(solved.x[member.at] + member.added)
     names = {p.name for p in problem.joint.parameters}
     square, size, rows = solved.found.sizes[number, 0]
     alone: tuple[EstimatedParameter, ...] = ()
@@ -182,19 +181,11 @@ def _tell_record(number: int, solved: Solved, both: RecordsProblem) -> RecordFit
     return RecordFit(
         name=record.name,
         fingerprint=fingerprint(record.torque.values),
-        loop=problem.loop,
         channels=list_loop_channels(problem.loop, record),
         added_inertia=sum(layout.added[number].values()),
         alone=alone,
-        values={name: own[name] for name in names},
-        initial=initial_of(own),
         level=math.sqrt(square / max(rows, 1)),
-        repeatable=replace(solved.repeatable, rms=solved.problem.sigma[number, 0] * solved.repeatable.rms),
-        sample_time=problem.sample_time,
-        filtering=problem.filtering,
         rows=int(rows),
-        measured=np.zeros(0),
-        predicted=np.zeros(0),
         relative_error=math.nan,
         filtered_error=math.sqrt(square / size) if size > 0 else 0.0,
         alone_error=math.nan,
