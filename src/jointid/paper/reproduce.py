@@ -120,8 +120,7 @@ def _identify_axis(axis: Twin, other: Twin, tables: str, progress: Progress) -> 
     didim = by_simplex(keep_torque_only(axis), axis.loop, rigid, best)
     # An inverse model's values in a loop that can be simulated.
     filtering = Filtering().resolve(idim.data.sample_time, "flexible")
-    settings = replace(idim.settings, method="didim", loop=axis.loop, filtering=filtering)
-    simulable = replace(idim, settings=settings)
+    simulable = replace(idim, settings=replace(idim.settings, method="didim", loop=axis.loop, filtering=filtering))
     return ReproducedExperiment(
         axis, rigid, idim, didim, best, validate(simulable, other.record), validate(didim, axis.record)
     )
