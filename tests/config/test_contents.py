@@ -57,7 +57,6 @@ def test_all_of_a_file() -> None:
         time = "stamp"
         time_unit = "ms"
         sample_time = 0.001
-        clock_tolerance = 0.1
         resample = { sample_time = 0.001, method = "cubic", longest_gap = 0 }
         delimiter = ";"
         decimal = ","
@@ -131,7 +130,6 @@ def test_all_of_a_file() -> None:
             "stamp",
             "ms",
             0.001,
-            0.1,
             options={"delimiter": ";", "decimal": ",", "header": True},
             resample=Resampling(1e-3, "cubic", longest_gap=0),
         ),

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
 from jointid.records.checks import find_encoder_lag, find_encoder_step, find_record_warnings
-from jointid.records.clock import Cut, cut_table
 from jointid.records.columns import Column, find_wrap, unwrap
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
@@ -86,9 +85,9 @@ def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> Non
 def test_steps_and_noise_are_no_wraps(noise: float) -> None:
     random = np.random.default_rng(3)
     for values in (np.sign(np.sin(20 * TIME)), np.abs(np.mod(TIME, 0.2) - 0.1), np.zeros(TIME.size)):
-        assert find_wrap(values + noise * random.standard_normal(TIME.size)) is None
-    assert find_wrap(np.array([1.0])) is None
-    assert find_wrap(np.array([-1e308, 1e308, np.nan, 0.0])) is None
+        assert find_wrap(values + noise * random.standard_normal(TIME.size), 2 * np.pi) is None
+    assert find_wrap(np.array([1.0]), 1.0) is None
+    assert find_wrap(np.array([-1e308, 1e308, np.nan, 0.0]), 1.0) is None
 
 
 def test_whole_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
@@ -221,19 +220,3 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
         for axis in (1, 2, 3):
             lag = find_encoder_lag(read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis)))
             assert lag is not None and lag.share > 0.935 and 2.65e-3 < lag.lag < 3.25e-3
-
-
-def test_a_second_clock_is_not_cut_by_the_first() -> None:
-    """A counter repeats one value beside a clock of its own: no whole row repeats, so none is left out."""
-    counter = np.array([0.0, 1.0, 1.0, 2.0])
-    values = np.arange(4.0)
-    columns = {"date": values, "counter": counter, "torque": values}
-    one = Table(columns, clocks={"counter": "date", "torque": "date"})
-    for time in ("counter", "date"):
-        cut, remarks = cut_table(one, time, None, None, Cut(), repaired=True)
-        assert not remarks and {name: column.size for name, column in cut.columns.items()} == dict.fromkeys(columns, 4)
-    two = Table(columns | {"late": 10 + values}, clocks={"torque": "late", "counter": "date"})
-    cut, _ = cut_table(two, "date", None, None, Cut(start=2.0), repaired=True)
-    assert {name: column.size for name, column in cut.columns.items()} == {
-        "date": 2, "counter": 2, "torque": 4, "late": 4,
-    }  # fmt: skip

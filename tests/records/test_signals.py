@@ -11,7 +11,6 @@ from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
     decimate_all,
-    differentiate,
     differentiate_twice,
     lowpass,
     settle,
@@ -30,69 +29,28 @@ def test_a_lowpass_has_no_phase_and_squares_the_attenuation() -> None:
     assert np.max(np.abs(at_edge - 0.5 * edge[500:-500])) < 2e-3  # 3 dB twice
 
 
-def test_a_filter_passes_a_straight_line_with_small_ends() -> None:
-    line = 2.0 + 3.0 * np.arange(500) * T
-    error = np.abs(lowpass(line, 80.0, T) - line)
-    assert np.max(error[60:-60]) < 1e-7
-    assert np.max(error) < 0.01
-
-
-def test_derivatives_are_central_inside_and_one_sided_at_the_ends() -> None:
-    parabola = (np.arange(50) * T) ** 2
-    found = differentiate(parabola, T)
-    assert np.allclose(found[1:-1], 2 * np.arange(1, 49) * T, atol=1e-12)
-    assert found[0] == pytest.approx(T)
-    assert found[-1] == pytest.approx(2 * 49 * T - T)
-
-
-def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() -> None:
-    filtering = Filtering(cutoff=40.0, decimation=10).resolve(T)
-    constant = filtering.decimate(np.ones(3001), T)
-    assert np.allclose(constant, 10 ** (-0.05 / 10), rtol=1e-6)  # 0.05 dB, twice
-    ramp = filtering.decimate(np.arange(3001.0), T)
-    assert ramp.size == 301
-    assert np.allclose(np.diff(ramp[50:-50]), 10 * 0.98855, rtol=2e-3)
-
-
-@pytest.mark.parametrize("columns", [1, 7, 16, 17, 33])
+@pytest.mark.parametrize(("samples", "columns"), [(25, 1), (64, 7), (5131, 17)])
 @pytest.mark.parametrize("cutoff", [5.0, 60.0, 200.0])
-def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
+def test_decimation_is_by_scipy_s_filter_and_keeps_the_last_sample(samples: int, columns: int, cutoff: float) -> None:
     """On a random walk, whose ends are far apart, with columns of very different sizes."""
     filtering = Filtering(cutoff=cutoff).resolve(T)
     assert filtering.cutoff is not None
     rng = np.random.default_rng(3)
-    values = np.cumsum(rng.standard_normal((3001, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
+    values = np.cumsum(rng.standard_normal((samples, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
     sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")
     expected = sosfiltfilt(sections, values, axis=0, padlen=24)[:: -(filtering.decimation or 1)][::-1]
-    for found in (filtering.decimate(values, T), *decimate_all([values], filtering, T)):
+    turned, alone = decimate_all([np.asfortranarray(values), values[:, -1]], filtering, T)
+    size = np.max(np.abs(expected), axis=0)
+    for found in (filtering.decimate(values, T), turned):
         assert found.shape == expected.shape
-        assert np.max(np.abs(found - expected) / np.max(np.abs(expected), axis=0)) < 1e-11
-    turned, alone = decimate_all([np.asfortranarray(values), values[..., -1]], filtering, T)
-    (whole,) = decimate_all([values], filtering, T)
-    size = np.max(np.abs(whole), axis=0)
-    assert np.max(np.abs(turned - whole) / size) < 1e-13
-    assert np.max(np.abs(alone - whole[:, -1])) < 1e-13 * size[-1]
-
-
-@pytest.mark.parametrize(("samples", "keep"), [(25, 1), (26, 2), (31, 3), (64, 30), (5131, 10)])
-def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -> None:
-    """Just longer than what is padded; more of it before the first that is kept; and a block and one more."""
-    filtering = Filtering(cutoff=0.3 * 500.0 / keep, decimation=keep).resolve(T)
-    values = np.random.default_rng(4).standard_normal((samples, 3))
-    (found,) = decimate_all([values], filtering, T)
-    np.testing.assert_allclose(found, filtering.decimate(values, T), atol=1e-10)
+        assert np.max(np.abs(found - expected) / size) < 1e-11
+    assert np.max(np.abs(alone - expected[:, -1])) < 1e-11 * size[-1]
 
 
 def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
     assert Filtering(cutoff=60.0).resolve(T).decimation == 6  # not the paper's 12
     assert Filtering().resolve(T) == Filtering(100.0, 40.0, 10, (50, 50))
     assert Filtering().resolve(T / 8).cutoff == 320.0
-
-
-def test_the_published_preset() -> None:
-    preset = Filtering.published().resolve(T)
-    assert (preset.position_cutoff, preset.cutoff, preset.decimation, preset.borders) == (100.0, 40.0, 10, (49, 0))
-    assert preset.timing == "as_sampled"
 
 
 def test_a_held_torque_is_windowed_exactly() -> None:

@@ -158,7 +158,7 @@ class Axis:
         """Arguments of reading a record, beside its columns."""
         source = self.source
         cut = Cut(source.start, source.stop, source.part)
-        return self._written | {"clock_tolerance": source.clock_tolerance, "resample": source.resample, "cut": cut}
+        return self._written | {"resample": source.resample, "cut": cut}
 
     def values(self) -> dict[str, float]:
         """Return a value for every parameter of the joint, for a simulation: fixed values and starts.

@@ -15,7 +15,6 @@ from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.units import units_of
 from jointid.estimation.methods.registry import MODELS, ROBOT
 from jointid.models.robots.inertial import MassProperties, is_physical
-from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import format_of, read_table
 from jointid.records.joining import choose_resampling, join_files
@@ -36,11 +35,6 @@ class Source:
     )
     sample_time: float | None = setting(
         None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
-    )
-    clock_tolerance: float = setting(
-        CLOCK_TOLERANCE,
-        "largest jitter of the time stamps that is not remarked on, as a share of the sample time",
-        at_least=0,
     )
     start: float | None = setting(None, "first instant to read, of the log's own clock", unit="s")
     stop: float | None = setting(None, "last instant to read, of the log's own clock", unit="s")

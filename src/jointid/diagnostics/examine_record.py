@@ -339,9 +339,7 @@ def _check_clock(record: Record) -> Answer:
     said = f"{number(record.duration, 4)} s, a sample every {rates}"
     if record.resampled is None:
         return Answer(Question.CLOCK, True, (said,))
-    worst = max((one.rms / one.sample_time for one in record.resampled.clocks.values()), default=0.0)
-    gaps = sum(one.gaps for one in record.resampled.clocks.values())
-    uneven = worst > 0.1 or gaps > 0
+    uneven = record.resampled.rms > 0.1 or record.resampled.gaps > 0
     return Answer(
         Question.CLOCK, not uneven, (f"{said}, resampled {record.resampled}",), Fault.CLOCK_UNEVEN if uneven else None
     )

@@ -1,4 +1,4 @@
-"""Clocks of a table: sample time and deviation of time stamps."""
+"""Clocks of a table: stamps, sample time, and deviation of the stamps from a uniform clock."""
 
 from __future__ import annotations
 
@@ -16,18 +16,14 @@ from jointid.common.text import pluralise
 from jointid.records.columns import unit_fault, unit_in_name
 from jointid.records.formats import Table
 from jointid.records.formats.table import TIME_NAME
-from jointid.records.record import Irregularity
-
-CLOCK_TOLERANCE = 0.05
-"""Largest jitter of a time stamp step, as a share of the sample time.
-
-A twentieth of a sample is well below the half sample by which a held and an averaged torque differ, and well
-above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a microsecond at 10 kHz (1 %).
-"""
 
 # Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 _RATE_TOLERANCE = 1e-3
 _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
+# Of the sample time, by which a step may be off without being jitter: well below the half sample by which a held and an
+# averaged torque differ, and well above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a
+# microsecond at 10 kHz (1 %).
+CLOCK_TOLERANCE = 0.05
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
@@ -50,19 +46,10 @@ class Clock:
     jitter: float = 0.0
     first: float = 0.0
 
-    def over(self, samples: int) -> Clock:
-        """Return the clock of a column's first samples."""
-        return self if self.column else replace(self, stamps=self.stamps[:samples])
-
     def pick(self, rows: NDArray[np.bool_]) -> Clock:
         """Return the clock of some rows, (samples,), at the distance of the first two."""
         first, second = np.flatnonzero(rows)[:2]
         return replace(self, stamps=self.stamps[rows], sample_time=float(second - first) * self.sample_time)
-
-    @property
-    def beginning(self) -> float:
-        """Instant of the first sample [s], by the straight line through the stamps."""
-        return float(self.straightened()[0])
 
     def straightened(self) -> FloatArray:
         """Return the straight line through the stamps [s], (samples,)."""
@@ -71,31 +58,22 @@ class Clock:
         return np.asarray(float(self.stamps[0]) + float(np.mean(times)) + slope * centred)
 
 
-def uniform_clock(sample_time: float, samples: int, first: float = 0.0) -> Clock:
-    """Return the clock of samples without stamps, from `first` on [s]."""
-    if not 0 < sample_time < np.inf:
-        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
-    return Clock(sample_time, np.asarray(first + np.arange(samples) * sample_time, dtype=np.float64), first=first)
-
-
-def find_clock(
-    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
-) -> Clock:
-    """Determine a table's clock.
+def find_stamps(
+    table: Table, time: str | None, time_unit: str | None, sample_time: float | None
+) -> tuple[str, FloatArray]:
+    """Return the name of a table's time column, empty without one, and the instants of its rows [s].
 
     Args:
         table: of the samples.
         time: name of the time column; None takes the only one called t or time.
         time_unit: None takes the unit in the name, or else s.
         sample_time: seconds; without `time` it alone counts.
-        tolerance: largest jitter that is not remarked on, as a share of the sample time; None for stamps that are
-            resampled.
 
     Raises:
-        RecordError: there is none, or it is at fault.
+        RecordError: there is no clock, or its unit is unknown.
     """
     if sample_time is not None and time is None:
-        return uniform_clock(sample_time, table.rows)
+        return "", uniform_stamps(sample_time, table.rows)
     names = [name for name in table.columns if name == time or (time is None and TIME_NAME.fullmatch(name))]
     if len(names) != 1:
         why = table.explain_missing([time] if time else (one for one in table.passed if TIME_NAME.fullmatch(one)))
@@ -105,13 +83,36 @@ def find_clock(
             "name of the time column as time."
         )
     (column,) = names
-    stamps = table.columns[column] * seconds_of(table, column, time_unit)
-    if faults := clock_faults(stamps, tolerance, f'The time column "{column}"'):
-        raise RecordError(faults)
+    return column, table.columns[column] * seconds_of(table, column, time_unit)
+
+
+def uniform_stamps(sample_time: float, samples: int, first: float = 0.0) -> FloatArray:
+    """Return the instants of samples without stamps, from `first` on [s]."""
+    if not 0 < sample_time < np.inf:
+        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
+    return np.asarray(first + np.arange(samples) * sample_time, dtype=np.float64)
+
+
+def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, resampled: bool = False) -> Clock:
+    """Return the clock of stamps.
+
+    Args:
+        column: name of the time column; empty where the stamps are multiples of `sample_time`.
+        stamps: (samples,) [s].
+        sample_time: as stated [s].
+        resampled: whether the samples are resampled, so that the stamps may jump.
+
+    Raises:
+        RecordError: the stamps run backward, repeat, jump, or contradict the sample time.
+    """
+    if not column and sample_time is not None:
+        return Clock(sample_time, stamps, first=float(stamps[0]))
+    _require_forward(stamps, f'The time column "{column}"', jumps=resampled)
     first, count = float(stamps[1] - stamps[0]), stamps.size - 1
-    jitter = float(np.max(np.abs(np.diff(stamps) * count / (stamps[-1] - stamps[0]) - 1))) if tolerance else 0.0
-    if tolerance is None or jitter > tolerance:
-        period = measure_irregularity(stamps).sample_time
+    jitter = 0.0 if resampled else float(np.max(np.abs(np.diff(stamps) * count / (stamps[-1] - stamps[0]) - 1)))
+    jitter = jitter if jitter > CLOCK_TOLERANCE else 0.0
+    if resampled or jitter:
+        period = fit_line(stamps)[0]
     elif np.array_equal(stamps[0] + np.arange(stamps.size) * first, stamps):
         period = first  # stamps that were computed give their sample time back to the last bit
     else:  # the mean over the record is better than any one step; its thirteenth digit is rounding
@@ -121,7 +122,6 @@ def find_clock(
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
         )
-    jitter = jitter if jitter > (tolerance or 0.0) else 0.0
     return Clock(sample_time or period, stamps, column, jitter, float(stamps[0]))
 
 
@@ -138,52 +138,6 @@ def seconds_of(table: Table, column: str, time_unit: str | None) -> float:
     if unit not in known or (named is not None and time_unit not in (None, named)):
         raise RecordError(unit_fault(f'time (column "{column}")', unit, known))
     return units.unit(unit).factor
-
-
-def cut_table(
-    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, cut: Cut, *, repaired: bool
-) -> tuple[Table, list[str]]:
-    """Leave out repeated whole rows and samples outside of a cut; return remarks on the former.
-
-    Each column is cut by its clock. Rows are left out only if `repaired`, and where every repeated stamp is of one.
-
-    Raises:
-        RecordError: a cut has no clock, or leaves fewer than two samples.
-    """
-    columns, remarks, own = dict(table.columns), list[str](), own_clocks(table, time)
-    common = time or next((name for name in table.columns if TIME_NAME.fullmatch(name)), None)
-    common = None if sample_time is not None and time is None else common
-    if cut != Cut() and common is None and sample_time is None and not own:
-        raise RecordError(
-            f"start, stop and part cut {table.source} by its clock, and no time column was found; name it as time, or "
-            "give sample_time."
-        )
-    own |= {clock: clock for clock in own.values()}  # a time column is cut with the columns that it stamps
-    for clock in dict.fromkeys([common, *own.values()]):
-        stamps = columns.get(clock) if clock else np.asarray(np.arange(table.rows) * (sample_time or math.nan))
-        if stamps is None or stamps.size < 2 or not np.isfinite(stamps).all():
-            continue
-        names = [n for n, one in columns.items() if own.get(n, common) == clock and one.size == stamps.size]
-        names += [clock] if clock and clock not in names else []
-        kept, again = np.ones(stamps.size, dtype=bool), np.flatnonzero(np.diff(stamps) == 0) + 1
-        repeats = all(np.array_equal(columns[n][again], columns[n][again - 1], equal_nan=True) for n in names)
-        if repaired and again.size and repeats:
-            kept[again] = False
-            remarks.append(
-                f"{table.source} repeats {pluralise(again.size, 'whole row')}, the first after sample {again[0] - 1}: "
-                "left out"
-            )
-        if cut != Cut():
-            seconds = seconds_of(table, clock, time_unit) if clock else 1.0
-            kept[kept] = cut.find_rows(stamps[kept] * seconds, clock or "the clock")
-        columns |= {name: columns[name][kept] for name in names}
-    return (table if not remarks and cut == Cut() else replace(table, columns=columns)), remarks
-
-
-def own_clocks(table: Table, time: str | None) -> dict[str, str]:
-    """Return the time column of each column that has its own; none where one is named for a file of one clock."""
-    one_named = time is not None and len(set(table.clocks.values())) == 1
-    return {} if one_named else dict(table.clocks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,19 +158,19 @@ class Cut:
         last = math.inf if self.stop is None else self.stop
         kept = (times >= first) & (times <= last)
         rows = np.flatnonzero(kept)
-        parts = find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
+        parts = _find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
         if rows.size < 2 or (self.part or 0) > len(parts):
             raise RecordError(
-                f"start and stop leave {pluralise(rows.size, 'sample')} of {clock}, which goes from {times.min():.10g} "
-                f"to {times.max():.10g} s, with {pluralise(len(parts), 'part')} between its jumps; give two instants "
-                "in there, and a part of these or 0 for the longest."
+                f"start and stop leave {pluralise(rows.size, 'sample')} of {clock or 'the clock'}, which goes from "
+                f"{times.min():.10g} to {times.max():.10g} s, with {pluralise(len(parts), 'part')} between its jumps; "
+                "give two instants in there, and a part of these or 0 for the longest."
             )
         begin, end = parts[self.part - 1] if self.part else max(parts, key=lambda one: one[1] - one[0])
         kept[rows[:begin]] = kept[rows[end:]] = False
         return kept
 
 
-def find_parts(stamps: FloatArray) -> list[tuple[int, int]]:
+def _find_parts(stamps: FloatArray) -> list[tuple[int, int]]:
     """First sample and end of each part between the jumps of stamps (samples,)."""
     steps = np.diff(stamps)
     typical = float(np.median(steps[steps > 0])) if np.any(steps > 0) else math.inf
@@ -229,8 +183,8 @@ def is_same_rate(sample_time: float, other: float) -> bool:
     return abs(sample_time / other - 1) <= _RATE_TOLERANCE
 
 
-def measure_irregularity(stamps: FloatArray) -> Irregularity:
-    """Measure the deviation of stamps [s], (samples,), from a uniform clock.
+def fit_line(stamps: FloatArray) -> tuple[float, FloatArray, NDArray[np.int64]]:
+    """Return the sample time of stamps [s], (samples,), their deviations, and the samples left out by each step.
 
     Repeated stamps do not count as samples, backward ones do.
     """
@@ -241,41 +195,27 @@ def measure_irregularity(stamps: FloatArray) -> Irregularity:
     number = np.concatenate([[0.0], np.cumsum(skipped)])
     centred, times = number - number.mean(), stamps - stamps.mean()
     period = float(centred @ times / (centred @ centred))
-    off = times - period * centred
-    return Irregularity(
-        sample_time=period,
-        largest=float(np.abs(off).max()),
-        rms=float(np.sqrt(np.mean(off**2))),
-        gaps=int(np.count_nonzero(skipped > 1)),
-        longest_gap=int(skipped.max()) - 1,
-    )
+    return period, times - period * centred, np.asarray(np.maximum(skipped - 1, 0), dtype=np.int64)
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
-    """Return the fault of a clock that repeats, runs backward or jumps.
+def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
+    """Refuse stamps [s], (samples,), that repeat, run backward or jump, if they may not.
 
-    The sample time is the median step. A step off by more than half a sample time is a jump, otherwise jitter.
-
-    Args:
-        stamps: time stamps [s], (samples,).
-        tolerance: largest jitter, as a share of the sample time, if above a half; None for stamps that are resampled,
-            which may jump.
-        name: of the clock, in sentences.
+    The sample time is the median step. A step off by more than half a sample time is a jump.
     """
     steps = np.diff(stamps)
     sample_time, largest = float(np.median(steps)) if steps.size else 0.0, float(np.max(np.abs(stamps), initial=0.0))
     if not (largest <= _LATEST and sample_time >= 1 / _LATEST):
-        return [
+        raise RecordError(
             f"{name} does not run forward: of its {stamps.size} stamps {np.count_nonzero(~np.isfinite(stamps))} are no "
             f"numbers, {np.count_nonzero(steps == 0)} repeat, {np.count_nonzero(steps < 0)} step back, and the largest "
             f"is {largest:.3g} s; name another time column, give its unit, or give sample_time without time."
-        ]
-    jumps = np.flatnonzero(np.abs(steps / sample_time - 1) > max(_JUMP, tolerance or 0.0))
-    if tolerance is None or not jumps.size:
-        return []
-    return [
-        f"{name} jumps {pluralise(jumps.size, 'time')}, first after sample {jumps[0]} (t = {stamps[jumps[0]]:g} s) by "
-        f"{steps[jumps[0]]:g} s (expected {sample_time:g} s); give part = 0 for the longest part between the jumps, "
-        "or resample to bridge short gaps; if only the stamps are wrong, give sample_time without time."
-    ]
+        )
+    off = np.flatnonzero(np.abs(steps / sample_time - 1) > _JUMP)
+    if off.size and not jumps:
+        raise RecordError(
+            f"{name} jumps {pluralise(off.size, 'time')}, first after sample {off[0]} (t = {stamps[off[0]]:g} s) by "
+            f"{steps[off[0]]:g} s (expected {sample_time:g} s); give part = 0 for the longest part between the jumps, "
+            "or resample to bridge short gaps; if only the stamps are wrong, give sample_time without time."
+        )

@@ -112,18 +112,13 @@ class Column:
 
     def misplaced_faults(self, channel: str) -> list[str]:
         """Fault of settings that belong to other channels."""
-        wrong = [name for name, of in _ONLY.items() if channel not in of and getattr(self, name) != _DEFAULTS[name]]
+        usual = Column()
+        wrong = [one for one, of in _ONLY.items() if channel not in of and getattr(self, one) != getattr(usual, one)]
         listed = " and ".join(wrong)
         return [f"{channel} has {listed}, which belongs to other channels; leave it out."] if wrong else []
 
 
-_ONLY = {
-    "tap": ("torque",),
-    "at": ("injected",),
-    "in_torque": ("injected",),
-    "wrap": POSITIONS,
-}
-_DEFAULTS = {name: getattr(Column(), name) for name in _ONLY}
+_ONLY = {"tap": ("torque",), "at": ("injected",), "in_torque": ("injected",), "wrap": POSITIONS}
 
 
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
@@ -172,19 +167,18 @@ def finite_faults(name: str, values: FloatArray) -> list[str]:
     ]
 
 
-def find_wrap(values: FloatArray, turn: float = 2 * np.pi, grain: float = 1.0) -> tuple[float, bool] | None:
-    """Find the wrap of a position (samples,); None without jumps that are one for certain.
+def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
+    """Find the wrap of a column of a position (samples,); None without jumps that are one for certain.
 
     At a wrap a step goes by nearly the whole range, against the motion before and after it. With that motion v it is
     as large as the wrap: W = |d - v|. A square wave rests where it jumps.
 
     Args:
-        values: of the position, finite.
-        turn: one turn, in the unit of the values.
-        grain: 1 in the column of the file, in the unit of the values.
+        values: of the column, finite.
+        turn: what one turn is in the column.
 
     Returns:
-        The wrap in that unit, and whether it is a turn, turns or a part of one, or a power of two in the column.
+        The wrap, and whether it is a turn, turns or a part of one, or a power of two.
 
     Example:
         >>> import numpy as np
@@ -214,12 +208,12 @@ def find_wrap(values: FloatArray, turn: float = 2 * np.pi, grain: float = 1.0) -
     if size < span * (1 - _BEYOND_WRAP) or not slow or spread > _ALIKE * size + uneven:
         return None
     wraps = {turn * part: _PART_OF_TURN for part in (*range(2, 11), *(1 / whole for whole in range(2, 201)))}
-    wraps |= dict.fromkeys((turn, *(grain * 2.0**bits for bits in range(8, 33))), _KNOWN_WRAP)
+    wraps |= dict.fromkeys((turn, *(2.0**bits for bits in range(8, 33))), _KNOWN_WRAP)
     near = min(wraps, key=lambda one: abs(one - size))
     if abs(near - size) <= min(max(spread, uneven) + _PART_OF_TURN * size, wraps[near] * size):
         return near, True
-    whole = np.allclose(values / grain, np.round(values / grain), rtol=0.0, atol=_WHOLE)
-    return grain * round(size / grain) if whole else size, False
+    whole = np.allclose(values, np.round(values), rtol=0.0, atol=_WHOLE)
+    return float(round(size)) if whole else size, False
 
 
 def unwrap(values: FloatArray, wrap: float, name: str = "The position") -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.records.clock import Clock, find_clock
+from jointid.records.clock import Clock, find_stamps, fit_clock
 from jointid.records.formats import Table, read_table
 from jointid.records.formats.table import Found
 from jointid.records.resampling import Resampling
@@ -79,7 +79,8 @@ def _find_clock(table: Table, time: str | None, time_unit: str | None, sample_ti
     if len(own) > 1:
         raise RecordError(f"{table.source} has {len(own)} clocks; join files of one clock each.")
     named = next(iter(own), None) if time not in table.columns else time
-    return find_clock(table, named, time_unit, None if named else sample_time, None).over(table.rows)
+    stated = None if named else sample_time
+    return fit_clock(*find_stamps(table, named, time_unit, stated), stated, resampled=True)
 
 
 def _share_clock(first: Table, one: Clock, second: Table, other: Clock) -> bool:

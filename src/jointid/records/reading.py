@@ -8,26 +8,29 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
-from jointid.records.clock import CLOCK_TOLERANCE, Clock, Cut, cut_table, find_clock, own_clocks, seconds_of
-from jointid.records.columns import POSITIONS, Column, find_wrap, known_units, unwrap
+from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of, uniform_stamps
+from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, unwrap
 from jointid.records.drives import Drive, Frame, index_columns
 from jointid.records.formats import Table, read_table
-from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
-from jointid.records.resampling import Resampling, Signal, bring_together, pick_samples
+from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Tap, Timing, refer_channel
+from jointid.records.resampling import Resampling, Signal, bring_together
 
 _SAME_GAIN = 0.01  # relative
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
+_FEWEST_ROWS = 3  # with a number, of a column that is empty between
+_SLOWER = 1.5  # sample times of the rows, from which on a stated one is that of refreshes
 
 
 def read(
@@ -41,7 +44,6 @@ def read(
     kind: str = "revolute",
     transmission: Transmission | None = None,
     name: str | None = None,
-    clock_tolerance: float = CLOCK_TOLERANCE,
     resample: Resampling | None = None,
     start: float | None = None,
     stop: float | None = None,
@@ -66,7 +68,6 @@ def read(
         kind: "revolute" (rad, rad/s, N m unless a column says otherwise) or "prismatic" (m, m/s, N).
         transmission: between motor and load; it sets both kinds and refers every channel to its `side`.
         name: of the record in reports; None takes the file's name without suffix.
-        clock_tolerance: largest jitter of the time stamps that is not remarked on, as a share of the sample time.
         start: first instant to read, in seconds of the log's own clock.
         stop: last one.
         part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
@@ -78,9 +79,8 @@ def read(
     """
     cut = Cut(start, stop, part)
     reader = RecordReader(
-        columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, clock_tolerance,
-        resample, cut,
-    )  # fmt: skip
+        columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, resample, cut
+    )
     return reader.build_record(read_table(path, **options), Path(path).stem)
 
 
@@ -100,7 +100,6 @@ class RecordReader:
     kind: str = "revolute"
     transmission: Transmission | None = None
     name: str | None = None
-    clock_tolerance: float = CLOCK_TOLERANCE
     resample: Resampling | None = None
     cut: Cut = field(default_factory=Cut)
     gains: Mapping[str, float] = field(default_factory=dict)
@@ -119,15 +118,15 @@ class RecordReader:
             table = _cut_tails(table)
         if time is None and period is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)
-        repaired = self.resample is None and (self.time is not None or period is None)
-        table, repeated = cut_table(table, time, self.time_unit, period, self.cut, repaired=repaired)
-        # A sample time that is given alone is all that counts, unless a channel names its own column.
-        own = {} if time is None and period is not None else own_clocks(table, self.time)
+        # A sample time that is given alone is all that counts, and so is a time column that is named for a file of one.
+        alone = period is not None if time is None else self.time is not None and len(set(table.clocks.values())) == 1
+        clocks = {} if alone else dict(table.clocks)
         columns = self._select(table, wanted)
-        signals = _unwrap(self._log(table, columns, time, own))
-        channels, begin, done, said = bring_together(signals, self.resample, self.clock_tolerance)
+        signals = self._log(table, columns, time, clocks)
+        channels, begin, done, said = bring_together(signals, self.resample)
         # The file begins with the first row of its clocks, which no channel may use.
-        origins = [float(table.columns[one][0]) * seconds_of(table, one, self.time_unit) for one in set(own.values())]
+        unused = set(clocks.values())
+        origins = [self._cut(table, one, one)[0] * seconds_of(table, one, self.time_unit) for one in unused]
         origins += [one.clock.first for one in signals.values()]
         first = min((float(one.clock.stamps[0]) for one in signals.values()), default=0.0)
         logged: dict[str, Any] = dict(channels)
@@ -138,11 +137,11 @@ class RecordReader:
         record = Record(
             **logged,
             name=self.name or name,
-            begin=begin + (first - min(origins, default=first)),
+            begin=begin + (first - float(min(origins, default=first))),
             resampled=done,
-            remarks=(*repeated, *(one.remark for one in signals.values() if one.remark), *said),
+            remarks=tuple(dict.fromkeys((*(r for one in signals.values() for r in one.remarks), *said))),
         )
-        if faults := [*self._gain_faults(table), *scale_faults(record)]:
+        if faults := [*self._gain_faults(table, time, clocks), *scale_faults(record)]:
             raise RecordError(faults)
         return record
 
@@ -183,66 +182,101 @@ class RecordReader:
         return selected
 
     def _log(
-        self, table: Table, columns: Mapping[str, Column], time: str | None, own: Mapping[str, str]
+        self, table: Table, columns: Mapping[str, Column], time: str | None, clocks: Mapping[str, str]
     ) -> dict[str, Signal]:
-        """Return the channels in SI with their clocks, at the rows in which there are new numbers."""
-        resampled = self.resample is not None
-
-        @cache
-        def find(stamps: str | None, needed: bool) -> Clock | None:
-            tolerance, period = None if resampled else self.clock_tolerance, None if stamps else self.sample_time
+        """Return the channels in SI with their clocks, at the rows in which there are new numbers, unwrapped."""
+        made, faults, gear = dict[str, Signal](), list[str](), self.transmission
+        for name in (n for n in dict.fromkeys((*POSITIONS, *columns)) if n in columns):  # the reference after the motor
+            column, what = columns[name], f'{name} (column "{columns[name].column}")'
+            unit, side, held = self._frame.unit_of(name, columns), self.drive.side(name, column), name in TORQUES
+            factor, wrap, own = column.sign * column.gain * unit.factor, 0.0, column.time or clocks.get(column.column)
+            scale = abs(factor * (1.0 if gear is None else gear.position(side)))
             try:
-                return find_clock(table, stamps or time, self.time_unit, period, tolerance)
-            except RecordError:
-                if needed:
-                    raise
-                return None
-
-        made, faults = dict[str, Signal](), list[str]()
-        for name, column in columns.items():
-            values, what = table.columns[column.column], f'{name} (column "{column.column}")'
-            own_rate, remark = column.sample_time, ""
-            try:
-                clock = find(column.time or own.get(column.column), own_rate is None)
-                values, clock, picked = pick_samples(what, values, clock, own_rate, resampled=resampled)
+                values, clock, picked, remarks = self._sample(table, what, column, own, time)
+                if name in POSITIONS:
+                    wrap = column.wrap or _find_wrap(name, values, factor, scale, made.get("motor_position"))
+                values = unwrap(values, wrap, name) if wrap else values
             except RecordError as error:
                 faults += error.faults
                 continue
-            if picked and own_rate is None and not resampled:
-                remark = f"{what} has numbers in some rows: it is a channel with a sample every {clock.sample_time:g} s"
-            channel, grain, turn = self._convert(table, columns, name, values, clock.sample_time)
-            wrap = None if column.wrap is None else column.wrap * grain
-            made[name] = Signal(channel, clock, picked, grain, turn, wrap, remark)
+            if wrap and column.wrap is None:
+                remarks.append(f"{name} jumps by its wrap of {wrap:.10g}: it is unwrapped")
+            timing, stated = column.timing or (Timing.HELD if held else Timing.SAMPLED), column.timing or not held
+            source = f"{table.source}: {column.column}"
+            channel = Channel(values * factor, unit.si, clock.sample_time, timing, source, stated=bool(stated))
+            channel = channel if gear is None else refer_channel(gear, name, channel, side)
+            made[name] = Signal(channel, clock, picked, wrap * scale, tuple(remarks))
         if faults:
             raise RecordError(list(dict.fromkeys(faults)))
-        return made
+        return _begin_in_one_turn({name: made[name] for name in columns})
 
-    def _convert(
-        self, table: Table, columns: Mapping[str, Column], name: str, values: FloatArray, sample_time: float
-    ) -> tuple[Channel, float, float]:
-        """Return numbers as a channel on the joint's side, and what 1 and a turn are of its position there."""
-        column, gear, on_joint, held = columns[name], self.transmission, 1.0, name in ("torque", "injected")
-        unit, side = self._frame.unit_of(name, columns), self.drive.side(name, column)
-        factor = column.sign * column.gain * unit.factor
-        channel = Channel(
-            values * factor,
-            unit.si,
-            sample_time,
-            column.timing or (Timing.HELD if held else Timing.SAMPLED),
-            f"{table.source}: {column.column}",
-            stated=column.timing is not None or not held,
-        )
-        if gear is not None:
-            channel, on_joint = refer_channel(gear, name, channel, side), gear.position(side)
-        return channel, abs(factor * on_joint), abs(2 * np.pi * on_joint)
+    def _sample(
+        self, table: Table, what: str, column: Column, own: str | None, time: str | None
+    ) -> tuple[FloatArray, Clock, bool, list[str]]:
+        """Return the new numbers of a column, their clock, whether they are in some of its rows alone, and remarks."""
+        values, period, resampled = table.columns[column.column], column.sample_time, self.resample is not None
+        stated, first, remarks = None if own else self.sample_time, 0.0, list[str]()
+        try:
+            at, stamps = find_stamps(table, own or time, self.time_unit, stated)
+            first = float(np.nan_to_num(stamps[0]))
+            stamps = stamps if at or period else stamps[: values.size]
+            if stamps.size != values.size:
+                raise RecordError(
+                    f"{what} has {values.size} samples, the time {stamps.size}; name columns of one length."
+                )
+            rows = self._find_rows(stamps, values, at)
+            clock = fit_clock(at, stamps[rows], stated, resampled=resampled)
+        except RecordError:
+            if period is None:
+                raise
+            stamps = uniform_stamps(period, values.size, first)
+            rows = self._find_rows(stamps, values)
+            clock = fit_clock("", stamps[rows], period)
+        if again := np.count_nonzero(_repeats(stamps, values)):
+            remarks.append(f"{table.source} repeats {pluralise(again, 'sample')}, left out")
+        values = values[rows]
+        kept = _find_filled_rows(values, resampled=resampled)
+        if kept is None and (faults := finite_faults(what, values)):
+            raise RecordError(faults)
+        if kept is None and period is not None:
+            if period < _SLOWER * clock.sample_time:  # samples of its own
+                return values, fit_clock("", uniform_stamps(period, values.size, clock.first), period), False, remarks
+            kept = _find_refreshes(values, period / clock.sample_time)
+        if kept is None:
+            return values, clock, False, remarks
+        clock = clock.pick(kept)
+        if period is None and not resampled:
+            remarks.append(
+                f"{what} has numbers in some rows: it is a channel with a sample every {clock.sample_time:g} s"
+            )
+        if period is not None and not resampled and not is_same_rate(clock.sample_time, period):
+            raise RecordError(
+                f"{what} has no new number every {period:g} s, as its sample_time says; correct that, or leave it out."
+            )
+        return values[kept], clock, True, remarks
 
-    def _gain_faults(self, table: Table) -> Iterator[str]:
+    def _find_rows(self, stamps: FloatArray, values: FloatArray, clock: str = "") -> NDArray[np.bool_]:
+        """Return the samples of a column within the cut, (samples,), without those that repeat stamp and value."""
+        rows = ~_repeats(stamps, values)
+        if self.cut != Cut():
+            rows[rows] = self.cut.find_rows(stamps[rows], clock)
+        return rows
+
+    def _cut(self, table: Table, name: str, time: str | None) -> FloatArray:
+        """Return a column within the cut, by its clock."""
+        values = table.columns[name]
+        if self.cut == Cut():
+            return values
+        at, stamps = find_stamps(table, time, self.time_unit, self.sample_time)
+        return values[self._find_rows(stamps[: values.size], values, at)]
+
+    def _gain_faults(self, table: Table, time: str | None, clocks: Mapping[str, str]) -> Iterator[str]:
         """Yield gains of the log that are not the declared ones."""
         profile = self.drive.traces
         if profile is None or not self.gains:
             return
         for name, gain in profile.gain_columns(index_columns(table.columns), self.drive.place).items():
-            values, declared = table.columns[name], self.gains.get(gain.key)
+            values, declared = self._cut(table, name, clocks.get(name) or time), self.gains.get(gain.key)
             low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
             if declared is not None and max(abs(low - declared), abs(high - declared)) > _SAME_GAIN * abs(declared):
                 yield (
@@ -251,31 +285,54 @@ class RecordReader:
                 )
 
 
-def _unwrap(signals: Mapping[str, Signal]) -> dict[str, Signal]:
-    """Unwrap positions whose wrap is declared or found; the motor's then begins in the turn of its reference.
+def _find_wrap(name: str, values: FloatArray, factor: float, scale: float, motor: Signal | None) -> float:
+    """Return the wrap of a position that jumps by it, 0 if it does not.
 
     A measured position cannot go by its range in one sample. A reference can, as a saw tooth: it wraps where a
     measured one does, or turns on, or where none is logged and the jump is a known wrap.
+
+    Values, (samples,), are those of the column: `factor` takes them to SI, and 1 is `scale` of the joint's position.
     """
-    made = dict(signals)
-    for name, one in ((name, signals[name]) for name in POSITIONS if name in signals):
-        wrap, remark = one.wrap, one.remark
-        if wrap is None:
-            wrap, known = find_wrap(one.channel.values, one.turn, one.grain) or (0.0, False)
-            if name == "reference" and (motor := made.get("motor_position")) is not None:
-                known = bool(motor.wrap) or float(np.ptp(motor.channel.values)) > _TURNS_ON * wrap
-            wrap = wrap if known or name != "reference" else 0.0
-            remark = f"{name} jumps by its wrap of {wrap / one.grain:.10g}: it is unwrapped" if wrap else remark
-        if wrap:
-            values = unwrap(one.channel.values, wrap, name)
-            made[name] = replace(one, channel=replace(one.channel, values=values), wrap=wrap, remark=remark)
+    wrap, known = find_wrap(values, 2 * np.pi / abs(factor)) or (0.0, False)
+    if motor is not None:
+        known = bool(motor.wrap) or float(np.ptp(motor.channel.values)) > _TURNS_ON * wrap * scale
+    return wrap if known or name != "reference" else 0.0
+
+
+def _begin_in_one_turn(made: dict[str, Signal]) -> dict[str, Signal]:
+    """Take a motor that wraps to the turn of its reference."""
     motor, reference = made.get("motor_position"), made.get("reference")
-    if motor is not None and motor.wrap and reference is not None:
-        there = np.interp(motor.clock.stamps, reference.clock.stamps, reference.channel.values)
-        turns = np.round(np.median(there - motor.channel.values) / motor.wrap)
-        values = motor.channel.values + motor.wrap * turns
-        made["motor_position"] = replace(motor, channel=replace(motor.channel, values=values))
-    return made
+    if motor is None or not motor.wrap or reference is None:
+        return made
+    there = np.interp(motor.clock.stamps, reference.clock.stamps, reference.channel.values)
+    turns = np.round(np.median(there - motor.channel.values) / motor.wrap)
+    values = motor.channel.values + motor.wrap * turns
+    return made | {"motor_position": replace(motor, channel=replace(motor.channel, values=values))}
+
+
+def _repeats(stamps: FloatArray, values: FloatArray) -> NDArray[np.bool_]:
+    """Return the samples, (samples,), that repeat the stamp and the value before them."""
+    same = (np.diff(values) == 0) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    return np.concatenate([[False], (np.diff(stamps) == 0) & same])
+
+
+def _find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
+    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault."""
+    filled = ~np.isnan(values)
+    rows = np.flatnonzero(filled)
+    if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
+        return None
+    ends = max(rows[0] + 1, values.size - rows[-1]) <= longest
+    return filled if ends and (resampled or np.all(np.diff(rows) == longest)) else None
+
+
+def _find_refreshes(values: FloatArray, ratio: float) -> NDArray[np.bool_]:
+    """Return the rows, (samples,), at which a column is refreshed every `ratio` rows; all if it changes between."""
+    every = round(min(ratio, values.size))
+    changes = np.flatnonzero(np.diff(values)) + 1
+    phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
+    kept = np.arange(values.size) % every == phase
+    return kept if np.all(kept[changes]) and 2 * every <= values.size else np.ones(values.size, dtype=bool)
 
 
 def _cut_tails(table: Table) -> Table:

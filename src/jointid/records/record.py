@@ -9,21 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import MEASURED, panels, styled
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.common.text import join, pluralise
+from jointid.common.text import pluralise
 from jointid.common.transmission import Side, Transmission
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _DECIMALS = 13  # of a period in seconds: more are of a period that has no end
 
@@ -34,11 +30,6 @@ class Timing(StrEnum):
     SAMPLED = "sampled"  # the value at the sample's instant
     HELD = "held"  # the value from this instant to the next
     AVERAGED = "averaged"  # the mean over the period that ends at this instant
-
-    @property
-    def begins(self) -> float:
-        """Samples from the stamp to the action of a torque; -0.5 if sampled."""
-        return {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[self]
 
 
 class Tap(StrEnum):
@@ -133,47 +124,32 @@ class Injection:
 
 
 @dataclass(frozen=True, slots=True)
-class Irregularity:
-    """Deviation of time stamps from their least-squares line.
-
-    Attributes:
-        sample_time: of the uniform clock, s.
-        largest, rms: deviation of the stamps from it, s.
-        gaps: steps that leave out samples; longest_gap: samples left out in the longest.
-    """
-
-    sample_time: float
-    largest: float
-    rms: float
-    gaps: int = 0
-    longest_gap: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class Resampled:
     """Applied resampling.
 
     Attributes:
         sample_time: of the record, s.
         methods: by channel, "hold", "linear", "cubic", or "mean" of what was logged as an average.
-        clocks: by time column, what the stamps were.
+        largest, rms: deviation of the stamps from their uniform clock, in samples, of the worst time column.
+        gaps: steps of the stamps that leave out samples.
     """
 
     sample_time: float
     methods: Mapping[str, str]
-    clocks: Mapping[str, Irregularity]
+    largest: float
+    rms: float
+    gaps: int
 
     def __str__(self) -> str:
         how = ", ".join(f"{name} {method}" for name, method in self.methods.items())
-        worst = max((clock.largest / clock.sample_time for clock in self.clocks.values()), default=0.0)
-        gaps = pluralise(sum(clock.gaps for clock in self.clocks.values()), "gap")
-        return f"to {1e3 * self.sample_time:g} ms ({how}); stamps off by up to {worst:.2g} samples, with {gaps}"
+        said = f"stamps off by up to {self.largest:.2g} samples, with {pluralise(self.gaps, 'gap')}"
+        return f"to {1e3 * self.sample_time:g} ms ({how}); {said}"
 
 
 CHANNELS = ("torque", "reference", "reference_velocity", "motor_position", "load_position", "injected")
 """The channel names a record can have, in the order they are always listed."""
 
-_TORQUES = ("torque", "injected")
+TORQUES = ("torque", "injected")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,13 +229,6 @@ class Record(Documented):
         """Duration of the shortest channel [s]."""
         return min(channel.duration for _, channel in self.items())
 
-    @property
-    def sentence(self) -> str:
-        """Channels and duration, in words."""
-        names = join([name.replace("_", " ") for name in self.channels])
-        rates = join([*dict.fromkeys(f"{1e3 * channel.sample_time:.6g} ms" for _, channel in self.items())])
-        return f"{names[0].upper()}{names[1:]}, {self.duration:.6g} s, a sample every {rates}."
-
     def to_document(self, *, details: bool = False) -> Document:
         """Table of the channels."""
         del details
@@ -274,16 +243,6 @@ class Record(Documented):
         header = ("channel", "unit", "samples", "every [ms]", "min", "max", "timing", "source")
         facts = (*common_facts(self.resampled, None), *(("remark", remark) for remark in self.remarks))
         return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
-
-    @styled
-    def plot(self) -> Figure:
-        """Draw the channels over time, a panel each."""
-        channels = [*self.items()]
-        figure, drawn = panels((*(170,) * (len(channels) - 1), 195), title=self.name, share_x=True)
-        for axes, (name, channel) in zip(drawn, channels, strict=True):
-            axes.plot(channel.time, channel.values, color=MEASURED)
-            axes.set(ylabel=f"{name.replace('_', ' ')} [{channel.unit}]", xlabel="time [s]" * (axes is drawn[-1]))
-        return figure
 
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""
@@ -317,7 +276,7 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
     """
     wrong = []
     for name, channel in record.items():
-        expected = torque_unit if torque_unit and name in _TORQUES else si_unit(name, kind)
+        expected = torque_unit if torque_unit and name in TORQUES else si_unit(name, kind)
         if channel.unit != expected:
             wrong.append(f"{name} in {channel.unit}, not {expected}")
     if wrong:
@@ -327,23 +286,14 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
         )
 
 
-def refer_channel(transmission: Transmission, name: str, channel: Channel, side: Side) -> Channel:
-    """Refer a channel from its logged side to the joint's side."""
-    return _refer(name, channel, transmission.position(side), transmission.kind)
-
-
-def refer_to_drive(transmission: Transmission, record: Record, sides: Mapping[str, Side]) -> Record:
-    """Refer a record from the joint's side to each channel's logged side."""
-    return record.with_channels(
-        {
-            name: _refer(name, channel, 1.0 / transmission.position(sides[name]), transmission.kind_of(sides[name]))
-            for name, channel in record.items()
-        }
-    )
-
-
-def _refer(name: str, channel: Channel, position: float, kind: str) -> Channel:
-    factor = 1.0 / position if name in _TORQUES else position
+def refer_channel(
+    transmission: Transmission, name: str, channel: Channel, side: Side, *, back: bool = False
+) -> Channel:
+    """Refer a channel from its logged side to the joint's side, or back."""
+    position, kind = transmission.position(side), transmission.kind
+    if back:
+        position, kind = 1.0 / position, transmission.kind_of(side)
+    factor = 1.0 / position if name in TORQUES else position
     of_drive = units.unit(channel.unit).dimension in ("current", "voltage")
     return replace(channel, values=channel.values * factor, unit=channel.unit if of_drive else si_unit(name, kind))
 
@@ -351,6 +301,6 @@ def _refer(name: str, channel: Channel, position: float, kind: str) -> Channel:
 def si_unit(name: str, kind: str) -> str:
     """SI unit of a channel for a kind of motion."""
     position, torque = POSITION_UNIT[kind], TORQUE_UNIT[kind]
-    if name in _TORQUES:
+    if name in TORQUES:
         return torque
     return f"{position}/s" if name == "reference_velocity" else position

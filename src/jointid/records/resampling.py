@@ -12,15 +12,14 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.text import pluralise
-from jointid.records.clock import Clock, is_same_rate, measure_irregularity, uniform_clock
-from jointid.records.columns import POSITIONS, finite_faults
-from jointid.records.record import Channel, Irregularity, Resampled, Timing
+from jointid.records.clock import CLOCK_TOLERANCE, Clock, fit_line
+from jointid.records.columns import POSITIONS
+from jointid.records.record import Channel, Resampled, Timing
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 Between: TypeAlias = Interpolation | Literal["spline"]
@@ -30,8 +29,6 @@ Between: TypeAlias = Interpolation | Literal["spline"]
 _LOWER_RATE = 1.1
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
-_FEWEST_ROWS = 3  # with a number, of a column that is empty between
-_SLOWER = 1.5  # sample times of the rows, from which on a stated one is that of refreshes
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
@@ -72,12 +69,6 @@ class Resampling:
     def __post_init__(self) -> None:
         check_settings(self, RecordError)
 
-    def method_for(self, timing: Timing) -> str:
-        """Interpolation method for a channel's timing."""
-        if timing is Timing.AVERAGED:
-            return "mean"
-        return "hold" if timing is Timing.HELD else self.method
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
@@ -85,91 +76,25 @@ class Signal:
 
     Attributes:
         picked: whether it has a number in some rows of its time column alone.
-        grain: what 1 in the column is of the channel's position.
-        turn: what one turn of the column's side is of the channel's position.
-        wrap: at which a position wraps; None if that is not declared.
-        remark: on what was put right; empty if nothing was.
+        wrap: at which a position wraps in its column, in the channel's unit; 0 if it does not.
+        remarks: on what was put right.
     """
 
     channel: Channel
     clock: Clock
     picked: bool = False
-    grain: float = 1.0
-    turn: float = 2 * math.pi
-    wrap: float | None = None
-    remark: str = ""
-
-    def straighten(self) -> Signal:
-        """Return the signal at instants on the straight line through its stamps."""
-        return replace(self, clock=replace(self.clock, stamps=self.clock.straightened(), jitter=0.0))
-
-
-def pick_samples(
-    what: str, values: FloatArray, clock: Clock | None, period: float | None, *, resampled: bool
-) -> tuple[FloatArray, Clock, bool]:
-    """Return the new numbers of a column with their clock, and whether they are in some of its rows alone.
-
-    Args:
-        what: of the column, in sentences.
-        values: (rows,), NaN where it is empty.
-        clock: of the rows; None if only `period` is known.
-        period: sample time of the channel, if it is stated [s].
-        resampled: whether the channel comes to a new clock; else the rows have to be equally far apart.
-
-    Raises:
-        RecordError: a number is missing, or rows and period contradict each other.
-    """
-    every_row = clock is not None and clock.stamps.size == values.size
-    clock = None if clock is None else clock.over(values.size)
-    is_of_clock = clock is not None and clock.stamps.size == values.size
-    kept = _find_filled_rows(values, resampled=resampled) if is_of_clock else None
-    if kept is None and (faults := finite_faults(what, values)):
-        raise RecordError(faults)
-    if kept is None and period is not None:
-        if clock is None or not every_row or period < _SLOWER * clock.sample_time:  # samples of its own
-            return values, uniform_clock(period, values.size, 0.0 if clock is None else clock.first), False
-        kept = _find_refreshes(values, period / clock.sample_time)
-    if clock is None or not is_of_clock:
-        size = 0 if clock is None else clock.stamps.size
-        raise RecordError(f"{what} has {values.size} samples, the time {size}; name columns of one length.")
-    if kept is None:
-        return values, clock, False
-    picked = clock.pick(kept)
-    if period is not None and not resampled and not is_same_rate(picked.sample_time, period):
-        raise RecordError(
-            f"{what} has no new number every {period:g} s, as its sample_time says; correct that, or leave it out."
-        )
-    return values[kept], picked, True
-
-
-def _find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
-    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault."""
-    filled = ~np.isnan(values)
-    rows = np.flatnonzero(filled)
-    if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
-        return None
-    ends = max(rows[0] + 1, values.size - rows[-1]) <= longest
-    return filled if ends and (resampled or np.all(np.diff(rows) == longest)) else None
-
-
-def _find_refreshes(values: FloatArray, ratio: float) -> NDArray[np.bool_]:
-    """Return the rows, (samples,), at which a column is refreshed every `ratio` rows; all if it changes between."""
-    every = round(min(ratio, values.size))
-    changes = np.flatnonzero(np.diff(values)) + 1
-    phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
-    kept = np.arange(values.size) % every == phase
-    return kept if np.all(kept[changes]) and 2 * every <= values.size else np.ones(values.size, dtype=bool)
+    wrap: float = 0.0
+    remarks: tuple[str, ...] = ()
 
 
 def bring_together(
-    signals: Mapping[str, Signal], how: Resampling | None, tolerance: float
+    signals: Mapping[str, Signal], how: Resampling | None
 ) -> tuple[dict[str, Channel], float, Resampled | None, tuple[str, ...]]:
     """Bring signals to a common beginning at their own rates, or resample them to one rate.
 
     Args:
         signals: by channel.
         how: rules of resampling; None keeps each rate if uniform clocks begin together and have a common instant.
-        tolerance: within which two instants are one, as a share of the shortest sample time.
 
     Returns:
         The channels, the first instant from the first stamp of all [s], what was resampled, and remarks.
@@ -179,20 +104,20 @@ def bring_together(
         how, signals, said = _judge_jitter(signals)
         remarks.append(said)
     if how is None:
-        if (aligned := _align(signals, tolerance)) is not None:
+        if (aligned := _align(signals)) is not None:
             return *aligned, None, tuple(remarks)
         how = Resampling(min(one.clock.sample_time for one in signals.values()), "linear")
         remarks.append(f"the channels begin apart: they are resampled to {how.sample_time:g} s (linear)")
     return *resample_together(signals, how), tuple(remarks)
 
 
-def _align(signals: Mapping[str, Signal], tolerance: float) -> tuple[dict[str, Channel], float] | None:
+def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | None:
     """Cut channels to their first common instant; None without one, or of clocks that begin apart."""
     if not signals:
         return {}, 0.0
-    begins = {name: one.clock.beginning for name, one in signals.items()}
+    begins = {name: float(one.clock.straightened()[0]) for name, one in signals.items()}
     periods = {name: one.clock.sample_time for name, one in signals.items()}
-    near = tolerance * min(periods.values())
+    near = CLOCK_TOLERANCE * min(periods.values())
     if np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0]) > near:
         return None
     slowest = max(periods, key=periods.__getitem__)
@@ -214,43 +139,43 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
     It is relative to the first stamp of all.
     """
     zero = min((one.clock.stamps[0] for one in signals.values()), default=0.0)  # seconds since 1970 leave few digits
-    T, clocks, faults = how.sample_time, dict[str, Irregularity](), list[str]()
-    ready = dict[str, tuple[Channel, FloatArray]]()
+    T, faults, off, gaps = how.sample_time, list[str](), dict[str, FloatArray](), dict[str, int]()
+    stamps = {name: one.clock.stamps - zero for name, one in signals.items()}
     for name, one in signals.items():
-        channel, stamps = one.channel, one.clock.stamps - zero
-        clock = measure_irregularity(stamps)
-        clocks.setdefault(one.clock.column, clock)
-        kept = np.concatenate([[True], (np.diff(stamps) != 0) | (np.diff(channel.values) != 0)])
-        ready[name] = replace(channel, values=channel.values[kept]), stamps[kept]
-        if clock.longest_gap > how.longest_gap or np.any(np.diff(stamps[kept]) <= 0):
+        period, deviations, left_out = fit_line(stamps[name])
+        off.setdefault(one.clock.column, deviations / period)
+        gaps.setdefault(one.clock.column, np.count_nonzero(left_out))
+        if (longest := int(left_out.max())) > how.longest_gap or np.any(np.diff(stamps[name]) <= 0):
             faults.append(
-                f"The stamps of {name} leave out up to {pluralise(clock.longest_gap, 'sample')} in a row (at most "
+                f"The stamps of {name} leave out up to {pluralise(longest, 'sample')} in a row (at most "
                 f"{how.longest_gap} are bridged), step back, or repeat with other values; cut the record there, set "
                 "longest_gap, or give sample_time without time if only the stamps are wrong."
             )
-        if channel.timing is not Timing.AVERAGED and _LOWER_RATE * clock.sample_time < T:
+        if one.channel.timing is not Timing.AVERAGED and _LOWER_RATE * period < T:
             faults.append(
-                f"{name} has a sample every {clock.sample_time:g} s, and what is fast in it would alias if resampled "
+                f"{name} has a sample every {period:g} s, and what is fast in it would alias if resampled "
                 f"to {T:g} s; give a shorter sample time: [filtering] then decimates torque and model alike."
             )
     if faults:
         raise RecordError(list(dict.fromkeys(faults)))
-    first = max(stamps[0] + (T if one.timing is Timing.AVERAGED else 0.0) for one, stamps in ready.values())
-    last = min(stamps[-1] for _, stamps in ready.values())
-    begin = _find_beginning(first, [at for one, at in ready.values() if how.method_for(one.timing) == "hold"], T)
+    always = {Timing.AVERAGED: "mean", Timing.HELD: "hold"}
+    methods = {name: always.get(one.channel.timing, how.method) for name, one in signals.items()}
+    first = max(at[0] + (T if methods[name] == "mean" else 0.0) for name, at in stamps.items())
+    last = min(at[-1] for at in stamps.values())
+    begin = _find_beginning(first, [at for name, at in stamps.items() if methods[name] == "hold"], T)
     samples = math.floor((last - begin) / T * (1 + 1e-12) + _ONE_INSTANT) + 1
     if not 2 <= samples <= _LARGEST:
         raise RecordError(
             f"The channels cover {max(last - begin, 0.0):g} s together, which is {max(samples, 0)} samples of {T:g} s; "
             f"expected 2 to {_LARGEST}: correct the sample time, or the time columns."
         )
-    grid = begin + np.arange(samples) * T
-    channels, methods = {}, {}
-    for name, (channel, stamps) in ready.items():
-        methods[name] = how.method_for(channel.timing)
-        values = _interpolate(channel.values, stamps, np.minimum(grid, stamps[-1]), methods[name], T)
-        channels[name] = replace(channel, values=values, sample_time=T)
-    return channels, begin, Resampled(T, methods, clocks)
+    grid, channels = begin + np.arange(samples) * T, dict[str, Channel]()
+    for name, at in stamps.items():
+        values = _interpolate(signals[name].channel.values, at, np.minimum(grid, at[-1]), methods[name], T)
+        channels[name] = replace(signals[name].channel, values=values, sample_time=T)
+    largest = max(float(np.max(np.abs(one))) for one in off.values())
+    rms = max(float(np.sqrt(np.mean(one**2))) for one in off.values())
+    return channels, begin, Resampled(T, methods, largest, rms, sum(gaps.values()))
 
 
 def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dict[str, Signal], str]:
@@ -265,10 +190,10 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
         if follows is not None:
             told[one.clock.column] = follows or told.get(one.clock.column, False)
     resampled = any(told.values())
-    straight = {
-        name: one.straighten() if one.clock.jitter and not told.get(one.clock.column, resampled) else one
-        for name, one in signals.items()
-    }
+    straight = dict(signals)
+    for name, one in signals.items():
+        if one.clock.jitter and not told.get(one.clock.column, resampled):
+            straight[name] = replace(one, clock=replace(one.clock, stamps=one.clock.straightened(), jitter=0.0))
     how = Resampling(min(clock.sample_time for clock in jittering), "cubic") if resampled else None
     names = " and ".join(f'"{column}"' for column in dict.fromkeys(clock.column for clock in jittering))
     does = "a position follows them, so that all channels are resampled by them (cubic)"
@@ -308,7 +233,7 @@ def _find_beginning(first: float, held: Sequence[FloatArray], T: float) -> float
     return first + (phase if T - phase > _ONE_INSTANT * T else 0.0)
 
 
-def _interpolate(values: FloatArray, stamps: FloatArray, grid: FloatArray, method: str, T: float) -> FloatArray:
+def _interpolate(values: FloatArray, stamps: FloatArray, grid: FloatArray, method: str, T: float = 1.0) -> FloatArray:
     if method == "hold":
         behind = np.searchsorted(stamps, grid + _ONE_INSTANT * T, side="right") - 1
         return np.asarray(values[behind])
@@ -347,13 +272,11 @@ def at_period(channel: Channel, period: float, periods: int, name: str, way: Bet
     if repeat == 1 or way == "hold" or values.size < 2:
         return np.asarray(np.repeat(values[::every], repeat)[:periods])
     at = np.minimum(np.arange(periods) / repeat, values.size - 1)
-    if way == "linear" or not np.all(np.isfinite(values)):
-        return np.asarray(np.interp(at, samples, values), dtype=np.float64)
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+    if way == "cubic" and np.all(np.isfinite(values)):
+        from scipy.interpolate import CubicHermiteSpline
 
-    if way == "spline":
-        return np.asarray(CubicSpline(samples, values)(at))
-    return np.asarray(CubicHermiteSpline(samples, values, np.gradient(values))(at))
+        return np.asarray(CubicHermiteSpline(samples, values, np.gradient(values))(at))
+    return _interpolate(values, samples, at, "cubic" if way == "spline" and np.all(np.isfinite(values)) else "linear")
 
 
 def fill_in(channel: Channel, every: int, period: float, interpolation: Interpolation) -> Channel:

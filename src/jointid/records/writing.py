@@ -15,7 +15,7 @@ from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column, unit_in_name
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, write_table
-from jointid.records.record import Channel, Record, instants, refer_to_drive
+from jointid.records.record import Channel, Record, instants, refer_channel
 
 _ONE = 1e-9  # relative: two channels of one column differ by rounding alone
 
@@ -85,7 +85,8 @@ def columns_to_write(
     named = _name_columns(record, wanted, frame)
     if transmission is not None:
         sides = {name: frame.drive.side(name, named.get(name)) for name in record.channels}
-        record = refer_to_drive(transmission, record, sides)
+        seen = {n: refer_channel(transmission, n, channel, sides[n], back=True) for n, channel in record.items()}
+        record = record.with_channels(seen)
     channels = dict(record.items())
     first, periods = next(iter(channels.values())), {channel.sample_time for channel in channels.values()}
     if len(first) < 2 or not all(is_same_rate(period, sample_time or first.sample_time) for period in periods):

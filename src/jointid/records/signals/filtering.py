@@ -29,6 +29,7 @@ _ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
 _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
 _AT_REST = 1e-8  # of the top speed: less is rounding, whose sign is no direction
+_BEGINS = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}  # samples from the stamp to a torque's action
 _POSITION_ORDER = 4  # of the position filter: for IDIM the highest derivative plus 2
 
 
@@ -289,7 +290,7 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     a held torque (weights 1, 3, 3, 1 over 8), both can be compared by instant; see `apply_window`.
 
     Args:
-        channel: the torque; see `Timing.begins`.
+        channel: the torque; held, averaged, or sampled.
         delay: seconds between the logged value and the acting torque.
 
     Raises:
@@ -301,7 +302,7 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
             f"The torque acts {delay:g} s after its sample, and the record has {period * len(values):g} s; give "
             "another delay, or the estimate that identify wrote."
         )
-    weights, first = _window_weights(1, channel.timing.begins + delay / period, 0)
+    weights, first = _window_weights(1, _BEGINS[channel.timing] + delay / period, 0)
     padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
     begin = first + max(-first, 0)
     return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
