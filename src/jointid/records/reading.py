@@ -232,7 +232,7 @@ class RecordReader:
             stamps = uniform_stamps(period, values.size, first)
             rows = self._find_rows(stamps, values)
             clock = fit_clock("", stamps[rows], period)
-        if again := np.count_nonzero(_repeats(stamps, values)):
+        if again := int(np.count_nonzero(_repeats(stamps, values))):
             remarks.append(f"{table.source} repeats {pluralise(again, 'sample')}, left out")
         values = values[rows]
         kept = _find_filled_rows(values, resampled=resampled)

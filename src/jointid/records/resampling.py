@@ -144,7 +144,7 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
     for name, one in signals.items():
         period, deviations, left_out = fit_line(stamps[name])
         off.setdefault(one.clock.column, deviations / period)
-        gaps.setdefault(one.clock.column, np.count_nonzero(left_out))
+        gaps.setdefault(one.clock.column, int(np.count_nonzero(left_out)))
         if (longest := int(left_out.max())) > how.longest_gap or np.any(np.diff(stamps[name]) <= 0):
             faults.append(
                 f"The stamps of {name} leave out up to {pluralise(longest, 'sample')} in a row (at most "
@@ -268,7 +268,7 @@ def at_period(channel: Channel, period: float, periods: int, name: str, way: Bet
     """
     every, repeat = period_ratio(period, channel.sample_time, name)
     way = way or default_interpolation(channel)
-    values, samples = channel.values, np.arange(channel.values.size)
+    values, samples = channel.values, np.arange(float(channel.values.size))
     if repeat == 1 or way == "hold" or values.size < 2:
         return np.asarray(np.repeat(values[::every], repeat)[:periods])
     at = np.minimum(np.arange(periods) / repeat, values.size - 1)
