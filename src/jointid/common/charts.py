@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import wraps
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 if TYPE_CHECKING:
@@ -107,18 +106,18 @@ def mark(axes: Axes, x: float, text: str, row: int = 0, *, dotted: bool = False)
     )  # fmt: skip
 
 
-def render(figure: Figure, form: str, dpi: int = 150, style: Mapping[Any, Any] = MappingProxyType({})) -> bytes:
+def render(figure: Figure, form: str, dpi: int = 150, name: str = "jointid") -> bytes:
     """Return a figure as a file of PNG, SVG or PDF; the same figure gives the same bytes."""
     import matplotlib as mpl
 
     drawn = io.BytesIO()
-    with mpl.rc_context(_STYLE | {"svg.hashsalt": "jointid", **style}):
+    with mpl.rc_context(_STYLE | {"svg.hashsalt": name, "svg.fonttype": "none"}):
         figure.savefig(drawn, format=form, dpi=dpi, metadata=_METADATA[form])
     return drawn.getvalue()
 
 
 def svg(figure: Figure, name: str) -> bytes:
     """Return a figure as the SVG element of a page, every text of it escaped; no other name has its ids."""
-    text = render(figure, "svg", style={"svg.hashsalt": name, "svg.fonttype": "none"}).decode()
+    text = render(figure, "svg", name=name).decode()
     # Every figure names its groups alike, and nothing refers to them.
     return re.sub(r'<g id="[^"]*"', "<g", text[text.index("<svg") :]).encode()

@@ -42,16 +42,16 @@ class Detail(str):
         of_drive: whether it says why an attempt fails, as it would with the record of another drive.
     """
 
+    brief: str
+    pace: bool
+    of_drive: bool
+
     def __new__(cls, said: object, brief: str = "", *, pace: bool = False, of_drive: bool = False) -> Self:
         """Return the line: `said` behind `brief`, unless that ends with it."""
         text = str(said)
         made = super().__new__(cls, f"{brief}: {text}" if brief and not brief.endswith(text) else brief or text)
         made.brief, made.pace, made.of_drive = brief, pace, of_drive
         return made
-
-    brief: str
-    pace: bool
-    of_drive: bool
 
 
 class Work:
@@ -145,20 +145,13 @@ def either(choices: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def nearest(word: object, known: Iterable[str]) -> str | None:
-    """Return the nearest known word; None if none is near."""
-    if not isinstance(word, str) or len(word) >= _GUESSED:
-        return None
-    # Of short words such as kp a wrong case is half the letters: it is not to count.
-    spelt = {one.casefold(): one for one in known}
-    match = difflib.get_close_matches(word.casefold(), list(spelt), 1, _ALIKE)
-    return spelt[match[0]] if match else None
-
-
 def suggest(word: object, known: Iterable[str], otherwise: str) -> str:
     """Ask whether the nearest known word was meant; `otherwise` if none is near."""
-    meant = nearest(word, known)
-    return f"did you mean {meant}?" if meant is not None else f"{otherwise}."
+    # Of short words such as kp a wrong case is half the letters: it is not to count.
+    spelt = {one.casefold(): one for one in known}
+    wanted = word.casefold() if isinstance(word, str) and len(word) < _GUESSED else ""
+    near = difflib.get_close_matches(wanted, list(spelt), 1, _ALIKE)
+    return f"did you mean {spelt[near[0]]}?" if near else f"{otherwise}."
 
 
 def missing(expected: str, meaning: str) -> str:
