@@ -157,6 +157,8 @@ def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(f
     [
         ("a.pdf",), ("a.mat", "--set", "export.timestep=1e-4"), ("a.xml", "--set", "export.side=x"), ("nowhere/a.xml",),
         ("out.json",), ("a.xml", "--format", "word"), ("a.xml", "--set", "export.timestep=abc"),
+        ("a.mat", "--set", "export.period=abc"), ("a.mat", "--set", "export.delay=[1]"),
+        ("a.xml", "--set", "export.name=5"),
     ],
 )  # fmt: skip
 def test_mistakes_are_refused(folder: Path, words: tuple[object, ...]) -> None:

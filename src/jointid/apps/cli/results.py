@@ -166,8 +166,8 @@ def export(
     of_file = tuple(one for one in changes if not one.startswith("export."))
     file = Options(changes=of_file, axis=axis).load(joint, out, estimate=estimate)
     settings = apply_changes({}, [one for one in changes if one not in of_file]).get("export", {})
-    if reserved := settings.keys() & {"estimate", "language", "controllers"}:
-        raise MethodError(f"export.{min(reserved)} is no setting of an export; leave it out.")
+    if unknown := settings.keys() - {"control", "delay", "period", "side", "timestep", "values"}:
+        raise MethodError(f"export.{min(unknown)} is no setting of an export; leave it out.")
     language = find_language(format or out.suffix.lower())
     if file.robot is None:
         settings |= {"name": file.name}

@@ -129,6 +129,9 @@ def export(
     known = [key for key, one in inspect.signature(write).parameters.items() if one.kind is one.KEYWORD_ONLY]
     if unknown := [key for key in settings if key not in known]:
         raise MethodError(f"{chosen} has no setting {', '.join(unknown)}; it has: {', '.join(known)}.")
+    for key in settings.keys() & {"timestep", "period", "delay"}:
+        if not isinstance(settings[key], int | float | None):
+            raise MethodError(f'The {key} of an export is a number of seconds; received "{settings[key]}".')
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
     if not isinstance(estimate, Estimate | Robot):

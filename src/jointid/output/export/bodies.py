@@ -199,7 +199,7 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
 
 def require_timestep(timestep: float | None) -> None:
     """Raise a `MethodError` if a time step is not positive, or too long."""
-    if timestep is not None and not (isinstance(timestep, int | float) and 0 < timestep < 1):
+    if timestep is not None and not 0 < timestep < 1:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
 
 
