@@ -86,7 +86,7 @@ class CampaignReport(Documented):
         counts = Counter(row.outcome for row in self.rows)
         ends = ", ".join(f"{count} {outcome}" for outcome in Outcome if (count := counts[outcome]))
         blocks: list[Block] = [
-            Paragraph(self.sentence, lead=True, tone=_TONES[self.verdict[1]]),
+            Paragraph(self.sentence, tone=_TONES[self.verdict[1]]),
             Facts((("cases", f"{len(self.rows)}: {ends}"),)),
             *(_pictures(self.drifted, self.series, self.losses) if pictures else ()),
             *self._loss_blocks(most),
@@ -114,7 +114,7 @@ class CampaignReport(Documented):
         others = [one for one in self.changes if not one.significant][:most]
         if others:
             yield Heading("Largest changes within scatter")
-            yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5), folded=len(others) > _SHOWN)
+            yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5))
         yield Paragraph(
             f"{pluralise(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
             f"named without drift is {number(100 * self.false_alarm, 2)} % at most, if the runs of a joint scatter "

@@ -44,10 +44,9 @@ Tone: TypeAlias = Literal["", "good", "bad", "open"]
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Plain text; `lead` marks the first sentence, `tone` good or bad news."""
+    """Plain text; `tone` marks the first sentence, as good or bad news."""
 
     text: str
-    lead: bool = False
     tone: Tone = ""
 
 
@@ -67,13 +66,12 @@ class Verdicts:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows under a header; columns in `words` are text, and a page shows `folded` rows on demand."""
+    """Rows under a header; columns in `words` are text."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     words: tuple[int, ...] = (0,)
-    folded: bool = False
 
 
 @dataclass(frozen=True, slots=True)

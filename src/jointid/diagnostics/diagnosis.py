@@ -423,7 +423,7 @@ class Diagnosis(Documented):
         good = self.explained and all(one.judged for one in self.axes) and self.as_declared is not False
         blocks: list[Block] = [
             Facts((("record", f"{self.name}, {pluralise(len(self.axes), 'joint')}"),)),
-            Paragraph(" ".join(self._parts[1:]), lead=True, tone="good" if good else "bad"),
+            Paragraph(" ".join(self._parts[1:]), tone="good" if good else "bad"),
             Table(header, rows, caption, (0, 2)),
             Table(("joint", "travel", "peak speed", "moving, %"), motion, "motion of the motors, behind their gears"),
             *((Heading("What to do"), Listing(self.sentences)) if self.sentences else ()),

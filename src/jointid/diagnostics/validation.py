@@ -259,7 +259,7 @@ class Validation(Documented):
             said = f"The estimate predicts this record worse than the nominal model, {left} against {other}"
             said += ": do not use it in its place."
         useful = mine < (1.0 + _ALIKE) * nominal
-        return Paragraph(said, lead=True, tone="good" if useful else "bad")
+        return Paragraph(said, tone="good" if useful else "bad")
 
     def plot(self) -> Figure:
         """Return measured and predicted signal and their error over time; see `jointid.figures.torque`."""

@@ -48,7 +48,7 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
         return Document(
             f"{part.model.name}: {len(part.names)} parameters of {len(part.model)} joints",
             (
-                Paragraph(str(answer), lead=True, tone=_TONES.get(Trust(answer.trust.code), "open")),
+                Paragraph(str(answer), tone=_TONES.get(Trust(answer.trust.code), "open")),
                 *verdicts,
                 Facts(tuple(warnings)),
                 *(Paragraph(f"{one}.") for one in part.springs),

@@ -98,7 +98,7 @@ class Payload(Documented):
         return Document(
             self.sentence,
             (
-                *([Paragraph(said, lead=True, tone="bad")] if said else []),
+                *([Paragraph(said, tone="bad")] if said else []),
                 Table(
                     ("", "value, 2 sigma", "unit", "verdict"),
                     tuple(lines),

@@ -162,7 +162,7 @@ def _picture(given: ReportData, figures: Mapping[str, Figure], name: str) -> Pic
 def _result(given: ReportData) -> Iterator[Block]:
     """Yield the answer, what it was held against, and the drawing of a joint."""
     estimate = given.estimate
-    yield Paragraph(str(estimate.answer), lead=True, tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
+    yield Paragraph(str(estimate.answer), tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
     if given.diagnosis is not None:
         yield Paragraph(given.diagnosis.answer)
     for check in given.checks:
