@@ -11,9 +11,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.controller_id.learn import SAME, learn_controller
-from jointid.controller_id.learned_controller import LearnedController
-from jointid.controller_id.structure_moves import canonical
-from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, controller
+from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, canonical, controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record, Tap
 from jointid.simulation.closed_loop import Initial
@@ -50,7 +48,8 @@ class LearnedRun:
             that of the learned law but for rounding. named: whether the true one is at least among those that are said
             to be alike.
         alike: how many are said to be alike.
-        deviations: of the numbers from the true ones, in standard deviations; none where the name is another.
+        deviations: of the numbers from the true ones, in standard deviations; none where the law was drawn or learned
+            under another name than its canonical one.
         seconds: that it took.
     """
 
@@ -73,47 +72,12 @@ def judge(seed: int) -> LearnedRun:
     true = canonical(made.structure)
     same = str(learned.structure) == str(true)
     right = same or any(str(one.structure) == str(true) and one.apart < SAME for one in learned.alternatives)
-    named = any(str(one.structure) == str(true) for one in learned.alike)
-    deviations = _deviations(made, true, learned) if same else ()
-    return LearnedRun(seed, str(true), str(learned.structure), right, named, len(learned.alike), deviations, seconds)
-
-
-def _deviations(made: LoopTwin, true: Structure, learned: LearnedController) -> tuple[float, ...]:
-    """Return the numbers' deviations; those of a law that was drawn under another name are brought to that one."""
-    value = {one.name: one.value for one in learned.numbers}
-    std = {one.name: one.std for one in learned.numbers}
-    if true.law != made.structure.law:  # position_gain of the PD is position_gain velocity_gain of the cascade
-        names = [one.name for one in learned.numbers]
-        gains = value["position_gain"], value["velocity_gain"], value.get("integral_gain", 0.0)
-        position_gain, velocity_gain, integral_gain = gains
-        period = _PERIOD / true.rate
-        slopes = {
-            "position_gain": {
-                "position_gain": velocity_gain,
-                "velocity_gain": position_gain + integral_gain,
-                "integral_gain": velocity_gain,
-            },
-            "velocity_gain": {"velocity_gain": 1 - integral_gain * period, "integral_gain": -velocity_gain * period},
-        }
-        slopes["integral_gain"] = {
-            "position_gain": velocity_gain * integral_gain,
-            "velocity_gain": position_gain * integral_gain,
-            "integral_gain": velocity_gain * position_gain,
-        }
-        moved = {
-            "position_gain": velocity_gain * (position_gain + integral_gain),
-            "velocity_gain": velocity_gain * (1 - integral_gain * period),
-            "integral_gain": velocity_gain * position_gain * integral_gain,
-        }
-        spread = np.array([std[name] for name in names])
-        for name in ("position_gain", "velocity_gain", *(("integral_gain",) if "integral_gain" in value else ())):
-            weights = np.array([slopes[name].get(other, 0.0) for other in names]) * spread
-            std[name] = math.sqrt(float(weights @ learned.correlation @ weights))
-            value[name] = moved[name]
-    truth = {
-        ("velocity_gain" if name == "derivative_gain" and true.cascade else name): v for name, v in made.numbers.items()
-    }
-    return tuple((value[name] - truth[name]) / std[name] for name in value if name in truth and name != INTEGRAL)
+    named = any(str(one.structure) == str(true) for one in learned.alternatives)
+    known = made.numbers if same and true == made.structure else {}
+    deviations = tuple((learned[n].value - known[n]) / learned[n].std for n in known if n != INTEGRAL)
+    return LearnedRun(
+        seed, str(true), str(learned.structure), right, named, len(learned.alternatives), deviations, seconds
+    )
 
 
 def loop_twin(seed: int) -> LoopTwin:

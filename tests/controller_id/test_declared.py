@@ -7,7 +7,7 @@ import pytest
 
 from jointid.config import File
 from jointid.controller_id import learn
-from jointid.controller_id.limitations import fill_from_declaration
+from jointid.controller_id.learn import fill_from_declaration
 from jointid.models.controllers import Cascade, Controller
 
 MOTOR = Cascade(position_gain=1.0, velocity_gain=1.0, gain=0.5, ratio=10.0, limit=40.0)  # 40 A, 20 N m, 200 on the load

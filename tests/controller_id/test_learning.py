@@ -13,16 +13,12 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.config import controller_text, load, save_with_controller
-from jointid.controller_id import search
-from jointid.controller_id.fitting import FittedLaw, Task, covariance, fit, order_rates
+from jointid.controller_id.fitting import Fitter
 from jointid.controller_id.learn import learn_controller
-from jointid.controller_id.learned_controller import LearnedController
-from jointid.controller_id.limitations import LimitationCode
+from jointid.controller_id.learned_controller import LearnedController, LimitationCode
 from jointid.controller_id.loop_record import prepare_loop_record
-from jointid.controller_id.noise import Noise, position_error
-from jointid.controller_id.ranking import Rival, much_simpler
-from jointid.controller_id.regression import compare_with_regression, regression
-from jointid.controller_id.structure_moves import canonical
+from jointid.controller_id.noise import position_error
+from jointid.controller_id.search import Rival, simplest
 from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.models.controllers import Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -31,6 +27,7 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, loop_twin
 from tests.estimates import identify
+from tests.learned_once import find_law
 
 EMPS = load(Path(__file__).resolve().parents[2] / "examples" / "emps" / "joint.toml")
 T = 1e-3
@@ -144,12 +141,7 @@ def test_a_coarse_position_does_not_bend_the_gains() -> None:
 def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The search itself takes long; here it finds the law of a twin at once, or the law of another torque."""
     twin = loop_twin(number)
-
-    def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
-        law = fit(task, twin.structure, twin.numbers, task.noise(twin.structure, twin.numbers), steps=12)
-        return law or FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), (), True
-
-    monkeypatch.setattr("jointid.controller_id.learn.search", found)
+    find_law(monkeypatch, twin.structure, twin.numbers)
     learned = learn_controller(twin.record)
     assert str(learned.structure) == str(twin.structure)
     for name in ("position_gain", "velocity_gain"):
@@ -162,51 +154,46 @@ def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pyt
         learn_controller(turned)
 
 
-def begun(task: Task, structure: Structure, numbers: dict[str, float]) -> FittedLaw:
-    """A law fitted from near its numbers."""
-    law = fit(task, structure, numbers, task.noise(structure, numbers), steps=12)
-    assert law is not None
-    return law
-
-
 GAINS = {"position_gain": 60.0, "velocity_gain": 500.0}
 
 
 def test_an_interval_spans_the_laws_that_the_record_does_not_distinguish(monkeypatch: pytest.MonkeyPatch) -> None:
     record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
-    task = Task(prepare_loop_record(record), 1.0)
-    best = begun(task, Structure(), GAINS)
-    apart = begun(task, Structure(velocity_filter="mean 2"), GAINS)
-    filtered = begun(task, Structure(velocity_filter="first order"), {**GAINS, "velocity_filter.time_constant": 2e-4})
-    pd = begun(task, Structure("PD", "difference", "mean 2"), {"position_gain": 3e4, "derivative_gain": 500.0})
+    fitter = Fitter(prepare_loop_record(record))
+    apart = fitter.law(Structure(velocity_filter="mean 2"), GAINS)
+    filtered = fitter.law(Structure(velocity_filter="first order"), {**GAINS, "velocity_filter.time_constant": 2e-4})
+    pd = fitter.law(Structure("PD", "difference", "mean 2"), {"position_gain": 3e4, "derivative_gain": 500.0})
 
     def found(*worse: float) -> LearnedController:
-        rivals = tuple(Rival(one, by, 0.01) for one, by in zip((apart, filtered, pd), worse, strict=True))
-        monkeypatch.setattr("jointid.controller_id.learn.search", lambda *_: (best, rivals, True))
+        rivals = [Rival(one, by, 0.01) for one, by in zip((apart, filtered, pd), worse, strict=True)]
+        find_law(monkeypatch, Structure(), GAINS, *rivals)
         return learn_controller(record)
 
     alone = found(50.0, 50.0, 1.0)["velocity_gain"]  # a PD's gains are others
     assert (alone.lower, alone.upper) == pytest.approx((alone.value - 2 * alone.std, alone.value + 2 * alone.std))
     spanned = found(5.0, 5.0, 1.0)
+    (best, _), *others = (fitter.finish(one) for one in (fitter.law(Structure(), GAINS), apart, filtered))
     for name in GAINS:
         one = spanned[name]
-        for other in (best, apart, filtered):
-            assert one.lower <= other.numbers[name] <= one.upper, name
-        deviation = covariance(task, filtered).std[list(filtered.numbers).index(name)]
-        assert one.upper >= filtered.numbers[name] + 1.99 * deviation
+        for law, known in others:
+            deviation = known.std[list(law.numbers).index(name)]
+            assert one.lower <= best.numbers[name] <= one.upper, name
+            assert one.lower <= law.numbers[name] - 1.99 * deviation < law.numbers[name] + 1.99 * deviation <= one.upper
     assert spanned["velocity_gain"].spread > 10 * 2 * alone.std
-    assert {one.structure for one in spanned.alike} == {apart.structure, filtered.structure, pd.structure}
-    assert [one.structure for one in found(5.0, 50.0, 70.0).alike] == [apart.structure]
+    assert {one.structure for one in spanned.alternatives} == {apart.structure, filtered.structure, pd.structure}
+    assert [one.structure for one in found(5.0, 50.0, 70.0).alternatives] == [apart.structure]
     assert [(one.name, one.unit) for one in spanned.numbers] == [
         ("position_gain", "1/s"), ("velocity_gain", "N per m/s"),
     ]  # fmt: skip
 
 
-def test_one_law_has_one_name() -> None:
-    assert canonical(Structure("PD", "difference")) == Structure("P-P", "full")
-    assert canonical(Structure("PID", "difference")) == Structure("P-PI", "full")
-    filtered = Structure("PD", "difference", "first order")
-    assert canonical(filtered) == filtered
+def test_gains_come_out_in_controller_units(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = made(Cascade(position_gain=60.0, velocity_gain=250.0, gain=2.0, limit=9.5))
+    find_law(monkeypatch, Structure(), GAINS)
+    learned = learn_controller(record, gain=2.0)
+    values = {"position_gain": 60.0, "velocity_gain": 250.0, "limit": 9.5}
+    assert {one.name: one.value for one in learned.numbers} == pytest.approx(values, rel=2e-3)
+    assert {name: getattr(learned.controller, name) for name in values} == pytest.approx(values, rel=2e-3)
 
 
 def test_a_position_noisier_than_its_log_s_digits_has_no_rounding() -> None:
@@ -217,98 +204,27 @@ def test_a_position_noisier_than_its_log_s_digits_has_no_rounding() -> None:
     assert 0.5e-12 < error.most < 2e-12
 
 
-def given(twin: LoopTwin) -> FloatArray:
+def deviations(twin: LoopTwin) -> FloatArray:
     """The deviations of a twin's numbers, fitted from the true ones in the true structure, in standard deviations."""
-    task, numbers = Task(prepare_loop_record(twin.record), 1.0), dict(twin.numbers)
-    for _ in range(3):
-        fitted = fit(task, twin.structure, numbers, task.noise(twin.structure, numbers), steps=12)
-        assert fitted is not None
-        numbers = fitted.numbers
-    std = covariance(task, fitted).std
-    kept = [name != INTEGRAL for name in numbers]
-    return np.array([(numbers[name] - twin.numbers[name]) for name in numbers])[kept] / std[kept]
+    fitter = Fitter(prepare_loop_record(twin.record))
+    found, known = fitter.finish(fitter.law(twin.structure, twin.numbers))
+    kept = [name != INTEGRAL for name in found.numbers]
+    return np.array([found.numbers[name] - twin.numbers[name] for name in found.numbers])[kept] / known.std[kept]
 
 
 @pytest.mark.slow
 def test_the_true_structure_has_its_numbers_within_their_intervals() -> None:
     twins = [twin for twin in map(loop_twin, range(600, 616)) if twin.structure.rate == 1]
-    deviations = np.concatenate([given(twin) for twin in twins])
-    assert deviations.size > 50
-    assert np.mean(np.abs(deviations) <= 2.0) > 0.88  # measured over 90 twins: 0.969
-    assert 0.7 < np.sqrt(np.mean(deviations**2)) < 1.35  # 0.95
-
-
-def test_of_two_rates_that_may_be_exchanged_the_larger_is_the_position_loop_s() -> None:
-    """On the reference's full velocity two gains are two roots of one equation: the same torque, to rounding."""
-    twin = loop_twin(117)
-    assert (twin.structure.law, twin.structure.reference_velocity) == ("P-PI", "full")
-    task, numbers = Task(prepare_loop_record(twin.record), 1.0), twin.numbers
-    position_gain, velocity_gain, integral_gain = (
-        numbers["position_gain"],
-        numbers["velocity_gain"],
-        numbers["integral_gain"],
-    )
-    # As the PID that it is: velocity_gain (position_gain + integral_gain), velocity_gain (1 - integral_gain T),
-    # velocity_gain position_gain integral_gain; solved for the other root.
-    sides = np.array(
-        [
-            velocity_gain * (position_gain + integral_gain),
-            velocity_gain * (1 - integral_gain * T),
-            velocity_gain * position_gain * integral_gain,
-        ]
-    )
-    roots = np.roots([sides[0] * T / sides[1] + 1.0, -(sides[0] + sides[2] * T) / sides[1], sides[2] / sides[1]])
-    other = float(max(roots))
-    swapped = sides[1] / (1 - other * T)
-    exchanged = numbers | {
-        "position_gain": sides[2] / (swapped * other),
-        "velocity_gain": swapped,
-        "integral_gain": other,
-    }
-    assert exchanged["position_gain"] < exchanged["integral_gain"]
-    same = task.residual(twin.structure, exchanged) - task.residual(twin.structure, numbers)
-    assert np.std(same) < 1e-9 * np.std(task.log.torque)
-    noise = task.noise(twin.structure, numbers)
-    found = order_rates(task, FittedLaw(twin.structure, exchanged, 0.0, noise))
-    assert found.numbers["position_gain"] == pytest.approx(position_gain, rel=1e-3)
-    assert found.numbers["integral_gain"] == pytest.approx(integral_gain, rel=1e-2)
-    assert order_rates(task, found) is found
-
-
-def test_slopes_are_the_derivatives_whatever_the_gains() -> None:
-    twin = loop_twin(306)  # velocity_gain 9600, time constant 0.8 ms
-    task, names = Task(prepare_loop_record(twin.record), 1.0), twin.structure.names
-    noise, x = task.noise(twin.structure, twin.numbers), np.array([twin.numbers[name] for name in names])
-
-    def white(at: FloatArray) -> FloatArray:
-        return task.whiten(twin.structure, dict(zip(names, at, strict=True)), noise)
-
-    J = task.slopes(twin.structure, x, white(x), noise)
-    for i, by in enumerate(1e-4 * np.diag(x)):
-        central = (white(x + by) - white(x - by)) / (2 * by[i])
-        assert np.linalg.norm(J[:, i] - central) < 1e-3 * np.linalg.norm(central), names[i]
-
-
-def test_what_is_added_is_as_late_in_a_late_log_as_the_output() -> None:
-    twin = loop_twin(308)  # the log shows the torque 3 samples late, pulses and all
-    task = Task(prepare_loop_record(twin.record), 1.0)
-    assert np.std(task.residual(twin.structure, twin.numbers)) < 0.02 * np.std(task.log.torque)
-
-
-def _found_at_once(monkeypatch: pytest.MonkeyPatch, twin: LoopTwin, *, ended: bool = True) -> None:
-    """Let the search find the law of a twin at once."""
-
-    def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
-        law = FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers))
-        return law, (), ended
-
-    monkeypatch.setattr("jointid.controller_id.learn.search", found)
+    found = np.concatenate([deviations(twin) for twin in twins])
+    assert found.size > 50
+    assert np.mean(np.abs(found) <= 2.0) > 0.88  # measured over 90 twins: 0.969
+    assert 0.7 < np.sqrt(np.mean(found**2)) < 1.35  # 0.95
 
 
 def test_a_law_that_leaves_what_no_noise_leaves_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pulses that were not declared: with what was left, and the channel that is missing. Half of it was noise once."""
     twin = loop_twin(601)
-    _found_at_once(monkeypatch, twin)
+    find_law(monkeypatch, twin.structure, twin.numbers)
     torque = twin.record.torque
     assert torque is not None
     rng, size = np.random.default_rng(4), torque.values.size
@@ -316,15 +232,12 @@ def test_a_law_that_leaves_what_no_noise_leaves_is_refused(monkeypatch: pytest.M
     pulsed = replace(torque, values=torque.values + 0.5 * float(np.std(torque.values)) * pulses)
     with pytest.raises(MethodError, match=r"leaves 3\d\.?\d* % of it, 3\d.* averaged over 10 samples"):
         learn_controller(replace(twin.record, torque=pulsed))
-    _found_at_once(monkeypatch, twin, ended=False)  # of an interrupted search the best so far is told
-    pulsed = replace(torque, values=torque.values + 0.1 * float(np.std(torque.values)) * pulses)
-    assert learn_controller(replace(twin.record, torque=pulsed)).interrupted
 
 
 def test_a_law_under_much_noise_is_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """An encoder's steps and noise leave 12 % of the torque of a law that is right, and 1 % of it averaged."""
     twin = loop_twin(12)
-    _found_at_once(monkeypatch, twin)
+    find_law(monkeypatch, twin.structure, twin.numbers)
     assert learn_controller(twin.record).share > 0.1
 
 
@@ -338,9 +251,7 @@ def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path) -> None:
 
 def test_what_the_record_does_not_show_is_kept_as_declared(monkeypatch: pytest.MonkeyPatch) -> None:
     record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
-    monkeypatch.setattr(
-        "jointid.controller_id.learn.search", lambda task, _: (begun(task, Structure(), GAINS), (), True)
-    )
+    find_law(monkeypatch, Structure(), GAINS)
     declared = Cascade(position_gain=1.0, velocity_gain=1.0, limit=900.0, delay=5e-4)
     learned = learn_controller(record, declared=declared)
     assert isinstance(learned.controller, Cascade)
@@ -361,60 +272,39 @@ def test_a_law_that_averages_its_reference_is_learned_with_its_time() -> None:
     assert learned.velocity_gain == pytest.approx(300.0, rel=0.02)
 
 
-def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
-
-    def start(task: Task, _: bool, path: list[FittedLaw], *others: object) -> tuple[search._SearchData, list[object]]:
-        del others
-        path.append(begun(task, Structure(), {"position_gain": 70.0, "velocity_gain": 400.0}))
-        return search._SearchData(task, replace(regression(task.log), own=True)), []
-
-    def interrupted(*_: object) -> list[FittedLaw]:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(search, "_start_search", start)
-    monkeypatch.setattr(search, "_fit_nearby", interrupted)
-    learned = learn_controller(record)
-    assert learned.interrupted
-    assert learned["velocity_gain"].value == pytest.approx(500.0, rel=2e-3)
-    monkeypatch.setattr(search, "_start_search", interrupted)  # there is no law to keep yet
-    with pytest.raises(KeyboardInterrupt):
-        learn_controller(record)
-
-
 def test_what_a_wrong_law_leaves_is_not_called_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """A velocity that is a weighted difference of five positions is on no menu; a plain regression tells."""
     record = made(Cascade(position_gain=60.0, velocity_gain=500.0, velocity_filter=(0.1, 0.2, 0.3, 0.4)))
-    monkeypatch.setattr(
-        "jointid.controller_id.learn.search", lambda task, _: (begun(task, Structure(), GAINS), (), True)
-    )
+    find_law(monkeypatch, Structure(), GAINS)
     wrong = learn_controller(record)
     assert wrong.another_law and wrong.limitations[0].code is LimitationCode.ANOTHER_LAW
-    assert wrong.share > 3.0 * wrong.regression_share
+    assert wrong.limitations[0].values["law"] > 3.0 * wrong.limitations[0].values["regression"]
     assert not learn_controller(made(Cascade(position_gain=60.0, velocity_gain=500.0))).another_law
 
 
 @pytest.mark.parametrize("seed", [0, 4, 8, 12, 14, 21])
-def test_no_true_law_leaves_much_more_than_a_plain_regression(seed: int) -> None:
+def test_no_true_law_leaves_much_more_than_a_plain_regression(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     twin = loop_twin(seed)
-    task = Task(prepare_loop_record(twin.record), 1.0)
-    assert not compare_with_regression(task.log, task.residual(twin.structure, twin.numbers)).another
+    find_law(monkeypatch, twin.structure, twin.numbers)
+    assert not learn_controller(twin.record).another_law
 
 
 def test_of_laws_alike_a_much_simpler_one_is_taken() -> None:
     """Where the encoder hides a filter, a law of many parts explains a little of its steps."""
-    noise = Noise(1.0, 0.0, np.ones(3))
-    plain, filtered, wild = (
-        FittedLaw(one, {}, 1.0, noise)
-        for one in (
-            Structure(velocity_filter="mean 6"),
-            Structure(velocity_filter="first order"),
-            Structure("P-P", "share", "second order", frozenset({"acceleration"})),
-        )
+    fitter = Fitter(prepare_loop_record(made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)))
+    laws = (
+        Structure(velocity_filter="mean 6"),
+        Structure(velocity_filter="first order"),
+        Structure("P-P", "share", "second order", frozenset({"acceleration"})),
     )
-    assert much_simpler(wild, [Rival(filtered, 1.0, 0.01), Rival(plain, 7.0, 0.01)]) is plain
-    assert much_simpler(wild, [Rival(plain, 12.0, 0.01)]) is None  # that one is ruled out
-    assert much_simpler(filtered, [Rival(plain, 7.0, 0.01)]) is None
+    plain, filtered, wild = (fitter.fit(law, {}, fitter.shared, 0) for law in laws)
+    assert plain is not None and filtered is not None and wild is not None
+    assert simplest(wild, [Rival(filtered, 1.0, 0.01), Rival(plain, 7.0, 0.01)]) is plain
+    assert simplest(wild, [Rival(plain, 12.0, 0.01)]) is wild  # that one is ruled out
+    assert simplest(filtered, [Rival(plain, 7.0, 0.01)]) is filtered
+    less = fitter.fit(replace(laws[2], feedforward=frozenset()), {}, fitter.shared, 0)
+    assert less is not None
+    assert simplest(wild, [Rival(less, 30.0, 5e-4)]) is less  # what the feed-forward carries is next to nothing
 
 
 def _without_motion(record: Record) -> Record:

@@ -32,8 +32,8 @@ _SLOPE = 5  # samples that tell how fast that is
 
 _ERROR, _SPEED, _FED, _FED_FILTERED, _SUM, _COMMAND, _FILTERED, _CHANNEL, _CHANNEL_SUM, *_BESIDE = range(13)
 _VISCOUS, _BENT, _SIGN, _ONE = _BESIDE
-EVERY = np.eye(13)
-"""All coefficients free."""
+COLUMNS = 13
+EVERY = np.eye(COLUMNS)
 
 
 def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
@@ -77,37 +77,22 @@ def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str,
 def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
     """|G| from position error to torque, (frequencies,), times the shape of the error.
 
-    A position loop N times slower responds to a frequency f by ``H(f) / N``, H = 1 + z^-1 + ... of N terms, and
-    likewise to its N - 1 aliases. For a loop faster than the log, the position loop is assumed as fast as the velocity
-    loop.
+    A position loop N times slower responds to a frequency f by ``H(f) / N``, H = 1 + z^-1 + ... of N terms; what it
+    makes of the N - 1 aliases is left out. For a loop faster than the log, the position loop is assumed as fast as the
+    velocity loop.
     """
     period, filters = log.period / structure.rate, filters_of(structure, numbers)
     held = structure.every if structure.rate == 1 else 1
 
-    def slope_of(back: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        slope = (1.0 - back) / period
-        return np.where(slope == 0.0, 1e-300, slope)
-
-    def outer(hertz: FloatArray) -> NDArray[np.complex128]:
+    def law(hertz: FloatArray) -> NDArray[np.complex128]:
         back = np.exp(-2j * np.pi * hertz * period)
-        holding = np.polyval(np.ones(held), back) / held
-        return np.asarray(
-            -_filter_response(filters[1], back, period)
-            * holding
-            * (gains[_ERROR] + gains[_SUM] * back / slope_of(back))
-        )
-
-    def whole(hertz: FloatArray) -> NDArray[np.complex128]:
-        back = np.exp(-2j * np.pi * hertz * period)
+        slope = np.where(back == 1.0, 1e-300, (1.0 - back) / period)
         velocity, torque = (_filter_response(one, back, period) for one in filters)
-        inner = gains[_SPEED] * slope_of(back) + gains[_FILTERED] * back
-        return np.asarray(torque * velocity * inner + outer(hertz))
+        holding = np.polyval(np.ones(held), back) / held
+        inner = velocity * (gains[_SPEED] * slope + gains[_FILTERED] * back)
+        return np.asarray(torque * (inner - holding * (gains[_ERROR] + gains[_SUM] * back / slope)))
 
-    seen = position_response(whole, log.period, log.samples, structure.rate) * log.error.shape
-    if held == 1:
-        return seen
-    alike = log.error.alike(held)
-    return np.hypot(seen, position_response(outer, log.period, log.samples, structure.rate) * alike)
+    return position_response(law, log.period, log.samples, structure.rate) * log.error.shape
 
 
 def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray]:
@@ -132,25 +117,14 @@ def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray
     return parts | ({INTEGRAL: EVERY[_ONE]} if structure.integrates else {})
 
 
-def design(structure: Structure, ki: float, free: bool = False) -> FloatArray:
-    """Matrix from a law's linear numbers to coefficients, (columns of `columns`, numbers).
-
-    Args:
-        structure: of the law.
-        ki: of a cascade.
-        free: whether all columns have independent coefficients.
-    """
-    return EVERY if free else np.column_stack(list(coefficient_columns(structure, ki).values()))
-
-
-def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
-    """Coefficients of a law in torque; `gain` is torque per controller unit."""
+def law_coefficients(structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+    """Coefficients of a law with its numbers, (COLUMNS,)."""
     known = dict(numbers)
     if structure.cascade:
         known["position_gain"] *= known["velocity_gain"]
         known["velocity_feedforward"] = known["velocity_gain"] * known.get("velocity_feedforward", 0.0)
     parts = coefficient_columns(structure, known.get("integral_gain", 0.0))
-    return np.asarray(gain * sum(known[name] * part for name, part in parts.items()))
+    return np.asarray(sum(known[name] * part for name, part in parts.items()))
 
 
 def _prepend_line(signal: FloatArray, lead: int, slope: int) -> FloatArray:

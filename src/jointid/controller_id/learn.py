@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, ignore_progress
+from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
-from jointid.controller_id.learned_controller import Alternative, LearnedController, LearnedNumber
-from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_limitations
-from jointid.controller_id.loop_record import prepare_loop_record
-from jointid.controller_id.ranking import ALIKE, Rival
-from jointid.controller_id.regression import compare_with_regression
-from jointid.controller_id.search import search
-from jointid.controller_id.structures import INTEGRAL, Structure
-from jointid.diagnostics.faults.forces import find_steps
-from jointid.models.controllers import Controller, shift_start, unit_of_number
+from jointid.controller_id.fitting import FittedLaw, Fitter
+from jointid.controller_id.learned_controller import Alternative, LearnedController, LearnedNumber, LimitationCode
+from jointid.controller_id.loop_record import LoopRecord, prepare_loop_record
+from jointid.controller_id.search import ALIKE, search
+from jointid.controller_id.structures import INTEGRAL, Structure, controller, per_controller_unit
+from jointid.models.controllers import Controller, numbers_of, shift_start, unit_of_number, with_numbers
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Covariance
 
@@ -28,6 +27,9 @@ SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
 _GAINS = ("position_gain", "velocity_gain", "derivative_gain", "time_constant", "frequency")  # the last two of filters
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
 _LEFT, _LASTING = 0.05, 10  # of the torque, averaged over so many samples: noise leaves less, a wrong law more
+_CUT = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
+_MUCH = 3.0  # times what no law explains, in rms: an F of 9, of hundreds of rows
+_MATERIAL = 2e-3  # of the torque's rms: a law that leaves less is good enough for whatever it is needed for
 
 
 @one_thread()
@@ -81,148 +83,162 @@ def learn_controller(
         )
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
-    task = Task(prepare_loop_record(record), gain)
-    best, rivals, ended = search(task, progress)
-    _check_residual(task, best, _LEFT if ended else _EXPLAINED)
-    return _build_result(task, order_rates(task, best), rivals, ended, transmission, declared)
+    log = prepare_loop_record(record)
+    fitter, likeliest, rivals = search(log, progress)
+    best, known = fitter.finish(likeliest)
+    limit = _find_limit(fitter, best)
+    residual = (log.torque - np.clip(fitter.predict(best), -limit, limit)) * log.kept
+    _require_explained(log, best, known, residual)
+    limits = {} if math.isinf(limit) else {"limit": limit}
 
+    def build(one: FittedLaw) -> Controller:
+        """Build the controller with the phase of the record's first sample."""
+        numbers = per_controller_unit(one.structure, one.numbers | limits, gain)
+        return shift_start(controller(one.structure, numbers, log.period, gain), -record.begin)
 
-def _check_residual(task: Task, best: FittedLaw, most: float) -> None:
-    """Refuse a law that leaves more than `most` of the averaged torque, or ignores the position."""
-    residual, torque = task.residual(best.structure, best.numbers), task.log.torque
-    lasting = np.convolve(residual, np.full(_LASTING, 1.0 / _LASTING), "same")
-    share, lasts = (float(np.sqrt(np.mean(one**2) / np.mean(torque**2))) for one in (residual, lasting))
-    blind = task.law(best.structure, best.numbers).stiffness == 0.0
-    if not (blind or share > _EXPLAINED or lasts > most or not np.any(best.noise.informative[1:])):
-        return
-    answers = ", does not look at the position and" if blind else ","
-    steps = None if blind else find_steps(task.log.record)
-    remedy = (
-        "Check units, signs and sides of torque, reference and motor_position, and that all are of one clock; log them "
-        "as fast as the controller runs; give what is injected as the channel injected; or declare the law."
-        if steps is None
-        else f"{steps.brief[:1].upper()}{steps.brief[1:]}: add that channel, or log again without it."
-    )
-    raise MethodError(
-        f"No law that is searched for gives the torque of {task.log.record.name}: the best, {best.structure}{answers} "
-        f"leaves {100 * share:.3g} % of it, {100 * lasts:.3g} % averaged over {_LASTING} samples (at most "
-        f"{100 * most:g} % expected of noise). {remedy}"
-    )
-
-
-def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None:
-    open_ones = [
-        f"{name} {value:.3g} ± {2 * std:.2g}"
-        for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
-        if name.rpartition(".")[2] in _GAINS and not 2 * std < value
-    ]
-    if not open_ones:
-        return
-    remedy = (
-        "Log as fast as the controller runs, use a record with more reversals and speeds, check units, signs and sides "
-        "of its channels, or declare the law."
-        if task.log.record.injected is None
-        # A law faster than the log reacts to it before the log shows what it saw.
-        else "A controller that is faster than the log answers the injected signal between its samples: log as fast as "
-        "the controller runs, use a record without that signal, or declare the law with its period."
-    )
-    raise MethodError(
-        f"No law that is searched for gives the torque of {task.log.record.name}: the best, {best.structure}, leaves "
-        f"open what its numbers are ({', '.join(open_ones)} at 2 sigma). {remedy}"
-    )
-
-
-def _build_result(
-    task: Task,
-    best: FittedLaw,
-    rivals: tuple[Rival, ...],
-    ended: bool,
-    transmission: Transmission | None,
-    declared: Controller | None,
-) -> LearnedController:
-    record, period = task.log.record, task.log.period
+    alike = [one for one in rivals if one.worse < ALIKE or one.apart < SAME]
+    spans = _span(best, [(best, known), *(fitter.finish(one.fitted) for one in alike)])
+    if limits:
+        known = known.append_constants(1)
+        known.std[-1] = deviation = math.sqrt(best.noise.torque / max(float(np.sum(log.kept - log.free)), 1.0))
+        best.numbers.update(limits)
+        spans["limit"] = limit - 2 * deviation, limit + 2 * deviation
+    made, declared_ones = fill_from_declaration(build(best), declared)
+    rms = float(np.sqrt(np.sum(residual**2) / np.sum(log.kept)))
+    informative = np.flatnonzero(log.informative)
     assert record.torque is not None and record.motor_position is not None
-    known = covariance(task, best)
-    _require_significant(task, best, known)
-    made, declared_ones = fill_from_declaration(_build_controller(task, best), declared)
-    residual = task.residual(best.structure, best.numbers)
-    rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.log.kept)))
-    others = tuple(
-        Alternative(
-            rival.fitted.structure, _build_controller(task, rival.fitted), rival.worse, rival.apart,
-            alike=rival.worse < ALIKE or rival.apart < SAME,
-        )
-        for rival in rivals
-    )  # fmt: skip
-    alike = tuple(o.structure for o in others if o.alike and o.apart >= SAME)
-    like_it = (rival.fitted for rival, other in zip(rivals, others, strict=True) if other.alike)
-    informative, beside = np.flatnonzero(best.noise.informative), compare_with_regression(task.log, residual)
     return LearnedController(
         controller=made,
         structure=best.structure,
-        numbers=_numbers_with_intervals(task, best, known, like_it),
+        numbers=tuple(_name_numbers(record, made, best, known.std, spans, gain)),
         correlation=known.correlation,
-        alternatives=others,
-        limitations=(
-            *list_limitations(task.log, best.structure, alike, beside),
-            *declared_ones,
-            *([] if ended else [INTERRUPTED]),
-        ),
+        alternatives=tuple(Alternative(one.fitted.structure, build(one.fitted), one.worse, one.apart) for one in alike),
+        limitations=(*_list_limitations(log, best.structure, limit, residual), *declared_ones),
         rms=rms,
-        share=rms / float(np.sqrt(np.mean(task.log.torque**2))),
+        share=rms / float(np.sqrt(np.mean(log.torque**2))),
         torque_noise=math.sqrt(best.noise.torque),
         position_noise=math.sqrt(best.noise.position),
-        band=float(informative[-1]) / (task.log.samples * period) if informative.size else 0.0,
+        band=float(informative[-1]) / (log.samples * log.period) if informative.size else 0.0,
         residual=residual,
         torque_unit=record.torque.unit,
         position_unit=record.motor_position.unit,
         record=record.name,
         transmission=transmission,
         resampled=record.resampled,
-        regression_share=beside.regression,
     )
 
 
-def _build_controller(task: Task, one: FittedLaw) -> Controller:
-    """Build the controller with the phase of the record's first sample."""
-    return shift_start(task.controller(one.structure, one.numbers), -task.log.record.begin)
+def _name_numbers(
+    record: Record,
+    made: Controller,
+    best: FittedLaw,
+    std: FloatArray,
+    spans: Mapping[str, tuple[float, float]],
+    gain: float,
+) -> Iterator[LearnedNumber]:
+    """Yield the numbers of a law with their units."""
+    assert record.torque is not None and record.motor_position is not None
+    by = per_controller_unit(best.structure, dict.fromkeys(best.numbers, 1.0), gain)
+    for (name, value), deviation in zip(best.numbers.items(), map(float, std), strict=True):
+        held = name if name != INTEGRAL else "constant_feedforward"  # both are held in the controller's output
+        unit = unit_of_number(made, held, record.motor_position.unit, record.torque.unit)
+        low, high = spans[name]
+        yield LearnedNumber(name, by[name] * value, by[name] * deviation, unit, by[name] * low, by[name] * high)
 
 
-def _numbers_with_intervals(
-    task: Task, best: FittedLaw, known: Covariance, alike: Iterable[FittedLaw]
-) -> tuple[LearnedNumber, ...]:
-    """Numbers of a law, with intervals over all indistinguishable laws that share the number.
+def fill_from_declaration(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
+    """Take limit and delay from the declaration where the record hides them."""
+    said = {} if declared is None else numbers_of(declared)
+    if "limit" in said:  # in the units of the law that was learned, which is on the joint's side
+        said["limit"] *= abs(_torque_per_unit(declared) / _torque_per_unit(made))
+    open_ones = {"limit": math.inf, "delay": 0.0}
+    own = numbers_of(made)
+    kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
+    if not kept:
+        return made, ()
+    words = f"As declared, and not from this record: {' and '.join(f'{n} = {v:g}' for n, v in kept.items())}."
+    return with_numbers(made, kept), (Message(LimitationCode.AS_DECLARED, words, {"numbers": kept}),)
+
+
+def _torque_per_unit(controller: Any) -> float:
+    """Return the torque on the joint's side per unit of a controller."""
+    return float(getattr(controller, "gain", 1.0) * getattr(controller, "ratio", 1.0))
+
+
+def _find_limit(fitter: Fitter, best: FittedLaw) -> float:
+    """Torque that the log stands at, if the law asks for more there; else infinite."""
+    log, shown = fitter.log, fitter.predict(best)
+    if log.plateau is None:
+        return math.inf
+    left, cut = (
+        ((log.torque - one) * (log.kept - log.free)) for one in (shown, np.clip(shown, -log.plateau, log.plateau))
+    )
+    return log.plateau if float(cut @ cut) <= _CUT * float(left @ left) else math.inf
+
+
+def _require_explained(log: LoopRecord, best: FittedLaw, known: Covariance, residual: FloatArray) -> None:
+    """Refuse a law that leaves too much of the torque, ignores the position, or has insignificant gains."""
+    lasting = np.convolve(residual, np.full(_LASTING, 1.0 / _LASTING), "same")
+    share, lasts = (float(np.sqrt(np.mean(one**2) / np.mean(log.torque**2))) for one in (residual, lasting))
+    poor = share > _EXPLAINED or lasts > _LEFT or not np.any(log.informative[1:])
+    open_ones = [
+        f"{name} {value:.3g} ± {2 * std:.2g}"
+        for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
+        if name.rpartition(".")[2] in _GAINS and not 2 * std < value
+    ]
+    if poor:
+        fact = (
+            f"leaves {100 * share:.3g} % of it, {100 * lasts:.3g} % averaged over {_LASTING} samples (at most "
+            f"{100 * _LEFT:g} % expected of noise)"
+        )
+    elif open_ones:
+        fact = f"leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma)"
+    else:
+        return
+    searched = f"No law that is searched for gives the torque of {log.record.name}"
+    raise MethodError(
+        f"{searched}: the best, {best.structure}, {fact}. Check units, signs and sides of torque, reference and "
+        "motor_position, and that all are of one clock; log them as fast as the controller runs, with more reversals "
+        "and speeds; give what is injected as the channel injected; or declare the law."
+    )
+
+
+def _list_limitations(log: LoopRecord, structure: Structure, limit: float, residual: FloatArray) -> Iterator[Message]:
+    """Yield what the record leaves open."""
+    both = np.fft.rfft(np.column_stack([residual, log.unexplained]) * log.free[:, np.newaxis], axis=0)
+    heard = np.fft.irfft(both * (log.informative > 0)[:, np.newaxis], log.samples, axis=0)
+    law, regression = np.sqrt(np.mean(heard**2, axis=0) / np.mean((log.torque * log.free) ** 2))
+    if law > max(_MUCH * regression, _MATERIAL):
+        yield Message(
+            LimitationCode.ANOTHER_LAW,
+            f"The best law of the menu, {structure}, leaves {100 * law:.2g} % of the torque, a plain regression on the "
+            f"past of reference and position {100 * regression:.2g} %: the drive's law is another, and what is left is "
+            "no noise; declare the law from the drive's documentation.",
+            {"law": float(law), "regression": float(regression)},
+        )
+    if math.isinf(limit):
+        assert log.record.torque is not None
+        largest, unit = float(abs(log.torque).max()), log.record.torque.unit
+        yield Message(
+            LimitationCode.LIMIT_NOT_REACHED,
+            f"The limit is not reached in this record; it is above {number(largest, 4)} {unit}, the largest torque.",
+            {"torque": largest, "unit": unit},
+        )
+
+
+def _span(best: FittedLaw, alike: Sequence[tuple[FittedLaw, Covariance]]) -> dict[str, tuple[float, float]]:
+    """Intervals of a law's numbers over all indistinguishable laws that share the number.
 
     Cascades share numbers, as do PD and PID laws; filters of the same kind share theirs.
     """
-    made = task.controller(best.structure, best.numbers)
-    spans = {name: [ends] for name, ends in _intervals(best, known)}
-    for other in (order_rates(task, one) for one in alike):
-        if other.structure.cascade != best.structure.cascade:
-            continue
-        for name, ends in _intervals(other, covariance(task, other)):
-            if name in spans and _is_same_part(name, best.structure, other.structure) and math.isfinite(ends[0]):
-                spans[name].append(ends)
-    hulls = [(min(low for low, _ in ends), max(high for _, high in ends)) for ends in spans.values()]
-    return tuple(
-        LearnedNumber(name, value, float(std), _unit_of(made, name, task.log.record), *hull)
-        for (name, value), std, hull in zip(best.numbers.items(), known.std, hulls, strict=True)
-    )
 
+    def part(one: Structure, name: str) -> tuple[object, ...]:
+        kinds = {"velocity_filter": one.velocity_filter, "torque_filters": one.torque_filter}
+        return one.cascade, kinds.get(name.partition(".")[0]), name
 
-def _intervals(one: FittedLaw, known: Covariance) -> Iterator[tuple[str, tuple[float, float]]]:
-    for (name, value), std in zip(one.numbers.items(), map(float, known.std), strict=True):
-        yield name, (value - 2 * std, value + 2 * std)
-
-
-def _is_same_part(name: str, one: Structure, other: Structure) -> bool:
-    """Test whether a number belongs to the same kind of filter, or none."""
-    if name.startswith("velocity_filter"):
-        return one.velocity_filter == other.velocity_filter
-    return not name.startswith("torque_filters") or one.torque_filter == other.torque_filter
-
-
-def _unit_of(made: Controller, name: str, record: Record) -> str:
-    assert record.torque is not None and record.motor_position is not None
-    named = "constant_feedforward" if name == INTEGRAL else name  # both are held in the controller's output
-    return unit_of_number(made, named, record.motor_position.unit, record.torque.unit)
+    spans = {part(best.structure, name): (math.inf, -math.inf) for name in best.numbers}
+    for one, known in alike:
+        for (name, value), std in zip(one.numbers.items(), map(float, known.std), strict=True):
+            if (key := part(one.structure, name)) in spans and math.isfinite(std):
+                spans[key] = min(spans[key][0], value - 2 * std), max(spans[key][1], value + 2 * std)
+    return dict(zip(best.numbers, spans.values(), strict=True))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum, auto
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import (
@@ -20,27 +21,36 @@ from jointid.common.document import (
 from jointid.common.messages import Message
 from jointid.common.text import join, number, pluralise, sentence
 from jointid.common.transmission import Transmission
-from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, in_torque
 from jointid.models.controllers.drive_numbers import DriveNumber, name_in_words
 from jointid.records.record import Resampled
+
+
+class LimitationCode(StrEnum):
+    """Properties of the controller that a record does not determine."""
+
+    LIMIT_NOT_REACHED = auto()
+    AS_DECLARED = auto()
+    ANOTHER_LAW = auto()
+
 
 _TUNED = ("_gain", "integral_time", "derivative_time")  # what the names of gains and their times end with
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedNumber:
-    """One number of the law.
+    """One number of the law, in SI or as the drive shows it.
 
     Attributes:
-        name: as `jointid.models.controllers.numbers_of` has it; "integral" is what an integral holds at the first
-            sample, in controller units.
-        value: in the law's units.
-        std: standard deviation, if this law is the drive's.
+        name: as `jointid.models.controllers.numbers_of` has it, or of it in the drive; "integral" is what an integral
+            holds at the first sample, in controller units.
+        value: in the law's units, or in the drive's.
+        std: standard deviation, if this law is the drive's; of a number in the drive half its spread.
         unit: of the value; "" for a number without.
         lower, upper: ends of the interval: 2 deviations either way, in this law and in all that the record does not
             distinguish from it and that have the same number.
+        declared: what the joint file says, in that unit; None where it says nothing.
     """
 
     name: str
@@ -49,29 +59,33 @@ class LearnedNumber:
     unit: str = ""
     lower: float = math.nan
     upper: float = math.nan
+    declared: float | None = None
 
     @property
     def spread(self) -> float:
         """Distance from the value to the further end of its interval."""
         return max(self.upper - self.value, self.value - self.lower)
 
+    @property
+    def difference(self) -> float | None:
+        """Relative deviation from the declared value; None if none is declared."""
+        return self.value / self.declared - 1.0 if self.declared else None
+
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A structure that was compared with the chosen one.
+    """A structure that the record does not distinguish from the chosen one.
 
     Attributes:
         controller: with the numbers that fit best.
-        worse: difference of the criterion (Schwarz's); above 10 the chosen one is as good as certain.
+        worse: difference of the criterion (Schwarz's), at most 10.
         apart: rms difference of the two torques, as a share of the torque's rms.
-        alike: True if the record does not distinguish it from the chosen one.
     """
 
     structure: Structure
     controller: Controller
     worse: float
     apart: float
-    alike: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +97,7 @@ class LearnedController(Documented):
         structure: of the law; its text is the description.
         numbers: those that were learned.
         correlation: of their errors, in that order.
-        alternatives: other structures, the likeliest first.
+        alternatives: structures that the record does not distinguish from it, the likeliest first.
         limitations: what the record leaves open about the law, by `LimitationCode`.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
         torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
@@ -94,7 +108,6 @@ class LearnedController(Documented):
         transmission: between the motor and the units of the law, None where there is none.
         resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
         in_drive: the numbers as the drive shows them, beside what was declared; see `beside`.
-        regression_share: of the torque's rms, what a plain regression on reference and position leaves of it.
     """
 
     controller: Controller
@@ -114,8 +127,7 @@ class LearnedController(Documented):
     record: str
     transmission: Transmission | None
     resampled: Resampled | None = None
-    in_drive: tuple[NumberInDrive, ...] = ()
-    regression_share: float = math.nan
+    in_drive: tuple[LearnedNumber, ...] = ()
 
     def beside(self, shown: Iterable[DriveNumber]) -> LearnedController:
         """Add the numbers as the drive shows them; `shown` is what `Axis.drive_numbers` of a file returns."""
@@ -129,62 +141,40 @@ class LearnedController(Documented):
         raise KeyError(name)
 
     @property
-    def alike(self) -> tuple[Alternative, ...]:
-        """Structures that the record does not distinguish from the chosen one."""
-        return tuple(one for one in self.alternatives if one.alike)
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether the search was interrupted."""
-        return any(one.code is LimitationCode.INTERRUPTED for one in self.limitations)
-
-    @property
     def another_law(self) -> bool:
         """Whether a plain regression is so much better as to exclude this law."""
         return any(one.code is LimitationCode.ANOTHER_LAW for one in self.limitations)
-
-    def _others(self) -> Iterator[Block]:
-        """Yield the indistinguishable laws and the number of rejected ones."""
-        if self.alike:
-            yield Paragraph("Laws that the record does not distinguish from it, and by how much their torque differs:")
-            yield Listing(tuple(f"{one.structure}: {100 * one.apart:.2g} %" for one in self.alike))
-        others = [one for one in self.alternatives if not one.alike]
-        if others:
-            near = min(others, key=lambda one: one.apart)
-            yield Paragraph(
-                f"{pluralise(len(others), 'other law')} {'was' if len(others) == 1 else 'were'} tried and ruled out; "
-                f"the nearest is {near.structure}, whose torque differs by {100 * near.apart:.2g} %."
-            )
 
     @property
     def sentence(self) -> str:
         """The law, and how well it gives the torque."""
         if self.another_law:
             return next(str(one) for one in self.limitations if one.code is LimitationCode.ANOTHER_LAW)
-        shown = [(one.name, one.value, one.unit) for one in self.in_drive]
-        shown = shown or [(n.name, by * n.value, unit) for n in self.numbers for by, unit in (self._in_si(n),)]
         cascade = isinstance(self.controller, Cascade)
         gains = [
-            f"{name_in_words(name, cascade=cascade)} {number(value, 4)} {unit}".rstrip()
-            for name, value, unit in shown
-            if name.endswith(_TUNED)
+            f"{name_in_words(one.name, cascade=cascade)} {number(one.value, 4)} {one.unit}".rstrip()
+            for one in self.in_drive or self._in_si()
+            if one.name.endswith(_TUNED)
         ]
         found = f"the controller is {self.structure}, and leaves {100 * self.share:.2g} % of the torque."
         said = sentence(f"{join(gains)}: {found}" if gains else found)
-        if self.alike:
-            said += f" The record does not distinguish it from {pluralise(len(self.alike), 'other structure')}."
+        if self.alternatives:
+            said += f" The record does not distinguish it from {pluralise(len(self.alternatives), 'other structure')}."
         return said
 
-    def _in_si(self, n: LearnedNumber) -> tuple[float, str]:
-        """Return the factor to SI and the unit there."""
-        if CONTROLLER_UNITS not in n.unit:
-            return 1.0, n.unit
-        return getattr(self.controller, "gain", 1.0), in_torque(n.unit, self.torque_unit)
+    def _in_si(self) -> tuple[LearnedNumber, ...]:
+        """Return the numbers in SI."""
+        gain: float = getattr(self.controller, "gain", 1.0)
+        found = list[LearnedNumber]()
+        for n in self.numbers:
+            scaled = CONTROLLER_UNITS in n.unit
+            by, unit = (gain, in_torque(n.unit, self.torque_unit)) if scaled else (1.0, n.unit)
+            found.append(LearnedNumber(n.name, by * n.value, by * n.std, unit, by * n.lower, by * n.upper))
+        return tuple(found)
 
     def to_document(self, *, details: bool = False) -> Document:
         """Numbers, other structures and limitations."""
         del details
-        facts = common_facts(self.resampled, None)
         noise = (
             f"; noise of the torque {number(self.torque_noise, 2)} {self.torque_unit}, of the position "
             f"{number(self.position_noise, 2)} {self.position_unit}"
@@ -193,62 +183,29 @@ class LearnedController(Documented):
             f"residual {number(self.rms, 3)} {self.torque_unit} rms, {100 * self.share:.2g} % of the torque"
             f"{'' if self.another_law else noise}; informative up to {number(self.band, 3)} Hz"
         )
-        elsewhere = (LimitationCode.INDISTINGUISHABLE, LimitationCode.ANOTHER_LAW)
-        left_open = [one for one in self.limitations if one.code not in elsewhere]
-        gain, rows = getattr(self.controller, "gain", 1.0), []
+        left_open = [one for one in self.limitations if one.code is not LimitationCode.ANOTHER_LAW]
         explanation = "± is 2 deviations"
-        if self.alike:
-            others = pluralise(len(self.alike), "other law")
+        if self.alternatives:
+            others = pluralise(len(self.alternatives), "other law")
             explanation += f"; it spans {others} that the record does not distinguish from this one"
-        if gain != 1.0:
+        if (gain := getattr(self.controller, "gain", 1.0)) != 1.0:
             explanation += f"; [controller] has gain = {number(gain)} {self.torque_unit}"
-        for n in self.numbers:
-            factor, unit = self._in_si(n)
-            percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
-            rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
         blocks: list[Block] = [
-            Facts(
-                (("record", self.record), *(([("nearest", str(self.structure))]) if self.another_law else []), *facts)
-            ),
-            *([drive_table(self.in_drive)] if self.in_drive else []),
-            Table(("parameter in SI", "value", "±", "unit", "%"), tuple(rows), words=(0, 3)),
+            Facts((("record", self.record), *common_facts(self.resampled, None))),
+            *([_tabulate("in the drive", self.in_drive)] if self.in_drive else []),
+            _tabulate("parameter in SI", self._in_si()),
             Paragraph(explanation),
             Paragraph(residual),
-            *self._others(),
-            Listing(tuple(map(str, left_open))),
         ]
-        return Document(self.sentence, tuple(blocks))
+        if self.alternatives:
+            blocks += [
+                Paragraph("Laws that the record does not distinguish from it, and by how much their torque differs:"),
+                Listing(tuple(f"{one.structure}: {100 * one.apart:.2g} %" for one in self.alternatives)),
+            ]
+        return Document(self.sentence, (*blocks, Listing(tuple(map(str, left_open)))))
 
 
-@dataclass(frozen=True, slots=True)
-class NumberInDrive:
-    """One learned number in the drive's unit.
-
-    Attributes:
-        name: of it in the drive, as integral_time for an integral gain.
-        value: in the drive's unit.
-        declared: what the joint file says, in that unit; None where it says nothing.
-    """
-
-    name: str
-    value: float
-    lower: float
-    upper: float
-    unit: str
-    declared: float | None = None
-
-    @property
-    def spread(self) -> float:
-        """Distance from the value to the further end of its interval."""
-        return max(self.upper - self.value, self.value - self.lower)
-
-    @property
-    def difference(self) -> float | None:
-        """Relative deviation from the declared value; None if none is declared."""
-        return self.value / self.declared - 1.0 if self.declared else None
-
-
-def numbers_in_drive(learned: Sequence[LearnedNumber], shown: Iterable[DriveNumber]) -> tuple[NumberInDrive, ...]:
+def numbers_in_drive(learned: Sequence[LearnedNumber], shown: Iterable[DriveNumber]) -> tuple[LearnedNumber, ...]:
     """Convert learned numbers to the drive's; empty if the drive shows them unchanged.
 
     Args:
@@ -264,19 +221,20 @@ def numbers_in_drive(learned: Sequence[LearnedNumber], shown: Iterable[DriveNumb
         ends = sorted((to.of(one.lower), to.of(one.upper)))
         if to.inverse and not one.lower > 0:  # the interval of the gain holds 0, that of the time no end
             ends = [to.of(one.upper), math.inf] if one.upper > 0 else [-math.inf, math.inf]
-        found.append(NumberInDrive(to.name, to.of(one.value), ends[0], ends[1], to.unit, to.declared))
+        found.append(LearnedNumber(to.name, to.of(one.value), one.std, to.unit, ends[0], ends[1], to.declared))
+        found[-1] = replace(found[-1], std=0.5 * found[-1].spread)
     return tuple(found)
 
 
-def drive_table(numbers: tuple[NumberInDrive, ...]) -> Table:
-    """Table of the drive's numbers beside the declared ones."""
+def _tabulate(title: str, numbers: tuple[LearnedNumber, ...]) -> Table:
+    """Table of numbers, beside the declared ones if any is."""
     compared = any(one.declared is not None for one in numbers)
-    header = ("in the drive", "learned", "±", "unit", *(("declared", "differs by") if compared else ()))
-    rows = []
+    rows = list[tuple[str, ...]]()
     for one in numbers:
-        beside: tuple[str, ...] = ()
-        if compared:
-            differs = "-" if one.difference is None else f"{100 * one.difference:+.2g} %"
-            beside = ("-" if one.declared is None else f"{one.declared:.6g}", differs)
-        rows.append((one.name, number(one.value, 5), number(one.spread, 2), one.unit, *beside))
-    return Table(header, tuple(rows), words=(0, 3))
+        percent = number(100 * one.spread / abs(one.value), 2) if one.value else "-"
+        declared = "-" if one.declared is None else f"{one.declared:.6g}"
+        differs = "-" if one.difference is None else f"{100 * one.difference:+.2g} %"
+        row = (one.name, number(one.value, 6), number(one.spread, 2), one.unit, percent, declared, differs)
+        rows.append(row if compared else row[:5])
+    header = (title, "value", "±", "unit", "%", "declared", "differs by")
+    return Table(header if compared else header[:5], tuple(rows), words=(0, 3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import groupby, product
+from itertools import groupby
 
 import numpy as np
 
@@ -12,16 +12,14 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import join
 from jointid.controller_id.noise import PositionError, informative_frequencies, position_error
-from jointid.controller_id.structures import INTERPOLATIONS, LATE, RATES, SLOWER
+from jointid.controller_id.structures import LATE, SLOWER
 from jointid.models.controllers import (
     INJECTED,
     POSITION,
     REFERENCE,
     REFERENCE_VELOCITY,
     Interpolation,
-    SampledLaw,
     law_inputs,
-    run,
 )
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
@@ -39,10 +37,11 @@ _TOP = 6.0  # deviations of the log's noise within which a torque is at the top
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopRecord:
-    """Inputs and output of the controller, prepared from a record.
+    """Inputs and output of the controller, prepared from a stretch of a record.
 
     Attributes:
         record: with torque, reference and motor position.
+        begin: sample of the record that is the first.
         period: of the log, seconds.
         torque: (samples,) less what was added after the limit, where the log contains it.
         added: (samples,) what that was.
@@ -50,9 +49,11 @@ class LoopRecord:
         plateau: the torque that the log stands at where it is largest; None where it never stands.
         error: what is known of the position's.
         informative: (frequencies,) 1 where the record tells of its law, else 0.
+        unexplained: (samples,) torque that no law explains, 0 where a limit acts.
     """
 
     record: Record
+    begin: int
     period: float
     torque: FloatArray
     added: FloatArray
@@ -60,8 +61,8 @@ class LoopRecord:
     plateau: float | None
     error: PositionError
     informative: FloatArray
-    _inputs: dict[tuple[int, Interpolation], FloatArray] = field(default_factory=dict)
-    _averaged: dict[tuple[int, Interpolation, int], FloatArray] = field(default_factory=dict)
+    unexplained: FloatArray
+    _inputs: dict[tuple[int, Interpolation, int], FloatArray] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -82,53 +83,20 @@ class LoopRecord:
         bent = np.concatenate([np.zeros(2), np.cumsum(np.diff(reference, 2) ** 2)])
         begin = int(np.argmax(bent[samples:] - bent[:-samples]))
         begin -= begin % max(SLOWER)  # a slower loop is in the same phase as on the whole record
-        kept = self.kept[begin : begin + samples].copy()
-        kept[:_SETTLED] = 0.0
         rows = slice(begin, begin + samples)
-        inputs = {}
-        for rate, way in ((1, INTERPOLATIONS[0]), *product(RATES, INTERPOLATIONS)):
-            window = slice(begin * rate, (begin + samples) * rate)
-            inputs[rate, way] = self.inputs(rate, way)[window].copy()
-            if rate > 1:  # the whole record is only asked for the rates of the laws that are judged on it
-                del self._inputs[rate, way]
-        return _build_loop_record(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
+        kept = self.kept[rows].copy()
+        kept[:_SETTLED] = 0.0
+        return _listen(self.record, begin, self.torque[rows], self.added[rows], kept, self.plateau)
 
     def inputs(self, rate: int, interpolation: Interpolation, average: int = 0) -> FloatArray:
         """Inputs of a law with `rate` periods per sample, (periods, INPUTS), the reference averaged over samples."""
-        if average:
-            key = (rate, interpolation, average)
-            if key not in self._averaged:
-                self._averaged[key] = _average_reference(self.inputs(rate, interpolation), average * rate)
-            return self._averaged[key]
-        if (rate, interpolation) not in self._inputs:
+        key = rate, interpolation, average
+        if key not in self._inputs:
             filled = interpolation if rate > 1 else None
-            self._inputs[rate, interpolation] = _read_inputs(self.record, self.period, self.samples, rate, filled)
-        return self._inputs[rate, interpolation]
-
-    def predict(
-        self, law: SampledLaw, content: float = 0.0, interpolation: Interpolation = "linear", average: int = 0
-    ) -> FloatArray:
-        """Predict the logged torque of a law, (samples,).
-
-        Args:
-            law: the law.
-            content: integral torque at the first sample.
-            interpolation: how the reference is filled in between samples.
-            average: samples over which it is averaged.
-        """
-        rate = round(self.period / law.period)
-        inputs = self.inputs(rate, interpolation, average)
-        position = inputs[: 5 * rate + 1, POSITION]
-        slope = (position[-1] - position[0]) / (5 * self.period)
-        state = law.known_memory(inputs) + law.memory(POSITION, float(position[0]), float(slope))
-        integral = law.integral()
-        if integral is not None:
-            state = state + integral * content
-        output = run(law, inputs, state).output
-        shown = self.to_log(output[:, np.newaxis], rate)[:, 0]
-        late = round(law.delay / self.period)
-        # What was added behind the limit is as late in the log as the output it was added to.
-        return _delay_samples(shown + self.added, late) - self.added if late else shown
+            read = _read_inputs(self.record, self.period, self.begin + self.samples, rate, filled)
+            read = _average_reference(read, average * rate) if average else read
+            self._inputs[key] = read[self.begin * rate :].copy()
+        return self._inputs[key]
 
     def to_log(self, signals: FloatArray, rate: int) -> FloatArray:
         """Sample a law's signals, (periods, signals), as the log shows a torque."""
@@ -178,24 +146,19 @@ def prepare_loop_record(record: Record) -> LoopRecord:
         )
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0
-    inputs = {(1, INTERPOLATIONS[0]): _read_inputs(record, period, samples, 1, None)}
-    return _build_loop_record(record, torque, added, kept, _plateau(torque, added), inputs)
+    return _listen(record, 0, torque, added, kept, _plateau(torque, added))
 
 
-def _build_loop_record(
-    record: Record,
-    torque: FloatArray,
-    added: FloatArray,
-    kept: FloatArray,
-    plateau: float | None,
-    inputs: dict[tuple[int, Interpolation], FloatArray],
+def _listen(
+    record: Record, begin: int, torque: FloatArray, added: FloatArray, kept: FloatArray, plateau: float | None
 ) -> LoopRecord:
-    """Select samples, with position error and informative frequencies."""
+    """Determine the position's error and the informative frequencies of a stretch."""
     assert record.torque is not None and record.motor_position is not None
-    own = inputs[1, INTERPOLATIONS[0]]
+    period = record.torque.sample_time
+    own = _read_inputs(record, period, begin + torque.size, 1, None)[begin:]
     error = position_error(own[:, POSITION], find_encoder_step(record.motor_position))
-    informative = informative_frequencies(own, torque, added, kept * _below_limit(torque, plateau), error)
-    return LoopRecord(record, record.torque.sample_time, torque, added, kept, plateau, error, informative, inputs)
+    heard = informative_frequencies(own, torque, added, kept * _below_limit(torque, plateau), error)
+    return LoopRecord(record, begin, period, torque, added, kept, plateau, error, *heard)
 
 
 def _below_limit(torque: FloatArray, plateau: float | None) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Noise of the logged torque and position, and whitening of residuals.
+"""Noise of the logged torque and position.
 
 A law applied to a *logged* position responds to that position's error n. With G the law's response from position to
 torque, the residual of the true law is ``w - G n``, w the error of the logged torque, with the spectrum::
@@ -9,18 +9,15 @@ a belongs to the white torque error, b and R, its size and shape, to the positio
 ``sum over f of |E|^2 / S`` with its own S, E the residual's transform: maximum likelihood of errors in variables
 (Pintelon and Schoukens 2012, ch. 9). A fixed S would reward filters that suppress the noise.
 
-R is that of the encoder's quantisation, see `position_error`. Frequencies at which torque or position do not exceed
-their noise are excluded (`informative_frequencies`), since a filter could fit the noise there.
-
-They are determined before any law: all laws are linear in reference, its direction, position and injection, up to the
-limit, with short memory except integrals. A regression of the torque on long stretches of their past leaves little but
-noise (Zhu 2001, Multivariable System Identification for Process Control, ch. 6). The residual of a wrong law would
-exclude the frequencies at which it is wrong.
+Frequencies at which torque or position do not exceed their noise are excluded, since a filter could fit the noise
+there. They are determined before any law, as a wrong one would exclude the frequencies at which it is wrong: all laws
+are linear in reference, its direction, position and injection, up to the limit, with short memory except integrals. A
+regression of the torque on long stretches of their past leaves little but noise (Zhu 2001, Multivariable System
+Identification for Process Control, ch. 6).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -29,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.errors import MethodError
 from jointid.controller_id.structures import SLOWER
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE
 
@@ -58,8 +54,7 @@ class Noise:
     Attributes:
         torque: a, variance of the torque's error.
         position: b, variance of the position's error.
-        informative: (frequencies,) 1 where torque and position exceed their noise, else 0: these are left out (see
-            `informative_frequencies`).
+        informative: (frequencies,) 1 where torque and position exceed their noise, else 0: these are left out.
     """
 
     torque: float
@@ -68,13 +63,12 @@ class Noise:
 
     def weights(self, response: FloatArray) -> FloatArray:
         """Return ``1 / sqrt(S)`` for given |G|; 0 where excluded."""
-        with np.errstate(over="ignore"):  # a candidate that overflows gets no weight
-            return np.asarray(self.informative / np.sqrt(self.torque + self.position * response**2))
+        return np.asarray(self.informative / np.sqrt(self.torque + self.position * response**2))
 
     @property
     def rows(self) -> float:
         """Independent values in a whitened residual."""
-        return 2.0 * float(np.sum(self.informative))
+        return 2.0 * float(np.count_nonzero(self.informative))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,13 +87,6 @@ class PositionError:
     most: float
     variance: float
     power: FloatArray
-
-    def alike(self, samples: int) -> FloatArray:
-        """Root of the aliasing spectra for a reader of every `samples`-th sample."""
-        at, frequencies = np.arange(self.shape.size), np.linspace(0.0, 0.5, self.shape.size)
-        others = [np.abs((frequencies - m / samples + 0.5) % 1.0 - 0.5) for m in range(1, samples)]
-        folded = sum(np.interp(one * 2.0 * at[-1], at, self.shape**2) for one in others)
-        return np.asarray(np.sqrt(folded))
 
 
 def position_response(
@@ -140,29 +127,30 @@ def _points(size: int) -> FloatArray:
 
 
 def estimate_noise(
-    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float, informative: FloatArray
+    power: FloatArray, response: FloatArray, torque: float, most: float, informative: FloatArray
 ) -> Noise:
-    """Estimate the noise that explains a residual.
+    """Estimate the noise that explains a residual: the Whittle likelihood, ``sum log S + I / S``, by scoring.
 
     Args:
-        error: (samples,) the residual, 0 where excluded.
-        response: |G| of the law, times the shape of the position's error.
-        torque: (samples,) logged.
-        kept: (samples,) 1 where the residual counts, else 0.
+        power: (frequencies,) periodogram I of the residual.
+        response: (frequencies,) |G| of the law, times the shape of the position's error.
+        torque: mean square of the logged torque.
         most: bound of the variance of the position's error.
         informative: (frequencies,) 1 where informative, else 0.
     """
-    size, share = error.size, float(np.mean(kept))
-    with np.errstate(over="ignore", invalid="ignore"):
-        seen, gains = band_means(np.abs(np.fft.rfft(error)) ** 2 / (size * share)), band_means(response**2)
-        power = float(np.mean(seen)) * float(np.mean(gains))
-    if not math.isfinite(power):
-        raise MethodError(
-            "No law that is searched for gives this record's torque: the best one runs away. Check units, signs and "
-            "sides of torque, reference and motor_position, or declare the law."
-        )
-    a, b = _fit_two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
-    return Noise(a, b, informative)
+    from scipy.optimize import lsq_linear
+
+    seen, gains, floor = band_means(power), band_means(response**2), _FLOOR**2 * torque
+    spectrum = np.maximum(seen, floor)
+    for _ in range(_STEPS):
+        columns = np.column_stack([np.ones_like(gains), gains]) / spectrum[:, np.newaxis]
+        scale = column_norms(columns)  # a law may not look at the position at all
+        bounds = np.array([floor, 0.0]) * scale, np.array([np.inf, most]) * scale
+        a, b = lsq_linear(columns / scale, seen / spectrum, bounds, method="bvls").x / scale
+        before, spectrum = spectrum, a + b * gains
+        if np.max(np.abs(np.log(spectrum / before))) < 1e-6:
+            break
+    return Noise(float(a), float(b), informative)
 
 
 def position_error(position: FloatArray, step: float | None) -> PositionError:
@@ -190,9 +178,9 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     mean = float(wide @ bands) / float(np.sum(wide))
     if quietest > _NOISIER * mean * step**2:  # the log's digits are finer than what it was read from
         return white
-    shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), wide))
+    shape = np.sqrt(spread_bands(np.maximum(bands / mean, _LEAST), position.size))
     variance = mean * step**2
-    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * variance, variance, power)
+    return PositionError(shape, _BEYOND * variance, variance, power)
 
 
 def band_power(signal: FloatArray) -> FloatArray:
@@ -200,47 +188,27 @@ def band_power(signal: FloatArray) -> FloatArray:
     return band_means(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
 
 
-def _band_edges(size: int) -> NDArray[np.intp]:
-    """First index of each band of a real transform, from its second frequency on."""
-    return np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
-
-
 def band_widths(size: int) -> NDArray[np.intp]:
     """Number of frequencies per band of a real transform, from its second on."""
-    return np.diff(_band_edges(size))
+    return np.asarray(np.diff(np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))), dtype=np.intp)
 
 
 def band_means(values: FloatArray) -> FloatArray:
     """Means over bands, (bands,), from the second frequency on."""
-    edges = _band_edges(values.size)
-    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
+    wide = band_widths(values.size)
+    return np.asarray(np.add.reduceat(values, 1 + np.cumsum(wide) - wide) / wide)
 
 
-def _fit_two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:
-    """Maximise the Whittle likelihood, ``sum log S + I / S``, over a, b >= 0 by scoring."""
-    from scipy.optimize import nnls
-
-    spectrum = np.maximum(seen, floor)
-    a, b = floor, 0.0
-    for step in range(_STEPS):
-        columns = np.column_stack([np.ones_like(gains), gains]) / spectrum[:, np.newaxis]
-        scale = column_norms(columns)  # a law may not look at the position at all
-        found = nnls(columns / scale, seen / spectrum)[0] / scale
-        if found[1] > most:
-            weights = columns[:, 0]
-            found = np.array([weights @ (seen / spectrum - most * columns[:, 1]) / (weights @ weights), most])
-        a, b = max(float(found[0]), floor), float(found[1])
-        new = a + b * gains
-        if step and np.max(np.abs(np.log(new / spectrum))) < 1e-6:
-            break
-        spectrum = new
-    return a, b
+def spread_bands(values: FloatArray, samples: int) -> FloatArray:
+    """Values at all frequencies of a real transform of samples, from those of its bands."""
+    spread = np.repeat(values, band_widths(samples // 2 + 1))
+    return np.concatenate([spread[:1], spread])
 
 
 def informative_frequencies(
     inputs: FloatArray, torque: FloatArray, added: FloatArray, kept: FloatArray, error: PositionError
-) -> FloatArray:
-    """Return 1 at the informative frequencies of the real transform, else 0.
+) -> tuple[FloatArray, FloatArray]:
+    """Return 1 at the informative frequencies of the real transform, else 0; and the torque that no law explains.
 
     Frequencies where the position does not exceed its quantisation count only if they show in the torque: if the
     controller saw the same quantisation, or a slower position loop makes images there.
@@ -253,56 +221,58 @@ def informative_frequencies(
         error: of the position.
     """
     r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
-    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *signal_and_past(r), *_images(_difference(r))]
+    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *_signal_and_past(r), *_images(_difference(r))]
     beside = (inputs[:, DIRECTION], inputs[:, INJECTED], added)
-    asked += [lagged_columns(one, _BESIDE) for one in beside if np.any(one)]
-    shown, left = map(band_power, regress(asked, [*signal_and_past(q), *_images(r - q)], torque, kept))
+    asked += [_lagged_columns(one, _BESIDE) for one in beside if np.any(one)]
+    explained, unexplained = _regress(asked, [*_signal_and_past(q), *_images(r - q)], torque, kept)
+    shown, left = band_power(explained), band_power(unexplained)
     loud = band_power(torque - torque.mean()) > _LOUDER * left
     loud &= (error.power > _LOUDER * error.variance * band_means(error.shape**2)) | (shown > _LOUDER * left)
-    return np.concatenate([[1.0], np.repeat(np.asarray(loud, dtype=np.float64), band_widths(torque.size // 2 + 1))])
+    informative = spread_bands(np.asarray(loud, dtype=np.float64), torque.size)
+    informative[0] = 1.0
+    return informative, unexplained
 
 
-def regress(
+def _regress(
     asked: list[FloatArray], seen: list[FloatArray], torque: FloatArray, kept: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Torque explained by the position, and residual, scaled for degrees of freedom.
 
     Columns are processed in blocks of a few thousand samples, to bound memory.
     """
-    every, first = [*asked, *seen], sum(one.shape[1] for one in asked)
-    parts = [slice(at, at + _ROWS) for at in range(0, torque.size, _ROWS)]
-    root = np.zeros((0, sum(one.shape[1] for one in every) + 1))
-    for part in parts:
+    every = [*asked, *seen]
+    ends = np.cumsum([one.shape[1] for one in every])
+    root = np.zeros((0, ends[-1] + 1))
+    for at in range(0, torque.size, _ROWS):
+        part = slice(at, at + _ROWS)
         rows = np.column_stack([*(one[part] for one in every), torque[part]]) * kept[part, np.newaxis]
         root = np.asarray(np.linalg.qr(np.vstack([root, rows]), mode="r"))
     norms = column_norms(root[:, :-1])
     gains, _, rank, _ = np.linalg.lstsq(root[:, :-1] / norms, root[:, -1], rcond=_DEPENDENT)
-    split = np.zeros((norms.size, 2))  # what is asked, and what is seen
-    split[:first, 0], split[first:, 1] = (gains / norms)[:first], (gains / norms)[first:]
-    explained = np.vstack([np.hstack([one[part] for one in every]) @ split for part in parts])
+    shares = [one @ own for one, own in zip(every, np.split(gains / norms, ends[:-1]), strict=True)]
     counted = float(np.sum(kept))
-    left = (torque - explained.sum(axis=1)) * kept * np.sqrt(counted / max(counted - int(rank), 1.0))
-    return explained[:, 1], np.asarray(left)
+    left = (torque - np.sum(shares, axis=0)) * kept * np.sqrt(counted / max(counted - int(rank), 1.0))
+    return np.asarray(np.sum(shares[len(asked) :], axis=0)), np.asarray(left)
 
 
 def _images(signal: FloatArray) -> list[FloatArray]:
     """Images of a signal in a slower position loop, by modulation."""
     parts = np.arange(1, max(SLOWER) // 2 + 1)[:, np.newaxis] / max(SLOWER)
     turns = np.exp(2j * np.pi * parts * np.arange(signal.size))
-    return [lagged_columns(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
+    return [_lagged_columns(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
 
 
-def signal_and_past(signal: FloatArray, samples: int = _PAST) -> list[FloatArray]:
+def _signal_and_past(signal: FloatArray) -> list[FloatArray]:
     """Columns that span a signal and its past, conditioned by second differences."""
     change = _difference(signal)
-    return [signal[:, np.newaxis], change[:, np.newaxis], lagged_columns(_difference(change), samples)]
+    return [signal[:, np.newaxis], change[:, np.newaxis], _lagged_columns(_difference(change), _PAST)]
 
 
 def _difference(signal: FloatArray) -> FloatArray:
     return np.diff(signal, prepend=signal[:1])
 
 
-def lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
+def _lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
     """A signal and its past, (samples of it, samples + 1), from its first value."""
     led = np.concatenate([np.full(samples, signal[0]), signal])
     return np.lib.stride_tricks.sliding_window_view(led, samples + 1)

@@ -1,298 +1,179 @@
-"""Structure search by single changes from the screened laws, by Schwarz's criterion."""
+"""Search for a controller's structure by single changes, by Schwarz's criterion.
+
+A stretch of the record gives the candidates, the whole record judges them.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
-from jointid.common.errors import MethodError
+import numpy as np
+
 from jointid.common.messages import Detail, Progress, follow, ignore_progress
-from jointid.controller_id.fitting import FittedLaw, Task, fit
+from jointid.controller_id.fitting import FittedLaw, Fitter
+from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise
-from jointid.controller_id.ranking import (
-    MATERIAL,
-    Rival,
-    drop_failures,
-    much_simpler,
-    rank,
-    rank_candidates,
-    score,
-    screen_frames,
-    start_law,
-    torque_difference,
-    unique_structures,
-)
-from jointid.controller_id.regression import (
-    Regression,
-    RegressionFit,
-    Weighting,
-    initial_weighting,
-    law_numbers,
-    regression,
-)
-from jointid.controller_id.structure_moves import list_neighbours, list_simpler, remove_part
-from jointid.controller_id.structures import (
-    Structure,
-    bounds,
-    convert_numbers,
-    may_be_negative,
-    starts,
-)
+from jointid.controller_id.structures import ACCELERATION, COULOMB, Structure, list_frames, list_laws
 
-_NEARBY, _JUDGING = "trying what is near the best", "judging on the whole record"
-
+ALIKE = 10.0  # of the criterion: a smaller difference does not distinguish two laws
+MATERIAL = 1e-3  # of the torque's rms: a part that carries less is none
 _SEGMENT = 4000  # samples that a search looks at
-_JUDGED = 20  # rivals that the whole record judges
-_REMOVABLE = (
-    "integral_gain", "velocity_feedforward", "acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward",
-    "constant_feedforward", "reference_delay", "torque_filters.0.time_constant",
-)  # fmt: skip
-_EXPLAINS = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
-_SIEVE = ((80, 3), (24, 6), (12, 6))  # laws of the survey that are fitted, each time under a better noise, and how well
-_DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]  # what is below has run to the bound
-_SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
-_PROMISING = 20  # candidates that are fitted to the end in a round
+_BEST = 4  # laws of which all single changes are tried
+_JUDGED = 12  # laws that the whole record judges
+_ROUNDS = 24  # of such changes: what goes on longer leads to no law
+_SCREENING, _FITTING = 3, 8  # evaluations in the search for a law's filters, when it is tried and when it is likely
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _SearchData:
-    """Data of a structure search.
+class Rival(NamedTuple):
+    """A structure compared with the best.
 
     Attributes:
-        task: the record's stretch.
-        limited: whether the limit acts in it.
+        worse: how much larger its criterion is.
+        apart: by how much the torques differ that the two predict, in rms, as a share of the torque's rms.
     """
 
-    task: Task
-    regression: Regression
-    limited: bool = False
-
-    @property
-    def limit(self) -> float:
-        """Observed limit in controller units."""
-        return (self.task.log.plateau or math.inf) / self.task.gain
-
-    def fit_gains(
-        self, structure: Structure, numbers: Mapping[str, float], weighting: Weighting
-    ) -> RegressionFit | None:
-        """Regress a structure; None if filters or delay are impossible."""
-        try:
-            return self.regression.fit_gains(structure, numbers, weighting, free=False)[0]
-        except MethodError:
-            return None
-
-    def best_start(
-        self, structure: Structure, known: Mapping[str, float], weighting: Weighting
-    ) -> RegressionFit | None:
-        """Best start of a structure: from known numbers, else on a grid."""
-        candidates = starts(structure, known, self.task.log.period)
-        found = drop_failures(self.fit_gains(structure, numbers, weighting) for numbers in candidates)
-        return min(found, key=lambda one: one.cost, default=None)
-
-    def refit(self, one: FittedLaw, weighting: Weighting) -> FittedLaw | None:
-        """Return a law fitted again from its own numbers."""
-        tried = self.best_start(replace(one.structure, limited=False), one.numbers, weighting)
-        return None if tried is None else self.refine(tried, weighting)
-
-    def refine(self, one: RegressionFit, weighting: Weighting) -> FittedLaw | None:
-        """Optimise a structure's numbers; None if they make no law."""
-        try:
-            return self.to_law(self.regression.refine(one, weighting, free=False), weighting.noise)
-        except MethodError:
-            return None
-
-    def to_law(self, one: RegressionFit, noise: Noise) -> FittedLaw | None:
-        """Convert a regression to a law, refitted if a limit acts; None if impossible."""
-        numbers = law_numbers(one, self.task.gain)
-        if _is_invalid(numbers):
-            return None
-        if not self.limited:
-            return FittedLaw(one.structure, numbers, one.cost, noise)
-        return fit(self.task, replace(one.structure, limited=True), numbers | {"limit": self.limit}, noise)
-
-    def weighting(self, best: FittedLaw) -> Weighting:
-        """Weighting for the rivals of a law."""
-        return Weighting(best.noise, self.task.response(best.structure, best.numbers))
+    fitted: FittedLaw
+    worse: float
+    apart: float
 
 
-def search(task: Task, progress: Progress = ignore_progress) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
-    """Return the best structure, its close rivals and True.
+def search(log: LoopRecord, progress: Progress = ignore_progress) -> tuple[Fitter, FittedLaw, list[Rival]]:
+    """Return the fits on the whole record, the best law and its rivals, the likeliest first."""
+    progress(f"learning the controller from {log.samples} samples")
+    channel = log.record.reference_velocity is not None
+    stretch, laws = Fitter(log.select_strongest(_SEGMENT)), dict[Structure, FittedLaw]()
+    for _ in range(2):  # under the same noise at all frequencies, then under that of the best
+        laws = {}
+        for structure in _first_structures():
+            _try(stretch, laws, structure, {}, stretch.shared, channel)
+        best = _best_of(laws, stretch.shared)
+        stretch.share(best)
+    done = set[Structure]()
+    while True:
+        if (new := _best_of(laws, best.noise)) is not best:
+            best = new
+            stretch.share(best)
+        order = _sort(laws, best.noise)
+        likely = next((one for one in order[:_BEST] if one.structure not in done), None)
+        if likely is None or len(done) == _ROUNDS:
+            return _judge(Fitter(log), order[:_JUDGED], channel, progress)
+        progress(Detail(f"{likely.structure}: {len(likely.structure.names)} numbers"))
+        done.add(likely.structure)
+        likely = stretch.fit(likely.structure, likely.numbers, best.noise, _FITTING) or likely
+        _keep(laws, likely, best.noise)
+        for structure in list_laws(likely.structure, channel):
+            _keep(laws, stretch.fit(structure, likely.numbers, best.noise, 0), best.noise)
+        for structure in list_frames(likely.structure):
+            _try(stretch, laws, structure, likely.numbers, best.noise, channel)
 
-    Candidates come from a segment and are judged on the whole record. An interrupt returns the best law so far, no
-    rivals, and False; before the first law is fitted there is none.
+
+def simplest(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw:
+    """Simplest law that is as good as the best one.
+
+    It has the same filters and the same torque, within `MATERIAL`, since direction-dependent encoder errors can be
+    significant. Or the record does not distinguish it, and it has at most half the parts: hidden by quantisation, a
+    filter's noise spectrum is inexact, which a complex law can fit.
     """
-    channel = task.log.record.reference_velocity is not None
-    stretch = task.select_strongest(_SEGMENT)
-    progress(f"learning the controller from {task.log.samples} samples; an interrupt keeps the best law so far")
-    whole = replace(regression(task.log), own=True)
-    path: list[FittedLaw] = []
-    try:
-        data, likeliest = _start_search(stretch, channel, path, progress)
-        others = _search_nearby(data, likeliest, path, channel, progress)
-        data = replace(data, task=task, regression=whole)
-        return *_judge_on_whole_record(data, path[-1], others, progress), True
-    except KeyboardInterrupt:
-        if not path:
-            raise
-    best = path[-1]
-    progress(f"interrupted; fitting the best law so far to the whole record: {best.structure}")
-    best = _SearchData(task, whole, best.structure.limited).refit(best, initial_weighting(whole)) or best
-    return _refit_under_own_noise(task, best), (), False
-
-
-def _search_nearby(
-    data: _SearchData, likeliest: list[RegressionFit], path: list[FittedLaw], channel: bool, progress: Progress
-) -> list[FittedLaw]:
-    """Improve the last law of a path by single changes; return close laws."""
-    best, seen = _refit_under_own_noise(data.task, path[-1]), set[Structure]()
-    while True:
-        path.append(best)
-        progress(Detail(f"{best.structure}: {len(best.structure.names)} numbers"))
-        seen.add(best.structure)
-        best = data.refit(best, data.weighting(best)) or best
-        near = list(list_neighbours(best.structure, channel))
-        rivals = rank(data.task, best, _fit_nearby(data, best, follow(near, progress, _NEARBY, len(near), "laws")))
-        if not rivals or rivals[0].worse >= 0.0:
-            weighting = data.weighting(best)
-            fresh = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in likeliest)
-            others = drop_failures(data.refine(_trim(data, one, weighting), weighting) for one in fresh)
-            rivals = rank(data.task, best, [*others, *(rival.fitted for rival in rivals)])
-        if not rivals or rivals[0].worse >= 0.0:
-            break
-        better = _refit_under_own_noise(data.task, rivals[0].fitted)
-        if better.structure in seen:  # its own noise speaks for either: the whole record decides
-            break
-        best = better
-    path.append(best)
-    progress(Detail(f"{best.structure}, and {len(rivals[:_JUDGED])} others on the whole record"))
-    return unique_structures(rival.fitted for rival in rivals)[:_JUDGED]
-
-
-def _start_search(
-    task: Task, channel: bool, path: list[FittedLaw], progress: Progress
-) -> tuple[_SearchData, list[RegressionFit]]:
-    """Return search data and likely laws; the best of them begins the path."""
-    data = _SearchData(task, replace(regression(task.log), own=True))
-    weighting, late = screen_frames(data.regression, progress)
-    candidates = rank_candidates(data.regression, weighting, late, channel, progress)[: _SIEVE[0][0]]
-    likeliest = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in candidates)
-    for keep, evaluations in _SIEVE:
-        kept = follow(likeliest[:keep], progress, "fitting the likeliest laws", keep, "laws")
-        refined = (data.regression.refine(one, weighting, False, evaluations) for one in kept)
-        trimmed = [_trim(data, one, weighting) for one in refined]
-        likeliest = unique_structures(sorted(trimmed, key=partial(score, rows=weighting.noise.rows)))
-        weighting = data.regression.weighting(likeliest[0])
-    fitted = (data.to_law(one, weighting.noise) for one in likeliest)
-    best = next((one for one in fitted if one is not None), None)
-    if best is None:
-        raise MethodError(
-            "No law that is searched for gives this record's torque: all that come near have a negative gain, or a "
-            "filter that is hardly damped. Check units, signs and sides of torque, reference and motor_position, or "
-            "declare the law."
-        )
-    data, best = _add_limit(data, best)
-    path.append(best)
-    return data, likeliest
-
-
-def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> RegressionFit:
-    """Remove parts that do not pay and invalid numbers."""
-    rows = weighting.noise.rows
-    while True:
-        known = law_numbers(one, data.task.gain)
-        tried = (data.best_start(fewer, known, weighting) for fewer in list_simpler(one.structure))
-        best = min(drop_failures(tried), key=lambda fewer: score(fewer, rows), default=None)
-        if best is None or (score(best, rows) > score(one, rows) and not _is_invalid(known)):
-            return one
-        one = best
-
-
-def _is_invalid(numbers: Mapping[str, float]) -> bool:
-    """Test for negative gains, or damping at its bound."""
-    undamped = any(name.endswith("damping") and value < _DAMPED for name, value in numbers.items())
-    return undamped or any(value < 0 for name, value in numbers.items() if not may_be_negative(name))
-
-
-def _add_limit(data: _SearchData, best: FittedLaw) -> tuple[_SearchData, FittedLaw]:
-    """Add the observed limit if it improves the fit."""
-    task = data.task
-    if task.log.plateau is None:
-        return data, best
-    plain = fit(task, best.structure, best.numbers, best.noise)
-    numbers = best.numbers | {"limit": data.limit}
-    limited = fit(task, replace(best.structure, limited=True), numbers, best.noise)
-    if limited is None or (plain is not None and limited.cost > _EXPLAINS * plain.cost):
-        return data, plain or best
-    return replace(data, limited=True), limited
-
-
-def _judge_on_whole_record(
-    data: _SearchData, best: FittedLaw, others: list[FittedLaw], progress: Progress
-) -> tuple[FittedLaw, tuple[Rival, ...]]:
-    errors: dict[Structure, float] = {}
-    decided = False
-    # What an integral holds at the first sample is another number here, and no noise is known before it.
-    best = data.refit(best, initial_weighting(data.regression)) or best
-    while True:
-        best = _refit_under_own_noise(data.task, best)
-        errors[best.structure] = best.noise.torque
-        weighting = data.weighting(best)
-        own = data.refit(best, weighting) or best
-        simpler = list_simpler(replace(own.structure, limited=False))
-        fewer = drop_failures(data.best_start(one, own.numbers, weighting) for one in simpler)
-        refitted = [
-            *(partial(data.refit, one, weighting) for one in others),
-            *(partial(data.refine, one, weighting) for one in fewer),
-        ]
-        known = drop_failures(fit_again() for fit_again in follow(refitted, progress, _JUDGING, len(refitted), "laws"))
-        rivals = rank(data.task, own, unique_structures(known))
-        if not rivals or decided:
-            break
-        better = rivals[0].fitted
-        if rivals[0].worse >= 0.0:
-            simple = much_simpler(own, rivals)
-            if simple is None:
-                break
-            better, decided = simple, True
-        elif better.structure in errors:  # two noises speak each for another law: the torque's own error is the smaller
-            if errors[better.structure] >= errors[best.structure]:
-                break
-            decided = True
-        others = [best, *(rival.fitted for rival in rivals if rival.fitted is not better)]
-        best = better
-    return best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure)
-
-
-def _refit_under_own_noise(task: Task, best: FittedLaw) -> FittedLaw:
-    for _ in range(2):
-        noise = task.noise(best.structure, best.numbers)
-        best = _prune(task, fit(task, best.structure, best.numbers, noise) or best)
-    return best
-
-
-def _fit_nearby(data: _SearchData, best: FittedLaw, structures: Iterable[Structure]) -> list[FittedLaw]:
-    """Return the most promising structures, fitted under one noise."""
-    weighting = data.weighting(best)
-    own, rows, task = data.regression, best.noise.rows, data.task
-    unlimited = (replace(s, limited=False) for s in structures)
-    candidates = drop_failures(
-        start_law(own, one, starts(one, best.numbers, task.log.period), weighting) for one in unlimited
+    own = best.structure
+    good = (
+        rival.fitted
+        for rival in rivals
+        if _is_same(rival, best) or (rival.worse < ALIKE and 2 * rival.fitted.structure.parts <= own.parts)
     )
-    promising = sorted(candidates, key=lambda one: score(one, rows))[:_PROMISING]
-    explained = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in promising)
-    return drop_failures(data.refine(one, weighting) for one in explained)
+    found = min(good, key=lambda one: one.structure.parts, default=best)
+    return found if found.structure.parts < own.parts else best
 
 
-def _prune(task: Task, best: FittedLaw) -> FittedLaw:
-    """Remove parts with negligible effect after refitting."""
+def _judge(
+    fitter: Fitter, likely: list[FittedLaw], channel: bool, progress: Progress
+) -> tuple[Fitter, FittedLaw, list[Rival]]:
+    """Fit likely laws to the whole record, and the best of them without each of its parts."""
+    laws, done = dict[Structure, FittedLaw](), set[Structure]()
+    best = fitter.fit(likely[0].structure, likely[0].numbers, fitter.shared, _FITTING) or likely[0]
+    fitter.share(best)
+    tried = {one.structure: one.numbers for one in likely}
+    while fresh := [structure for structure in tried if structure not in done]:
+        for structure in follow(fresh, progress, "judging on the whole record", len(fresh), "laws"):
+            _keep(laws, fitter.fit(structure, tried[structure], best.noise, _FITTING), best.noise)
+        done.update(fresh)
+        best = _best_of(laws, best.noise)
+        fitter.share(best)
+        chosen = simplest(best, _compare(fitter, best, laws))
+        near = (*list_laws(chosen.structure, channel), *list_frames(chosen.structure))
+        tried = {structure: chosen.numbers for structure in near if structure.parts < chosen.structure.parts}
+    return fitter, chosen, _compare(fitter, chosen, laws)
 
-    def unless_other_torque(structure: Structure) -> FittedLaw:
-        fitted = fit(task, structure, convert_numbers(structure, best.numbers), best.noise, _SCREENING)
-        return best if fitted is None or torque_difference(task, fitted, best) >= MATERIAL else fitted
 
-    for name in best.structure.names:
-        if name in _REMOVABLE and name in best.structure.names:
-            best = unless_other_torque(remove_part(best.structure, name))
-    return best
+def _first_structures() -> Iterator[Structure]:
+    """Yield the laws that a search begins with: the richest, with each filter and clock."""
+    parts = frozenset({ACCELERATION, COULOMB})
+    for law, velocity in (("P-PI", "share"), ("PID", "difference")):
+        rich = Structure(law, velocity, feedforward=parts)  # type: ignore[arg-type]
+        yield from (replace(rich, velocity_filter=one) for one in ("none", "mean 2", "first order", "second order"))
+        filtered = rich if rich.cascade else replace(rich, velocity_filter="first order")
+        yield from (replace(filtered, torque_filter=one) for one in ("first order", "second order", "notch"))
+        yield from (replace(filtered, rate=one) for one in (2, 4, 8))
+        yield replace(filtered, reference_delay=True)
+    yield from (replace(Structure("P-PI", "share", feedforward=parts), every=n) for n in (2, 4))
+
+
+def _try(
+    fitter: Fitter,
+    laws: dict[Structure, FittedLaw],
+    structure: Structure,
+    known: Mapping[str, float],
+    noise: Noise,
+    channel: bool,
+) -> None:
+    """Fit a structure, and improve it by single changes that leave its filters and clocks."""
+    one, shared = fitter.fit(structure, known, noise, _SCREENING), fitter.shared
+    while one is not None:
+        _keep(laws, one, noise)
+        near = (fitter.fit(like, one.numbers, shared, 0) for like in list_laws(one.structure, channel))
+        best = min((law for law in near if law), key=lambda law: law.score(shared), default=one)
+        one = best if best.score(shared) < one.score(shared) else None
+
+
+def _keep(laws: dict[Structure, FittedLaw], one: FittedLaw | None, noise: Noise) -> None:
+    """Keep the better fit of a structure."""
+    held = None if one is None else laws.get(one.structure)
+    if one is not None and (held is None or one.score(noise) < held.score(noise)):
+        laws[one.structure] = one
+
+
+def _best_of(laws: Mapping[Structure, FittedLaw], noise: Noise) -> FittedLaw:
+    """Return the law that is the likeliest under its own noise.
+
+    Where the noises of several laws each speak for the next, it is the one with the least error of the torque.
+    """
+    best, seen = _sort(laws, noise)[0], dict[Structure, FittedLaw]()
+    while best.structure not in seen:
+        seen[best.structure] = best
+        best = _sort(laws, best.noise)[0]
+    return min(seen.values(), key=lambda one: one.noise.torque)
+
+
+def _sort(laws: Mapping[Structure, FittedLaw], noise: Noise) -> list[FittedLaw]:
+    return sorted(laws.values(), key=lambda one: one.score(noise))
+
+
+def _compare(fitter: Fitter, best: FittedLaw, laws: Mapping[Structure, FittedLaw]) -> list[Rival]:
+    """Compare laws with the best, without those that are the same with parts that do nothing."""
+    own, size, shown = best.score(best.noise), float(np.mean(fitter.log.torque**2)), fitter.predict(best)
+
+    def apart(one: FittedLaw) -> float:
+        return float(np.sqrt(np.mean(((fitter.predict(one) - shown) * fitter.kept) ** 2) / size))
+
+    order = (one for one in _sort(laws, best.noise) if one is not best)
+    rivals = (Rival(one, one.score(best.noise) - own, apart(one)) for one in order)
+    most = best.structure.parts
+    return [one for one in rivals if one.fitted.structure.parts <= most or not _is_same(one, best)]
+
+
+def _is_same(rival: Rival, best: FittedLaw) -> bool:
+    """Test for the same filters and the same torque."""
+    own, other = best.structure, rival.fitted.structure
+    alike = (own.velocity_filter, own.torque_filter) == (other.velocity_filter, other.torque_filter)
+    return alike and rival.apart < MATERIAL

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
@@ -24,7 +24,6 @@ Law = Literal["P-P", "P-PI", "PD", "PID"]
 
 MEANS = (2, 3, 4, 6, 8, 16)  # samples of the moving averages that are tried
 VELOCITY_FILTERS = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
-COMMON = ("none", "mean 2", "mean 4", "first order", "second order")  # velocity filters that are tried in every law
 TORQUE_FILTERS = ("none", "first order", "second order", "notch")
 
 RATES = (2, 4, 8, 16)  # periods per log sample of a loop faster than the log
@@ -56,7 +55,6 @@ class Structure:
         interpolation: how a law that is faster than the log fills in its reference.
         average: samples of the log over which the reference is averaged, 0 for none.
         every, offset: of a cascade's position loop, in periods of the law.
-        limited: whether the limit acts in the record.
     """
 
     law: Law = "P-P"
@@ -71,7 +69,6 @@ class Structure:
     average: int = 0
     every: int = 1
     offset: int = 0
-    limited: bool = False
 
     @property
     def cascade(self) -> bool:
@@ -86,9 +83,7 @@ class Structure:
     @property
     def frame(self) -> Structure:
         """The plain law with its clocks and filters."""
-        return replace(
-            self, law="P-P", reference_velocity="none", feedforward=frozenset(), reference_delay=False, limited=False
-        )
+        return replace(self, law="P-P", reference_velocity="none", feedforward=frozenset(), late=0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,70 +94,58 @@ class Structure:
         if self.cascade and self.reference_velocity in ("share", "channel"):
             names.append("velocity_feedforward")
         names += [FIELDS[part] for part in FEEDFORWARDS if part in self.feedforward]
-        names += _filter_names("velocity_filter", self.velocity_filter)
-        names += _filter_names("torque_filters.0", self.torque_filter)
+        for place, kind in (("velocity_filter", self.velocity_filter), ("torque_filters.0", self.torque_filter)):
+            names += [f"{place}.{name}" for name in (_FILTERS[kind][1] if kind in _FILTERS else ())]
         if self.reference_delay:
             names.append("reference_delay")
-        if self.limited:
-            names.append("limit")
         return tuple(names)
+
+    @property
+    def nonlinear(self) -> tuple[str, ...]:
+        """The numbers that its torque is not linear in: of filters, ki of a cascade, and the reference's delay."""
+        rates = ("reference_delay", *(("integral_gain",) if self.cascade else ()))
+        return tuple(name for name in self.names if "." in name or name in rates)
+
+    @property
+    def _choices(self) -> list[int]:
+        """How many there are of each clock that is not that of a plain law."""
+        clocks = (
+            (len(RATES) * len(INTERPOLATIONS), self.rate > 1),
+            (len(AVERAGED), self.average > 0),
+            (sum(SLOWER), self.every > 1),
+            (len(LATE), self.late > 0),
+        )
+        return [number for number, chosen in clocks if chosen]
 
     @property
     def parts(self) -> int:
         """Number of parts: parameters, and each delay, rate or offset not in a plain law."""
-        clocks = (self.rate > 1, self.interpolation != "linear", self.average > 0, self.every > 1, self.late > 0)
-        return len(self.names) + sum(clocks)
+        return len(self.names) + len(self._choices) + (self.interpolation != "linear")
 
     def weight(self, rows: float) -> float:
         """Penalty in the criterion: Schwarz's log(rows) for each part.
 
         A clock costs 2 log(choices) more, by the extended criterion (Chen and Chen 2008, Biometrika 95(3)).
         """
-        choices = (
-            (len(RATES) * len(INTERPOLATIONS), self.rate > 1),
-            (len(AVERAGED), self.average > 0),
-            (sum(SLOWER), self.every > 1),
-            (len(LATE), self.late > 0),
-        )
-        return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
+        return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number in self._choices)
 
     def __str__(self) -> str:
         """Describe the law and its additional parts."""
-        said: list[str] = [self.law]
-        if self.reference_velocity != "none":
-            said.append(_REFERENCE_VELOCITY[self.cascade, self.reference_velocity])
-        if self.feedforward:
-            said.append(" and ".join(p for p in FEEDFORWARDS if p in self.feedforward) + " feed-forward")
-        if self.velocity_filter != "none":
-            said.append(f"velocity filter {_spell_filter(self.velocity_filter)}")
-        if self.torque_filter != "none":
-            said.append(f"torque filter {self.torque_filter}")
-        if self.reference_delay:
-            said.append("reference delayed")
-        if self.average:
-            said.append(f"reference averaged over {self.average} samples")
-        if self.late:
-            said.append(f"torque {self.late} samples late")
-        if self.rate > 1:
-            said.append(f"{self.rate} periods per sample" + _ON_REFERENCE[self.interpolation])
-        if self.every > 1:
-            said.append(f"position loop every {self.every} periods, from period {self.offset + 1}")
-        return ", ".join(said)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NumberedStructure:
-    """A structure with numbers and cost.
-
-    Attributes:
-        numbers: those the structure leaves open, or of a regression, those its torque is not linear in: of its filters,
-            ki of a cascade, and the reference's delay.
-        cost: sum of the squares of the whitened residual.
-    """
-
-    structure: Structure
-    numbers: dict[str, float]
-    cost: float
+        word, _, count = self.velocity_filter.partition(" ")
+        filtered = f"mean of {count} samples" if word == "mean" else self.velocity_filter
+        parts = " and ".join(part for part in FEEDFORWARDS if part in self.feedforward)
+        said = {
+            _REFERENCE_VELOCITY.get((self.cascade, self.reference_velocity), ""): self.reference_velocity != "none",
+            f"{parts} feed-forward": parts,
+            f"velocity filter {filtered}": self.velocity_filter != "none",
+            f"torque filter {self.torque_filter}": self.torque_filter != "none",
+            "reference delayed": self.reference_delay,
+            f"reference averaged over {self.average} samples": self.average,
+            f"torque {self.late} samples late": self.late,
+            f"{self.rate} periods per sample{_ON_REFERENCE[self.interpolation]}": self.rate > 1,
+            f"position loop every {self.every} periods, from period {self.offset + 1}": self.every > 1,
+        }
+        return ", ".join([self.law, *(words for words, holds in said.items() if holds)])
 
 
 FIELDS = {
@@ -180,20 +163,25 @@ _REFERENCE_VELOCITY = {
     (False, "difference"): "on the reference's filtered difference",
     (False, "channel"): "on the reference's velocity channel",
 }
-_FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
-    "first order": {"time_constant": (0.5, 1.2, 3.0, 10.0)},
-    "second order": {"frequency": (0.03, 0.07, 0.12, 0.18, 0.27), "damping": (0.7,)},
-    "notch": {"frequency": (0.03, 0.06, 0.09, 0.13, 0.18, 0.27), "bandwidth": (0.035,), "depth": (0.2,)},
+_FILTERS: Mapping[str, tuple[Callable[..., Filter], tuple[str, ...]]] = {
+    "first order": (FirstOrder, ("time_constant",)),
+    "second order": (SecondOrder, ("frequency", "damping")),
+    "notch": (Notch, ("frequency", "bandwidth", "depth")),
 }
-"""Numbers of the filters and where a search for them begins, in samples of the log and shares of its rate."""
+_SHARES = (0.03, 0.06, 0.09, 0.13, 0.18, 0.27)
+_NUMBERS = {
+    "time_constant": ((0.5, 1.2, 3.0, 10.0), 1, 1e-2, 2e3),
+    "frequency": (_SHARES, -1, 2e-4, 0.45),
+    "bandwidth": ((0.035,), -1, 2e-4, 0.45),
+    "damping": ((0.7,), 0, 0.4, 3.0),
+    "depth": ((0.2,), 0, 0.0, 1.0),
+    "integral_gain": ((3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), -1, 0.0, math.inf),
+    "reference_delay": ((0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7), 1, 0.0, 800.0),
+}
+"""Where a search for a number begins, the power of the period that is its unit, and its bounds.
 
-INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # starting values of a cascade's ki, as shares of the log's rate
-_DELAYS = (0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7)
-"""Starting values of the reference's delay, in log samples: two in each, as it is interpolated linearly."""
-
-
-def _filter_names(place: str, kind: str) -> list[str]:
-    return [f"{place}.{name}" for name in _FILTERS.get(kind, {})]
+Delays begin twice in each sample, as the reference is interpolated linearly.
+"""
 
 
 def may_be_negative(name: str) -> bool:
@@ -201,116 +189,139 @@ def may_be_negative(name: str) -> bool:
     return name in (INTEGRAL, "constant_feedforward")
 
 
-def _spell_filter(kind: str) -> str:
-    word, _, count = kind.partition(" ")
-    return f"mean of {count} samples" if word == "mean" else kind
-
-
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
-    """Yield start values of nonlinear numbers: from a similar structure, or on a grid."""
-    places: list[Iterable[dict[str, float]]] = []
-    for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
-        names = _filter_names(place, kind)
-        if all(name in known for name in names):
-            places.append([{name: known[name] for name in names}])
-        else:
-            scale = {"time_constant": sample_time, "damping": 1.0, "depth": 1.0}
-            grid = product(
-                *([v * scale.get(n, 1.0 / sample_time) for v in values] for n, values in _FILTERS[kind].items())
-            )
-            places.append([dict(zip(names, one, strict=True)) for one in grid])
-    if structure.cascade and structure.integrates:
-        options = [share / sample_time for share in INTEGRAL_GAINS]
-        given = known.get("integral_gain", 0.0)
-        if "velocity_gain" not in known:  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
-            given = given / known["position_gain"] if known.get("position_gain") else 0.0
-        options = [given] if given else options
-        places.append([{"integral_gain": ki} for ki in options])
-    if structure.reference_delay:
-        options = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
-        places.append([{"reference_delay": delay} for delay in options])
-    for parts in product(*places):
-        yield {name: value for part in parts for name, value in part.items()}
-
-
-def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
-    """Convert numbers from a similar law, else 0; ``kp kv`` of a cascade is a PD's kp."""
-    given = dict(known)
-    if structure.cascade and "derivative_gain" in given:
-        given["velocity_gain"] = given.pop("derivative_gain")
-        given["position_gain"] = given["position_gain"] / given["velocity_gain"] if given["velocity_gain"] else 0.0
-        rate, stiffness = given["velocity_gain"], given["position_gain"] * given["velocity_gain"]
-        given["integral_gain"] = given.get("integral_gain", 0.0) / max(stiffness, 1e-300)
-        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / max(rate, 1e-300))
-    elif not structure.cascade and "velocity_gain" in given:
-        given["derivative_gain"] = given.pop("velocity_gain")
-        given["position_gain"] = given["position_gain"] * given["derivative_gain"]
-        given["integral_gain"] = given.get("integral_gain", 0.0) * given["position_gain"]
-    return {name: given.get(name, 0.0) for name in structure.names}
+    """Yield start values of the numbers that a torque is not linear in: from a similar law, or on a grid."""
+    known, names, options = dict(known), structure.nonlinear, []
+    if (
+        "derivative_gain" in known and "integral_gain" in known
+    ):  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
+        known["integral_gain"] /= known["position_gain"] or 1.0
+    for name in names:
+        place, _, last = name.rpartition(".")
+        filled = all(other in known for other in names if other.rpartition(".")[0] == place) if place else name in known
+        grid, power, *_ = _NUMBERS[last]
+        options.append([known[name]] if filled else [value * sample_time**power for value in grid])
+    for values in product(*options):
+        yield dict(zip(names, values, strict=True))
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
     """Bounds of a parameter of a law with `rate` periods per log sample (`sample_time`, s)."""
-    period = sample_time / rate
-    last = name.rpartition(".")[2]
     if may_be_negative(name):
         return -math.inf, math.inf
-    return {
-        "time_constant": (1e-2 * period, 2e3 * period),
-        "frequency": (2e-4 / period, 0.45 / period),
-        "bandwidth": (2e-4 / period, 0.45 / period),
-        "damping": (0.4, 3.0),
-        "depth": (0.0, 1.0),
-        "reference_delay": (0.0, 50 * sample_time),
-    }.get(last, (0.0, math.inf))
+    _, power, low, high = _NUMBERS.get(name.rpartition(".")[2], ((), 0, 0.0, math.inf))
+    unit = (sample_time / rate) ** power
+    return low * unit, high * unit
 
 
 def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
     """Build the controller; `period` of the log in s, `gain` torque per controller unit."""
-    own = {name: value for name, value in numbers.items() if "." not in name and name not in (INTEGRAL, "limit")}
-    settings: dict[str, Any] = {"gain": gain, **own}
-    if structure.limited:
-        settings["limit"] = max(numbers["limit"], 1e-300)
-    velocity, torque = filters_of(structure, numbers)
-    if structure.velocity_filter != "none":
-        settings["velocity_filter"] = velocity
-    if structure.torque_filter != "none":
-        settings["torque_filters"] = (torque,)
-    if structure.late:
-        settings["delay"] = structure.late * period
-    if structure.average:
-        settings["reference_average"] = structure.average * period
-    own_period = period / structure.rate
-    if structure.rate > 1:
-        settings |= {"period": own_period, "interpolation": structure.interpolation}
-    if structure.cascade:
-        if structure.every > 1:
-            settings |= {"position_period": structure.every * own_period}
-            settings |= {"position_offset": structure.offset * own_period} if structure.offset else {}
-        if structure.reference_velocity == "full":
-            settings["velocity_feedforward"] = 1.0
-        if structure.reference_velocity == "channel":
-            settings["reference_velocity"] = "channel"
-        return Cascade(**settings)
-    settings["reference_velocity"] = structure.reference_velocity
-    return PID(**settings) if structure.integrates else PD(**settings)
+    own_period, velocity = period / structure.rate, structure.reference_velocity
+    of_velocity, of_torque = filters_of(structure, numbers)
+    settings: dict[str, tuple[Any, object]] = {  # and whether they are not those of a plain law
+        "velocity_filter": (of_velocity, structure.velocity_filter != "none"),
+        "torque_filters": ((of_torque,), structure.torque_filter != "none"),
+        "delay": (structure.late * period, structure.late),
+        "reference_average": (structure.average * period, structure.average),
+        "period": (own_period, structure.rate > 1),
+        "interpolation": (structure.interpolation, structure.rate > 1),
+        "position_period": (structure.every * own_period, structure.every > 1),
+        "position_offset": (structure.offset * own_period, structure.offset),
+        "velocity_feedforward": (1.0, structure.cascade and velocity == "full"),
+        "reference_velocity": (velocity, not structure.cascade or velocity == "channel"),
+    }
+    own = {name: value for name, value in numbers.items() if "." not in name and name != INTEGRAL}
+    own_settings: dict[str, Any] = {name: value for name, (value, holds) in settings.items() if holds}
+    kinds: dict[str, type[Cascade | PD | PID]] = {"P-P": Cascade, "P-PI": Cascade, "PD": PD, "PID": PID}
+    return kinds[structure.law](**{"gain": gain, **own, **own_settings})
+
+
+def per_controller_unit(structure: Structure, numbers: Mapping[str, float], gain: float) -> dict[str, float]:
+    """Convert numbers in torque to controller units; `gain` is torque per controller unit."""
+    rates = ("position_gain", "integral_gain", "velocity_feedforward") if structure.cascade else ()
+    kept = (*rates, "reference_delay")
+    return {name: value if "." in name or name in kept else value / gain for name, value in numbers.items()}
 
 
 def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
     """Filters of a structure for velocity and torque."""
-    return (
-        _filter(structure.velocity_filter, "velocity_filter", numbers),
-        _filter(structure.torque_filter, "torque_filters.0", numbers),
-    )
 
-
-def _filter(kind: str, place: str, numbers: Mapping[str, float]) -> Filter | tuple[float, ...]:
-    if kind == "none":
-        return (1.0,)
-    if kind.startswith("mean"):
-        samples = int(kind.split()[1])
+    def build(kind: str, place: str) -> Filter | tuple[float, ...]:
+        if kind in _FILTERS:
+            made, names = _FILTERS[kind]
+            return made(**{name: numbers[f"{place}.{name}"] for name in names})
+        samples = _samples(kind)
         return (1.0 / samples,) * samples
-    made = {name: numbers[f"{place}.{name}"] for name in _FILTERS[kind]}
-    if kind == "first order":
-        return FirstOrder(**made)
-    return SecondOrder(**made) if kind == "second order" else Notch(**made)
+
+    return build(structure.velocity_filter, "velocity_filter"), build(structure.torque_filter, "torque_filters.0")
+
+
+def _samples(kind: str) -> int:
+    """Samples that a filter averages; 0 for other filters."""
+    word, _, count = kind.partition(" ")
+    return int(count) if word == "mean" else int(word == "none")
+
+
+def canonical(structure: Structure) -> Structure:
+    """Canonical name of a law: the cascade's if a PD or PID is equivalent, without parts that it cannot have."""
+    law, velocity, parts = structure.law, structure.reference_velocity, structure.feedforward
+    plain = velocity == "difference" and structure.velocity_filter == "none"
+    if law == "PD" and velocity == "none":
+        law, velocity = "P-P", "share" if VELOCITY in parts else "none"
+    elif not structure.cascade and plain:
+        law, velocity, parts = "P-PI" if structure.integrates else "P-P", "full", parts - {VELOCITY}
+    if structure.integrates:
+        parts = parts - {CONSTANT}  # the integral's
+    if law == "P-P" and velocity != "channel":
+        parts = parts - {VELOCITY}  # the cascade has its own
+    found = replace(structure, law=law, reference_velocity=velocity, feedforward=parts)
+    if not found.cascade:
+        found = replace(found, every=1, offset=0)
+    return found if found.rate > 1 else replace(found, interpolation="linear")
+
+
+def list_laws(structure: Structure, channel: bool) -> list[Structure]:
+    """Canonical laws with the same filters and clocks that differ in one part.
+
+    Args:
+        structure: of the law.
+        channel: whether the record has a reference velocity.
+    """
+    own = ["channel"] if channel else []
+    cascades: tuple[Law, ...] = ("P-P", "P-PI")
+    others: tuple[Law, ...] = ("PD", "PID")
+    laws = [*product(cascades, ("none", "share", "full", *own)), *product(others, ("difference", "none", *own))]
+    tried = [replace(structure, law=law, reference_velocity=velocity) for law, velocity in laws]
+    tried += [replace(structure, feedforward=structure.feedforward ^ {part}) for part in FEEDFORWARDS]
+    tried += [replace(structure, late=n) for n in (0, *LATE)]
+    return _others(tried, structure)
+
+
+def list_frames(structure: Structure) -> list[Structure]:
+    """Canonical structures with another filter, clock or delay of the reference."""
+    velocity, torque = structure.velocity_filter, structure.torque_filter
+    tried = [replace(structure, velocity_filter=one) for one in VELOCITY_FILTERS]
+    tried += [replace(structure, torque_filter=one) for one in TORQUE_FILTERS]
+    if torque in VELOCITY_FILTERS and velocity in TORQUE_FILTERS:  # in the other place
+        tried.append(replace(structure, velocity_filter=torque, torque_filter=velocity))
+        law: Law = "PID" if structure.integrates else "PD"
+        tried.append(replace(tried[-1], law=law, reference_velocity="difference"))
+    tried.append(replace(structure, reference_delay=not structure.reference_delay, average=0))
+    if structure.reference_delay or structure.average:  # a mean is late, too
+        near = (structure.average - 1, structure.average + 1) if structure.average else ()
+        tried += [replace(structure, average=n, reference_delay=False) for n in (0, *AVERAGED, *near) if n != 1]
+    for rate in sorted({structure.rate // 2, structure.rate, 2 * structure.rate} & {1, *RATES}):
+        slower = rate if structure.every > 1 else 1  # a slower position loop is as fast as the log
+        count = _samples(velocity) * rate / structure.rate  # of a mean over the same time
+        filters = {velocity, "none" if count == 1 else f"mean {count:.0f}"} & set(VELOCITY_FILTERS)
+        tried += [
+            replace(structure, rate=rate, interpolation=way, every=slower, offset=0, velocity_filter=one)
+            for way, one in product(INTERPOLATIONS, sorted(filters))
+        ]
+    pairs = [(structure.rate, 0)] if structure.rate > 1 else [(n, k) for n in SLOWER for k in range(n)]
+    tried += [replace(structure, every=every, offset=offset) for every, offset in [(1, 0), *pairs]]
+    return _others(tried, structure)
+
+
+def _others(tried: Iterable[Structure], structure: Structure) -> list[Structure]:
+    return [one for one in dict.fromkeys(map(canonical, tried)) if one != structure]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import io
 import json
 import os
@@ -19,10 +18,8 @@ import pytest
 import jointid
 from jointid.apps.cli import main
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.messages import Message
 from jointid.config import File, load
 from jointid.controller_id.learned_controller import LearnedController
-from jointid.controller_id.limitations import LimitationCode
 from jointid.models.controllers import Cascade
 from jointid.output.report import tune_to_limit
 from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
@@ -278,28 +275,6 @@ name = "idim"
     assert not Path(made.source.file).is_absolute()
     assert made.record().name == "run 1"
     assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
-
-
-def test_an_interrupted_search_is_written_and_said(
-    tmp_path: Path, learned: Cascade, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from jointid.controller_id import learn
-
-    whole = learn.learn_controller
-
-    def cut_short(record: Record, **given: object) -> LearnedController:
-        message = Message(LimitationCode.INTERRUPTED, "The search was interrupted.")
-        return dataclasses.replace(whole(record, **given), limitations=(message,))  # type: ignore[arg-type]
-
-    monkeypatch.setattr("jointid.controller_id.learn.learn_controller", cut_short)
-    time = np.arange(400) * 1e-3
-    log = Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)})
-    write_table(tmp_path / "log.csv", log)
-    (tmp_path / "joint.toml").write_text("[joint]\nkind = 'revolute'\n[drive]\nprofile = 'generic'\n", encoding="utf-8")
-    made, log = tmp_path / "out.toml", tmp_path / "log.csv"
-    assert run("learn-controller", tmp_path / "joint.toml", "--record", log, "--write", made, "-q") == 130
-    assert load(made).controller == learned
-    assert "interrupted" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -55,8 +55,6 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     """Learn the controller from a record.
 
     The record has reference, motor position and torque.
-    How long it takes is said before it begins. Ctrl-C ends the search with the best law so far, which is printed and
-    written as at its end.
 
     Args:
         joint: the joint file (TOML); channels and drive are enough. Of its [controller], if it has one, the gain is
@@ -83,8 +81,6 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     if write is not None:
         save_with_controller(file, learned.controller, write, options.record)
         show(f"Written: {write}")
-    if learned.interrupted:
-        raise KeyboardInterrupt
 
 
 def tune(
