@@ -188,35 +188,19 @@ def test_a_state_space_law() -> None:
     assert loads(JOINT + CHANNELS + "[controller]\n" + static).controller is not None
 
 
+@pytest.mark.parametrize("model", ["rigid", "flexible"])
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (CHANNELS + CASCADE, DIDIM()),  # even though there is a motor position
-        (CHANNELS, IDIM()),
-        (CHANNELS.replace("reference", "load_position") + CASCADE, IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
-    ],
-)
-def test_the_method(text: str, expected: object) -> None:
-    assert loads(JOINT + text).method == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        (CHANNELS + CASCADE, DIDIM()),
         (BOTH_ENCODERS + CASCADE, DIDIM()),  # even though there are both positions
         (BOTH_ENCODERS, IDIM()),
         (BOTH_ENCODERS.replace("reference", "injected") + CASCADE, IDIM()),
-        (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"', IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "didim"', DIDIM()),
+        (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
         (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", DIDIM(tolerance=1e-3)),
-        (CHANNELS + CASCADE + "[method]\nfrequency = 42.0", DIDIM(frequency=42.0)),
     ],
 )
-def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:
-    file = loads(JOINT + 'model = "flexible"\n' + text)
+def test_the_method(model: str, text: str, expected: object) -> None:
+    file = loads(f'{JOINT}model = "{model}"\n{text}')
     assert file.method == expected
     assert loads(dumps(file)) == file
 

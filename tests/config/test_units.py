@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from jointid.config import controller_text, dumps, edit, load, loads, replace_table
-from jointid.config.quantities import list_units
+from jointid.config.declaration import list_units
 from jointid.models.controllers import Cascade, DigitalFilter, FirstOrder, SecondOrder
 from jointid.models.limits import AxisLimits
 from tests.joint_files import JOINT, SMALLEST, told

@@ -2,8 +2,7 @@
 
 from jointid.config.axis import Axis
 from jointid.config.file import File
-from jointid.config.loading import dumps, load, loads
-from jointid.config.serialise import controller_text, save_with_controller
+from jointid.config.loading import controller_text, dumps, load, loads, save_with_controller
 from jointid.config.source import Run, Source
 from jointid.config.toml import edit, move_paths, name_record, replace_table
 

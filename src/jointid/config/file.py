@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import Fault, JointidError, MethodError, RecordError
+from jointid.common.errors import Fault, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.config.axis import Axis
@@ -20,7 +20,6 @@ from jointid.config.source import Run, Source
 from jointid.config.tables import FeedForward, FileTable
 from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.several_records import SeveralRecords
@@ -166,12 +165,6 @@ class File:
         """Whether the method simulates the motion under the controllers."""
         return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
 
-    @property
-    def design_settings(self) -> dict[str, Any]:
-        """Arguments of `design` for an estimate by this file."""
-        loop = None if isinstance(self.method, IDIM) else self.loop
-        return {"limits": self.limits, "filtering": self.filtering, "loop": loop}
-
     def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
         """Read the record of every axis, from one reading of the file; see `record`."""
         return self._read(path)
@@ -273,15 +266,6 @@ class File:
             record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
             unchecked=unchecked, progress=progress, **{"shown": self.declared_numbers} | asked,
         )  # fmt: skip
-
-    def explain(self, error: JointidError, record: Any, progress: Progress = ignore_progress) -> JointidError:
-        """Return the error of a failed identification, of a joint with its cause before it or in its place."""
-        if self.robot is not None:
-            return error
-        from jointid.diagnostics.find_causes import explain_failure
-
-        free = getattr(self.method, "free", ())
-        return explain_failure(error, record, self.loop, progress, self.declared_numbers, free)
 
     def identify_together(self, paths: Paths = (), progress: Progress = ignore_progress) -> Estimate:
         """Identify from several records in one fit, of a joint each with the load that the file lists for it.
