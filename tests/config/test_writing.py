@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError
-from jointid.config import controller_text, edit, load, loads, move_paths, name_record, replace_table
+from jointid.config import controller_text, edit, load, loads, move_paths, replace_table, save_with_controller
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, StateSpaceController
 from tests.joint_files import CASCADE, CHANNELS, JOINT, SMALLEST
@@ -66,24 +66,18 @@ def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: s
     assert edit(text, move_paths(tmp_path / "runs", tmp_path / "there" / ".." / "runs")) == text
 
 
-@pytest.mark.parametrize(
-    "record",
-    [
-        "[record]\nfile = 'old.csv'  # of Monday\ntime = 't'\n",
-        "[record]  # a log\ntime = 't'\n",
-        "[record]\nfiles = ['q.csv', 'tau.csv']  # of Monday\n",
-        "",
-    ],
-)
-def test_a_file_is_made_to_name_another_record(record: str) -> None:
-    before = f"# an axis\n[joint]\nkind = 'prismatic'\n\n{record}"
-    text = f"{before}[record.channels]\ntorque = {{ unit = 'N' }}\n[drive]\nprofile = 'generic'\n"
-    made = edit(text, name_record("logs/run 1.csv"))
-    expected = tomllib.loads(text)
-    expected["record"].pop("files", None)
-    expected["record"]["file"] = "logs/run 1.csv"
-    assert tomllib.loads(made) == expected
-    assert made.startswith("# an axis\n") and ("# of Monday" in made) == ("file = 'old.csv'  # of" in record)
+def test_a_file_is_made_to_name_another_record(tmp_path: Path) -> None:
+    law = Cascade(position_gain=1.0, velocity_gain=2.0)
+    for record in ('file = "old.csv"  # of Monday', 'files = ["q.csv", "tau.csv"]', 'time = "t"'):
+        file = loads(f"# an axis\n[record]\n{record}\n{SMALLEST}", tmp_path)
+        save_with_controller(file, law, tmp_path / "new.toml", tmp_path / "logs" / "run 1.csv")
+        again = load(tmp_path / "new.toml")
+        assert (again.source.first, again.source.files, again.controller) == (
+            str(tmp_path / "logs" / "run 1.csv"),
+            (),
+            law,
+        )
+        assert again.text.startswith("# an axis\n")
 
 
 def test_units_stand_beside_the_gains_of_a_written_controller() -> None:

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, MethodError, RecordError
@@ -33,9 +33,6 @@ from jointid.records.chunks import Log, begin_together
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
-
-if TYPE_CHECKING:
-    from jointid.controller_id.learned_controller import LearnedController
 
 Paths = Sequence[str | os.PathLike[str]]
 
@@ -189,7 +186,8 @@ class File:
         whole = None not in self.controllers and all(one.reference is not None for one in found)
         if whole or self._simulates or any(axis.computes_torque for axis in self.axes):
             found = self._fed_forward(found)
-        return self._of_axes(tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True)))
+        found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
+        return found[0] if self.robot is None else found
 
     def driving(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Read the signals that drive a simulation: reference and injection, others if present.
@@ -201,10 +199,8 @@ class File:
             RecordError: there is no such file, or it has no reference.
             MethodError: the feed-forward needs references of one rate.
         """
-        return self._of_axes(self._fed_forward(self._read(path, driving=True)))
-
-    def _of_axes(self, records: tuple[Record, ...]) -> Any:
-        return records[0] if self.robot is None else records
+        found = self._fed_forward(self._read(path, driving=True))
+        return found[0] if self.robot is None else found
 
     def _read(self, path: str | os.PathLike[str] | None, *, driving: bool = False) -> tuple[Record, ...]:
         """Read a table once, and make the record of each axis from it; all begin at one instant."""
@@ -286,24 +282,13 @@ class File:
         several = SeveralRecords(added_inertia=added, own=[run.own for run in runs], free=self.together)
         return self.identify(each, progress, several=several)
 
-    def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
-        """Learn the controller of a joint, in its own units, which the torque constant or its gain says.
-
-        Args:
-            record: what `record` gave.
-            progress: is called with each step.
-
-        Raises:
-            JointidError: see `jointid.learn_controller`.
-        """
-        from jointid.controller_id.learn import learn_controller
-
+    @property
+    def learn_settings(self) -> dict[str, Any]:
+        """Arguments of `jointid.learn_controller`; its units are those that the torque constant or its gain says."""
         gain: float = getattr(self.controller, "gain", 1.0)
         if gain != 1.0:  # of the motor's torque; the record's is the joint's
             gain *= abs(getattr(self.controller, "ratio", 1.0))
-        return learn_controller(
-            record, gain=gain, transmission=self.joint.transmission, declared=self.controller, progress=progress
-        )
+        return {"gain": gain, "transmission": self.joint.transmission, "declared": self.controller}
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
         """Return the record of a joint as one that is read in chunks, and identified in windows; see `record`.

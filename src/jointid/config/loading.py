@@ -16,19 +16,11 @@ from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.common.transmission import SIDES
+from jointid.config import toml
 from jointid.config.axis import Axis, build_axis
 from jointid.config.file import File, file_of_axis
 from jointid.config.tables import read_tables
-from jointid.config.toml import (
-    edit,
-    move_paths,
-    name_record,
-    parse_change,
-    parse_toml,
-    read_text,
-    relocate_path,
-    replace_table,
-)
+from jointid.config.toml import Tables, edit, move_paths, parse_change, parse_toml, relocate_path, replace_table
 from jointid.models.controllers import FILTERS, LAWS, Controller, numbers_of, unit_of_number
 
 _WORDS: Mapping[type, dict[str, str]] = {
@@ -59,7 +51,7 @@ def load(
         MethodError: the robot has no such joint.
         ExtraError: MuJoCo, which reads the model of a robot, is not installed.
     """
-    return _load(read_text(Path(path)), Path(path), changes, axis=axis, learn=learn)
+    return _load(toml.read_text(Path(path)), Path(path), changes, axis=axis, learn=learn)
 
 
 def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: Any) -> File:
@@ -133,9 +125,15 @@ def save_with_controller(
     Raises:
         JointFileError: the file cannot be written.
     """
-    changes = [replace_table(controller_text(controller, file.axis)), move_paths(file.path.parent, path.parent)]
-    if record is not None and not file.runs:
-        changes.append(name_record(relocate_path(os.fspath(record), Path.cwd(), path.parent)))
+
+    def name(tables: Tables) -> None:
+        if record is not None and not file.runs:
+            table = tables.setdefault("record", {})
+            for other in ("files", "offsets"):
+                table.pop(other, None)
+            table["file"] = relocate_path(os.fspath(record), Path.cwd(), path.parent)
+
+    changes = replace_table(controller_text(controller, file.axis)), move_paths(file.path.parent, path.parent), name
     try:
         write_whole(path, edit(file.text, *changes))
     except RecordError as error:

@@ -195,17 +195,6 @@ def move_paths(before: Path, after: Path) -> Change:
     return (lambda _: None) if before.resolve() == after.resolve() else change
 
 
-def name_record(file: str) -> Change:
-    """Return a change by which a joint file names another record, by its path from the file's folder."""
-
-    def change(tables: Tables) -> None:
-        for name in ("files", "offsets"):
-            tables.setdefault("record", {}).pop(name, None)
-        tables["record"]["file"] = file
-
-    return change
-
-
 def relocate_path(path: str, before: Path, after: Path) -> str:
     """Return a relative path as seen from another folder."""
     there = (before / path).resolve()
