@@ -357,16 +357,12 @@ def _matrix(quaternion: FloatArray) -> FloatArray:
 def reorder_joints(robot: Robot, names: Sequence[str]) -> Robot:
     """Return a robot with its joints in the given order, parents before children."""
     rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
-    chosen = list(_sort_links(robot, [rank.get(name, len(rank)) for name in robot.names]))
-    place = {-1: -1} | {old: new for new, old in enumerate(chosen)}
+    left = sorted(range(len(robot)), key=lambda i: rank.get(robot.names[i], len(rank)))
+    place = {-1: -1}
+    while left:
+        following = next(i for i in left if robot.links[i].parent in place)
+        left.remove(following)
+        place[following] = len(place) - 1
+    chosen = [old for old in place if old >= 0]
     links = tuple(replace(robot.links[old], parent=place[robot.links[old].parent]) for old in chosen)
     return replace(robot, links=links, joints=tuple(robot.joints[old] for old in chosen))
-
-
-def _sort_links(robot: Robot, ranks: list[int]) -> Iterator[int]:
-    left, there = sorted(range(len(robot)), key=lambda i: ranks[i]), {-1}
-    while left:
-        following = next(i for i in left if robot.links[i].parent in there)
-        left.remove(following)
-        there.add(following)
-        yield following
