@@ -6,7 +6,6 @@ import dataclasses
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
@@ -16,12 +15,8 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import (
     PD,
-    POSITION,
-    REFERENCE,
-    REFERENCE_VELOCITY,
     Cascade,
     DigitalFilter,
-    StateSpaceController,
 )
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
@@ -165,27 +160,6 @@ def test_ripple() -> None:
     assert file.parameters["load_harmonic_1_sine"].start == 0.5
     assert [p.name for p in file.joint.parameters[-2:]] == ["load_harmonic_1_cosine", "load_harmonic_1_sine"]
     assert file.joint.rigid == RigidJoint("prismatic", ripple=PositionHarmonics(0.005))
-
-
-def test_a_state_space_law() -> None:
-    text = """[controller]
-    law = "state_space"
-    A = [[0.5]]
-    C = [1.0]
-    B = { position = [1.0], excess = [0.1] }
-    D = { reference = 3.0, position = -3.0 }
-    limit = 2.0
-    """
-    law = loads(JOINT + CHANNELS + text).controller
-    assert isinstance(law, StateSpaceController)
-    lowered = law.law(1e-3)
-    columns = [REFERENCE, REFERENCE_VELOCITY, POSITION]
-    np.testing.assert_array_equal(lowered.B[0, :, columns], [[0.0], [0.0], [1.0]])
-    np.testing.assert_array_equal(lowered.D[0, 0, columns], [3.0, 0.0, -3.0])
-    np.testing.assert_array_equal(lowered.F, [[[0.1]]])
-    assert lowered.limit == 2.0
-    static = 'law = "state_space"\nA = []\nB = {}\nC = []\nD = { reference = 1.0, position = -1.0 }\n'
-    assert loads(JOINT + CHANNELS + "[controller]\n" + static).controller is not None
 
 
 @pytest.mark.parametrize("model", ["rigid", "flexible"])

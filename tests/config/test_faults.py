@@ -65,16 +65,6 @@ FAULTS = [
     (SMALLEST + "[filtering]\ndecimation = 2.5", "filtering.decimation value"),
     (SMALLEST + "[method]\niterations = 0xffffffffffffffff", "method.iterations value"),
     (SMALLEST + '[filtering]\npreset = "published"\ncutoff = 3.0', "filtering.cutoff contradiction"),
-    (
-        JOINT + CHANNELS + '[controller]\nlaw = "state_space"\nA = [[1.0, 2.0], [1.0]]\nB = {}\nC = [1.0, 2.0]\nD = {}',
-        "controller.A contradiction",
-    ),
-    (
-        JOINT
-        + CHANNELS
-        + '[controller]\nlaw = "state_space"\nA = [[1.0]]\nB = { position = [1.0, 2.0] }\nC = [1.0]\nD = {}',
-        "controller contradiction",
-    ),
     (SMALLEST + '[drive]\nprofile = "abc"', "drive.profile value"),
     (
         SMALLEST.replace(JOINT, JOINT + "torque_constant = 0.7\n") + "[drive]\nrated_torque = 1\nrated_current = 2",

@@ -6,13 +6,12 @@ import dataclasses
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError
 from jointid.config import controller_text, edit, load, loads, move_paths, replace_table, save_with_controller
 from jointid.estimation.methods.didim import DIDIM
-from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, StateSpaceController
+from jointid.models.controllers import PID, Cascade, FirstOrder, Notch
 from tests.joint_files import CASCADE, CHANNELS, JOINT, SMALLEST
 
 SLOW = Cascade(position_gain=1.0, velocity_gain=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
@@ -24,8 +23,7 @@ NOTCHED = PID(
 @pytest.mark.parametrize("controller", [SLOW, NOTCHED, Cascade(position_gain=1.0, velocity_gain=2.0)])
 def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) -> None:
     before = f"# a joint\n{JOINT}{CHANNELS}"
-    nested = '[controller]  # drive\nlaw = "state_space"\nC = [1.0]\nA = [\n  [0.5]\n]\n[controller.B]\n'
-    nested += "position = [1.0]\n[controller.D]\nreference = 1.0\n\n"
+    nested = '[controller]  # drive\nlaw = "pd"\n[controller.velocity_filter]\nnumerator = [\n  0.5\n]\n\n'
     after = "[parameters]\noffset = 0.0  # kept\n"
     for old in ("", CASCADE, nested, '[[controller.torque_filters]]\nkind = "notch"\n'):
         made = edit(before + old + after, replace_table(controller_text(controller)))
@@ -110,14 +108,6 @@ def test_a_file_whose_controller_is_to_be_learned_needs_no_gains(table: str, gai
     assert isinstance(file.controller, Cascade | PID) and file.controller.gain == gain
     with pytest.raises(JointFileError):
         load(path, [] if table else ["controller.law=cascade"])
-
-
-def test_a_state_space_law_is_written() -> None:
-    law = StateSpaceController(A=np.eye(1) / 2, B={"position": np.ones(1)}, C=[1.0], D={"reference": 1.0})
-    again = loads(edit(SMALLEST, replace_table(controller_text(law)))).controller
-    assert again is not None
-    for name in ("A", "B", "C", "D", "F"):
-        np.testing.assert_array_equal(getattr(again.law(1.0), name), getattr(law.law(1.0), name))
 
 
 class Other(Cascade):

@@ -158,7 +158,7 @@ def controller_text(controller: Controller, axis: Axis | None = None) -> str:
     if "law" not in _WORDS.get(type(controller), {}) or side is None:
         raise JointFileError(
             f"A joint file has no word for the controller {type(controller).__name__} behind a ratio of {ratio:g}; "
-            f"give a StateSpaceController, and one of the ratios {', '.join(f'{one:g}' for one in seen.values())}."
+            f"give a cascade, a PD or a PID, of one of the ratios {', '.join(f'{one:g}' for one in seen.values())}."
         )
     table = {key: value for key, value in _plain(controller).items() if key not in ("ratio", "gain")}
     through = 1.0 if gear is None or side == "motor" else abs(gear.motor_per_load)
@@ -186,10 +186,6 @@ def _plain(value: Any) -> Any:
             if plain is not None and (default is MISSING or plain != _plain(default)):
                 found[field.name] = plain
         return found
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
+    if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return str(value) if isinstance(value, str) else value
+    return value.item() if isinstance(value, np.generic) else value
