@@ -202,31 +202,12 @@ def test_values_are_those_fixed_and_those_started_from() -> None:
         loads(SMALLEST).axis.values()
 
 
-# Methods without a controller
-
-_BARE = """
-[joint]
-kind = "revolute"
-model = "flexible"
-[record.channels]
-torque = { column = "i", unit = "A" }
-motor_position = { column = "q", unit = "rad" }
-[method]
-"""
-
-
-@pytest.mark.parametrize(
-    ("lines", "made"),
-    [
-        ('name = "drive_side"', DriveSideFit()),
-        ('name = "drive_side"\nlog_delay = -4e-4', DriveSideFit(-4e-4)),
-        ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
-    ],
-)
-def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit) -> None:
-    file = loads(_BARE + lines)
-    assert file.method == made
-    assert loads(dumps(file)).method == made
+def test_settings_of_the_drive_side_come_back() -> None:
+    text = JOINT + 'model = "flexible"\n' + CHANNELS + '[method]\nname = "drive_side"\nlog_delay = -4e-4\n'
+    for more, made in (("", DriveSideFit(-4e-4)), ('current_lag = "estimated"', DriveSideFit(-4e-4, None))):
+        file = loads(text + more)
+        assert file.method == made
+        assert loads(dumps(file)).method == made
 
 
 def test_the_files_on_the_page_are_right() -> None:
