@@ -90,7 +90,7 @@ class Axis:
         return () if law is None else self.units.numbers(law, self.controller)
 
     def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
-        """Return the record of this axis from a table of columns; see `File.record` and `File.driving`.
+        """Return the record of this axis from a table of columns; see `File.record`.
 
         Args:
             table: as the file of the record has it.

@@ -6,7 +6,7 @@ A joint file has one axis and no robot, a robot file an axis for each joint.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -162,11 +162,7 @@ class File:
         """Whether the method simulates the motion under the controllers."""
         return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
 
-    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read the record of every axis, from one reading of the file; see `record`."""
-        return self._read(path)
-
-    def record(self, path: str | os.PathLike[str] | None = None) -> Any:
+    def record(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> Any:
         """Read the record for `identify`: a `Record`, of a robot a tuple with one for each joint.
 
         A channel that the method does not need may be absent, except an injected signal: without it the torque
@@ -175,6 +171,7 @@ class File:
 
         Args:
             path: of the record, instead of the one that the file names.
+            driving: whether it is to drive a simulation, for which reference and injection are enough.
 
         Raises:
             RecordError: there is no such file, or it does not hold what the file says; `faults` has a
@@ -182,28 +179,16 @@ class File:
                 torque at the controller's limit; each names its joint of a robot.
             MethodError: the feed-forward needs references of one rate.
         """
-        found = self.records(path)
+        found = self.records(path, driving=driving)
         whole = None not in self.controllers and all(one.reference is not None for one in found)
-        if whole or self._simulates or any(axis.computes_torque for axis in self.axes):
+        if driving or whole or self._simulates or any(axis.computes_torque for axis in self.axes):
             found = self._fed_forward(found)
-        found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
+        if not driving:
+            found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
         return found[0] if self.robot is None else found
 
-    def driving(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Read the signals that drive a simulation: reference and injection, others if present.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-
-        Raises:
-            RecordError: there is no such file, or it has no reference.
-            MethodError: the feed-forward needs references of one rate.
-        """
-        found = self._fed_forward(self._read(path, driving=True))
-        return found[0] if self.robot is None else found
-
-    def _read(self, path: str | os.PathLike[str] | None, *, driving: bool = False) -> tuple[Record, ...]:
-        """Read a table once, and make the record of each axis from it; all begin at one instant."""
+    def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
+        """Read the record of every axis, from one reading of the file; all begin at one instant, see `record`."""
         path = self.record_path(path)
         table = self.source.read(path, self.path.parent)
         found, faults = list[Record](), dict[Fault, list[str]]()
@@ -234,23 +219,13 @@ class File:
 
         return add_feed_forward(self.loop, found, mode)
 
-    def identify(
-        self,
-        record: Any,
-        progress: Progress = ignore_progress,
-        *,
-        checks: bool = True,
-        unchecked: Callable[[Estimate], None] | None = None,
-        **asked: Any,
-    ) -> Estimate:
+    def identify(self, record: Any, progress: Progress = ignore_progress, **asked: Any) -> Estimate:
         """Identify the joint or the robot as the file says; see `jointid.identify`.
 
         Args:
             record: what `record` gave; or those of several logs of a robot, identified in one fit.
             progress: is called with each step.
-            checks: whether to check the estimate.
-            unchecked: is called with the estimate before its checks.
-            asked: further arguments of `jointid.identify`.
+            asked: further arguments of `jointid.identify`, as checks.
 
         Raises:
             JointidError: see `jointid.identify`.
@@ -259,8 +234,8 @@ class File:
         from jointid.diagnostics.identify import identify
 
         return identify(
-            record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
-            unchecked=unchecked, progress=progress, **{"shown": self.declared_numbers} | asked,
+            record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress,
+            **{"shown": self.declared_numbers} | asked,
         )  # fmt: skip
 
     def identify_together(self, paths: Paths = (), progress: Progress = ignore_progress) -> Estimate:

@@ -66,7 +66,8 @@ def design(
         _require_goal(file, goal)
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection, "within": within,
-        "progress": options.progress, "limits": file.limits, "motion": None if motion is None else file.driving(motion),
+        "progress": options.progress, "limits": file.limits,
+        "motion": None if motion is None else file.record(motion, driving=True),
     }  # fmt: skip
     if file.robot is None:
         record, estimate = options.identify(file, checks=False, whole=True)
