@@ -164,7 +164,7 @@ def test_each_record_has_the_payload_that_is_stated(folder: Path, monkeypatch: p
     assert file.inputs()[-1] == loaded
     one = file.record(folder / ".." / folder.name / "loaded.csv")  # every verb reads it so
     assert [record.payload for record in one] == [(), (), stated]
-    with pytest.raises(MethodError, match="A record states its payload, which is to be identified here"):
+    with pytest.raises(MethodError):
         identify_payload(file.setup, file.record(empty), one)
     for change in (("payload_mass = 2.0\n", ""), ("[0.01, 0", "[-5, 0")):
         with pytest.raises(JointFileError, match=r"records\.2"):
