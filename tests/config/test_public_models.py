@@ -201,6 +201,7 @@ def test_a_model_after_public_ones_is_read(name: str) -> None:
         (mass(2, SOLID.replace('0.1"', '0"').replace("0.25", "0.2")), 2.0, 0),  # of a rod
         (mass(2, '<inertia ixx="0.1" iyy="0.2" izz="0.25"/>'), 2.0, 0),
         ('<inertial><mass value="2"/></inertial>', 0.0, 1),
+        ('<inertial><inertia ixx="much"/></inertial>', 0.0, 1),
         ("<inertial/>", 0.0, 1),
     ],
 )

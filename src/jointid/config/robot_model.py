@@ -208,7 +208,7 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
         inertial = one.find("inertial")
         if inertial is not None and not _is_possible(inertial):
             stated = {value for part in inertial for value in part.attrib.values() if part.tag != "origin"}
-            if not stated or any(float(value) for value in stated):
+            if not stated or any(value.strip("+-0.eE ") for value in stated):
                 yield f"link {one.get('name')} has a mass or an inertia as no body can; both are taken as unknown"
             one.remove(inertial)
 
