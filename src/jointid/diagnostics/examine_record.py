@@ -323,7 +323,7 @@ def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
         yield Answer(Question.TORQUE, not coarse, (*coarse, said), Fault.TORQUE_COARSE if coarse else None)
         limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
         if math.isfinite(limit):
-            wrong = limit_faults(record, limit)
+            wrong = [*limit_faults(record, limit)]
             reached = float(np.max(np.abs(torque.values))) / limit
             said = f"the torque reaches {number(100 * reached, 3)} % of {number(limit, 4)} {torque.unit}"
             yield Answer(

@@ -145,13 +145,10 @@ class RecordReader:
             raise RecordError(faults)
         return record
 
-    @property
-    def _frame(self) -> Frame:
-        return Frame(self.drive, self.kind, self.transmission)
-
     def _select(self, table: Table, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns as declared, else by the drive's profile, else in the units of the file."""
-        profile, frame, faults = self.drive.traces, self._frame, list[str]()
+        profile, faults = self.drive.traces, list[str]()
+        frame = Frame(self.drive, self.kind, self.transmission)
         found = {channel: column for channel, column in wanted.items() if column.column}
         if profile is not None:
             kinds = {channel: frame.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
@@ -186,9 +183,10 @@ class RecordReader:
     ) -> dict[str, Signal]:
         """Return the channels in SI with their clocks, at the rows in which there are new numbers, unwrapped."""
         made, faults, gear = dict[str, Signal](), list[str](), self.transmission
+        frame = Frame(self.drive, self.kind, gear)
         for name in (n for n in dict.fromkeys((*POSITIONS, *columns)) if n in columns):  # the reference after the motor
             column, what = columns[name], f'{name} (column "{columns[name].column}")'
-            unit, side, held = self._frame.unit_of(name, columns), self.drive.side(name, column), name in TORQUES
+            unit, side, held = frame.unit_of(name, columns), self.drive.side(name, column), name in TORQUES
             factor, wrap, own = column.sign * column.gain * unit.factor, 0.0, column.time or clocks.get(column.column)
             scale = abs(factor * (1.0 if gear is None else gear.position(side)))
             try:

@@ -68,13 +68,11 @@ class Channel:
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=np.float64)
-        if values.ndim != 1 or values.size == 0:
+        if values.ndim != 1 or values.size == 0 or not 0 < self.sample_time < np.inf:
             raise RecordError(
-                f"A channel holds one value per sample; received an array of shape {values.shape}: "
-                "pass a non-empty one-dimensional array."
+                f"A channel has values in one dimension and a positive sample time [s]; got shape {values.shape} and "
+                f"{self.sample_time}: correct that."
             )
-        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
-            raise RecordError(f"A channel's sample time is a positive number of seconds; got {self.sample_time}.")
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "timing", Timing(self.timing))
@@ -116,11 +114,6 @@ class Injection:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "at", InjectionPoint(self.at))
-        if self.at is InjectionPoint.BEFORE_LIMIT and not self.in_torque:
-            raise RecordError(
-                "A signal injected before the limit is part of the controller's output, so the logged torque "
-                "contains it; set in_torque = true, or at = after_limit."
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,10 +189,15 @@ class Record(Documented):
         channels = dict(self.items())
         if not channels:
             raise RecordError("A record needs at least one channel; give the torque and the reference.")
-        if self.tap is Tap.MEASURED and self.injected is not None and not self.injected.in_torque:
+        added = self.injected
+        if (
+            added is not None
+            and not added.in_torque
+            and (self.tap is Tap.MEASURED or added.at is InjectionPoint.BEFORE_LIMIT)
+        ):
             raise RecordError(
-                "A measured torque contains whatever was injected before it acts; set in_torque = true, or "
-                "tap = command."
+                "A measured torque, and one behind the limit, contains what was injected before it; set "
+                "in_torque = true, or tap = command and at = after_limit."
             )
         longest = max(channel.duration for channel in channels.values())
         slack = max(channel.sample_time for channel in channels.values())

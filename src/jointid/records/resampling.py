@@ -32,13 +32,9 @@ _LARGEST = 10**8  # samples of one channel
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
-_LONGEST = 10_000  # samples within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
-
-WELL_SEEN = 0.1
-"""Share of a log's rate below which a position between two samples is known."""
 
 
 @add_settings_to_docstring
@@ -112,24 +108,18 @@ def bring_together(
 
 
 def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | None:
-    """Cut channels to their first common instant; None without one, or of clocks that begin apart."""
+    """Cut channels to the beginning of the latest; None if they have no sample there, or of clocks that begin apart."""
     if not signals:
         return {}, 0.0
     begins = {name: float(one.clock.straightened()[0]) for name, one in signals.items()}
     periods = {name: one.clock.sample_time for name, one in signals.items()}
-    near = CLOCK_TOLERANCE * min(periods.values())
-    if np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0]) > near:
+    near, latest = CLOCK_TOLERANCE * min(periods.values()), max(begins.values())
+    late = {name: (latest - begin) / periods[name] for name, begin in begins.items()}
+    apart = np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0])
+    if apart > near or any(abs(n - round(n)) * periods[name] > near for name, n in late.items()):
         return None
-    slowest = max(periods, key=periods.__getitem__)
-    times = begins[slowest] + np.arange(min(_LONGEST, len(signals[slowest].channel))) * periods[slowest]
-    late = {name: (times - begins[name]) / periods[name] for name in signals}
-    common = [(n > -0.5) & (np.abs(n - np.round(n)) * periods[name] <= near) for name, n in late.items()]
-    instants = np.flatnonzero(np.all(common, axis=0))
-    if not instants.size:
-        return None
-    first = {name: round(float(n[instants[0]])) for name, n in late.items()}
-    cut = {n: replace(one.channel, values=one.channel.values[first[n] :]) for n, one in signals.items()}
-    return cut, float(times[instants[0]]) - min(begins.values())
+    cut = {n: replace(one.channel, values=one.channel.values[round(late[n]) :]) for n, one in signals.items()}
+    return cut, latest - min(begins.values())
 
 
 def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
@@ -186,8 +176,7 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
     jittering = [one.clock for one in signals.values() if one.clock.jitter]
     told = dict[str, bool]()
     for one in (signals[name] for name in POSITIONS if name in signals):
-        follows = _follows_stamps(one) if one.clock.jitter and not one.picked else None
-        if follows is not None:
+        if one.clock.jitter and not one.picked and (follows := _follows_stamps(one)) is not None:
             told[one.clock.column] = follows or told.get(one.clock.column, False)
     resampled = any(told.values())
     straight = dict(signals)

@@ -162,11 +162,11 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray
         cutoff: Hz.
         sample_time: seconds.
     """
-    from scipy.signal import sosfiltfilt
+    from scipy.signal import butter, sosfiltfilt
 
-    padding = 3 * _POSITION_ORDER
+    padding, sections = 3 * _POSITION_ORDER, butter(_POSITION_ORDER, 2 * cutoff * sample_time, output="sos")
     _require_samples(values, padding)
-    return np.asarray(sosfiltfilt(_design_butterworth(2 * cutoff * sample_time), values, axis=0, padlen=padding))
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
 def _require_samples(values: FloatArray, padding: int) -> None:
@@ -235,14 +235,6 @@ def decimated_at(rows: int, samples: int, filtering: Filtering) -> NDArray[np.in
 
 
 @lru_cache(maxsize=64)
-def _design_butterworth(cutoff: float) -> FloatArray:
-    """Second-order sections of a position filter; cut-off relative to Nyquist."""
-    from scipy.signal import butter
-
-    return np.asarray(butter(_POSITION_ORDER, cutoff, output="sos"))
-
-
-@lru_cache(maxsize=64)
 def _design_decimation(cutoff: float) -> tuple[FloatArray, FloatArray]:
     """Second-order sections of the decimation filter, and their state at a constant of 1."""
     from scipy.signal import cheby1, sosfilt_zi
@@ -302,23 +294,8 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
             f"The torque acts {delay:g} s after its sample, and the record has {period * len(values):g} s; give "
             "another delay, or the estimate that identify wrote."
         )
-    weights, first = _window_weights(1, _BEGINS[channel.timing] + delay / period, 0)
-    padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
-    begin = first + max(-first, 0)
-    return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
-
-
-def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
-    """Weights of parts in the window of `window_parts`, and the first index."""
-    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
-    edges = np.arange(first, last + 1) / parts + late
-    inside = np.clip(edges, -2.0, 2.0)
-    before = (
-        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window before an edge
-        (2.0 - np.abs(inside)) / 4.0,
-        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
-    )[order]
-    return np.diff(before), first
+    late = _BEGINS[channel.timing] + delay / period
+    return window_parts(values[:, np.newaxis], 1, late)[: values.size, 0]
 
 
 def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *, curved: bool = False) -> FloatArray:
@@ -334,7 +311,15 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *
     Returns:
         The signals, or their derivatives, (samples, columns), each contiguous; exact, and smooth in `late`.
     """
-    weights, first = _window_weights(parts, late, order)
+    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
+    edges = np.arange(first, last + 1) / parts + late
+    inside = np.clip(edges, -2.0, 2.0)
+    before_edges = (
+        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window
+        (2.0 - np.abs(inside)) / 4.0,
+        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
+    )
+    weights = np.diff(before_edges[order])
     if curved:
         weights, first = np.convolve(weights, (-1 / 12, 7 / 6, -1 / 12)), first - 1
     cells, before, behind = len(columns), max(-first, 0), max(first + weights.size, 0)
