@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -45,11 +45,6 @@ class Clock:
     column: str = ""
     jitter: float = 0.0
     first: float = 0.0
-
-    def pick(self, rows: NDArray[np.bool_]) -> Clock:
-        """Return the clock of some rows, (samples,), at the distance of the first two."""
-        first, second = np.flatnonzero(rows)[:2]
-        return replace(self, stamps=self.stamps[rows], sample_time=float(second - first) * self.sample_time)
 
     def straightened(self) -> FloatArray:
         """Return the straight line through the stamps [s], (samples,)."""

@@ -242,7 +242,8 @@ class RecordReader:
             kept = _find_refreshes(values, period / clock.sample_time)
         if kept is None:
             return values, clock, False, remarks
-        clock = clock.pick(kept)
+        first_two = np.flatnonzero(kept)[:2]
+        clock = replace(clock, stamps=clock.stamps[kept], sample_time=float(np.diff(first_two)[0]) * clock.sample_time)
         if period is None and not resampled:
             remarks.append(
                 f"{what} has numbers in some rows: it is a channel with a sample every {clock.sample_time:g} s"
@@ -266,7 +267,8 @@ class RecordReader:
         if self.cut == Cut():
             return values
         at, stamps = find_stamps(table, time, self.time_unit, self.sample_time)
-        return values[self._find_rows(stamps[: values.size], values, at)]
+        stamps = stamps if at else stamps[: values.size]
+        return values[self._find_rows(stamps, values, at)] if stamps.size == values.size else values
 
     def _gain_faults(self, table: Table, time: str | None, clocks: Mapping[str, str]) -> Iterator[str]:
         """Yield gains of the log that are not the declared ones."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import pluralise
@@ -146,7 +145,7 @@ TORQUES = ("torque", "injected")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record(Documented):
+class Record:
     """Signals of one run; a channel that was not logged is None.
 
     Attributes:
@@ -226,21 +225,6 @@ class Record(Documented):
     def duration(self) -> float:
         """Duration of the shortest channel [s]."""
         return min(channel.duration for _, channel in self.items())
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Table of the channels."""
-        del details
-        rows = tuple(
-            (
-                name.replace("_", " "), channel.unit, str(len(channel)), f"{1e3 * channel.sample_time:.6g}",
-                f"{channel.values.min():.5g}", f"{channel.values.max():.5g}", channel.timing.value,
-                channel.source or "-",
-            )
-            for name, channel in self.items()
-        )  # fmt: skip
-        header = ("channel", "unit", "samples", "every [ms]", "min", "max", "timing", "source")
-        facts = (*common_facts(self.resampled, None), *(("remark", remark) for remark in self.remarks))
-        return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
 
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""
