@@ -233,8 +233,10 @@ def examine(
     checked += [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
     checked.sort(key=lambda one: one.question is not Question.RECORD)
 
+    about = f"{', '.join(first.channels).replace('_', ' ')}, {first.duration:.6g} s."
+
     def conclude(known: Sequence[Determined] = (), diagnosis: Diagnosis | None = None) -> Examination:
-        return Examination(first.name, first.sentence, tuple(checked), tuple(known), diagnosis, transmission=gear)
+        return Examination(first.name, about, tuple(checked), tuple(known), diagnosis, transmission=gear)
 
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
         return conclude()

@@ -193,7 +193,7 @@ def fit_line(stamps: FloatArray) -> tuple[float, FloatArray, NDArray[np.int64]]:
     return period, times - period * centred, np.asarray(np.maximum(skipped - 1, 0), dtype=np.int64)
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(all="ignore")
 def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
     """Refuse stamps [s], (samples,), that repeat, run backward or jump, if they may not.
 
@@ -201,16 +201,12 @@ def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
     """
     steps = np.diff(stamps)
     sample_time, largest = float(np.median(steps)) if steps.size else 0.0, float(np.max(np.abs(stamps), initial=0.0))
-    if not (largest <= _LATEST and sample_time >= 1 / _LATEST):
+    off = np.flatnonzero(~(np.abs(steps / sample_time - 1) <= _JUMP))
+    if not (largest <= _LATEST and sample_time >= 1 / _LATEST) or (off.size and not jumps):
+        at = int(off[0]) if off.size else 0
         raise RecordError(
-            f"{name} does not run forward: of its {stamps.size} stamps {np.count_nonzero(~np.isfinite(stamps))} are no "
-            f"numbers, {np.count_nonzero(steps == 0)} repeat, {np.count_nonzero(steps < 0)} step back, and the largest "
-            f"is {largest:.3g} s; name another time column, give its unit, or give sample_time without time."
-        )
-    off = np.flatnonzero(np.abs(steps / sample_time - 1) > _JUMP)
-    if off.size and not jumps:
-        raise RecordError(
-            f"{name} jumps {pluralise(off.size, 'time')}, first after sample {off[0]} (t = {stamps[off[0]]:g} s) by "
-            f"{steps[off[0]]:g} s (expected {sample_time:g} s); give part = 0 for the longest part between the jumps, "
-            "or resample to bridge short gaps; if only the stamps are wrong, give sample_time without time."
+            f"{name} jumps {pluralise(off.size, 'time')}, repeats or does not run forward, first after sample {at} of "
+            f"{stamps.size} (t = {stamps[at]:g} s; expected steps of {sample_time:g} s); give part = 0 for the longest "
+            "part between the jumps, or resample to bridge short gaps; or name another time column, or its unit; if "
+            "only the stamps are wrong, give sample_time without time."
         )

@@ -16,7 +16,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
-from jointid.common.text import pluralise
 from jointid.records.clock import CLOCK_TOLERANCE, Clock, fit_line
 from jointid.records.columns import POSITIONS
 from jointid.records.record import Channel, Resampled, Timing
@@ -135,16 +134,14 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
         period, deviations, left_out = fit_line(stamps[name])
         off.setdefault(one.clock.column, deviations / period)
         gaps.setdefault(one.clock.column, int(np.count_nonzero(left_out)))
-        if (longest := int(left_out.max())) > how.longest_gap or np.any(np.diff(stamps[name]) <= 0):
+        longest, averaged = int(left_out.max()), one.channel.timing is Timing.AVERAGED
+        lower = not averaged and _LOWER_RATE * period < T
+        if lower or longest > how.longest_gap or np.any(np.diff(stamps[name]) <= 0):
             faults.append(
-                f"The stamps of {name} leave out up to {pluralise(longest, 'sample')} in a row (at most "
-                f"{how.longest_gap} are bridged), step back, or repeat with other values; cut the record there, set "
-                "longest_gap, or give sample_time without time if only the stamps are wrong."
-            )
-        if one.channel.timing is not Timing.AVERAGED and _LOWER_RATE * period < T:
-            faults.append(
-                f"{name} has a sample every {period:g} s, and what is fast in it would alias if resampled "
-                f"to {T:g} s; give a shorter sample time: [filtering] then decimates torque and model alike."
+                f"{name} has a sample every {period:g} s, and leaves out up to {longest}; resampled to {T:g} s "
+                f"it must not alias; expected stamps that run forward and leave out {how.longest_gap} at most: cut "
+                "the record, set longest_gap, give a shorter sample time ([filtering] decimates torque and model "
+                "alike), or sample_time without time if only the stamps are wrong."
             )
     if faults:
         raise RecordError(list(dict.fromkeys(faults)))

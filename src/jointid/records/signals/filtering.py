@@ -97,17 +97,12 @@ class Filtering:
         cutoff = self.cutoff or allowed
         lowered = max(cutoff, allowed) / by_rate
         position = self.position_cutoff or (widest if lowered >= 1.0 else lowered * widest)
-        for name, value in (("position_cutoff", position), ("cutoff", cutoff)):
-            if value >= nyquist:
-                raise MethodError(
-                    f"{name} = {value:g} Hz is not below the Nyquist frequency of {nyquist:g} Hz; lower it."
-                )
         most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
-        if self.decimation is not None and self.decimation > most:
+        if max(position, cutoff) >= nyquist or (self.decimation or 1) > most:
             raise MethodError(
-                f"Keeping one sample in {self.decimation} puts the new Nyquist frequency at "
-                f"{nyquist / self.decimation:.4g} Hz, too close to the cut-off of {cutoff:g} Hz: keep at least one "
-                f"in {most}, or lower the cut-off."
+                f"Cut-offs are below the Nyquist frequency of {nyquist:g} Hz, and one sample in {most} is kept, or "
+                f"more, as the new one is too close; got position_cutoff = {position:g} Hz, cutoff = {cutoff:g} Hz and "
+                f"decimation = {self.decimation}: lower them."
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
@@ -118,13 +113,7 @@ class Filtering:
             RecordError: too few of them are left to be filtered.
         """
         first, last = self.borders
-        left, needed = max(samples - first - last, 0), 3 * _ORDER
-        if left <= needed:
-            raise RecordError(
-                f"The record has {samples} samples, of which {left} are left between the borders of {first} and "
-                f"{last}, and the filter needs more than {needed}; log faster or longer, or give smaller "
-                "filtering.borders."
-            )
+        _require_samples(max(samples - first - last, 0), 3 * _ORDER)
         return slice(first, samples - last)
 
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
@@ -165,15 +154,15 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray
     from scipy.signal import butter, sosfiltfilt
 
     padding, sections = 3 * _POSITION_ORDER, butter(_POSITION_ORDER, 2 * cutoff * sample_time, output="sos")
-    _require_samples(values, padding)
+    _require_samples(len(values), padding)
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
-def _require_samples(values: FloatArray, padding: int) -> None:
-    if len(values) <= padding:
+def _require_samples(samples: int, padding: int) -> None:
+    if samples <= padding:
         raise RecordError(
-            f"A record of {len(values)} samples is too short to filter: more than {padding} are needed; "
-            "use a longer record."
+            f"A record of {samples} samples, without its borders, is too short to filter: more than {padding} are "
+            "needed; log faster or longer, or give smaller filtering.borders."
         )
 
 
@@ -202,7 +191,7 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
-    _require_samples(parts[0], padding)
+    _require_samples(samples, padding)
     sections, initial = _design_decimation(2 * filtering.cutoff * sample_time)
     rows = np.ascontiguousarray(np.column_stack(parts), dtype=np.float64)
     rows = np.pad(rows, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
