@@ -94,17 +94,13 @@ def _rate_faults(record: Record) -> Iterator[str]:
 
 def still_faults(record: Record) -> Iterator[str]:
     """Yield the faults of a constant torque or reference."""
-    torque, reference = record.torque, record.reference
-    if torque is not None and np.ptp(torque.values) == 0:
-        yield (
-            f"The torque is {torque.values[0]:g} {torque.unit} in every sample: there is nothing to identify; check "
-            "which column is the torque."
-        )
-    if reference is not None and record.injected is None and np.ptp(reference.values) == 0:
-        yield (
-            f"The reference stays at {reference.values[0]:g} {reference.unit}: the joint was not asked to move; "
-            "record a motion, or check which column is the reference."
-        )
+    asked = record.reference if record.injected is None else None
+    for name, channel in (("torque", record.torque), ("reference", asked)):
+        if channel is not None and np.ptp(channel.values) == 0:
+            yield (
+                f"The {name} stays at {channel.values[0]:g} {channel.unit}: there is nothing to identify; record a "
+                f"motion, or check which column is the {name}."
+            )
 
 
 def limit_faults(record: Record, limit: float, side: str | None = None) -> Iterator[str]:

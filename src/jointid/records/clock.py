@@ -68,7 +68,7 @@ def find_stamps(
         RecordError: there is no clock, or its unit is unknown.
     """
     if sample_time is not None and time is None:
-        return "", uniform_stamps(sample_time, table.rows)
+        return "", np.arange(table.rows) * sample_time
     names = [name for name in table.columns if name == time or (time is None and TIME_NAME.fullmatch(name))]
     if len(names) != 1:
         why = table.explain_missing([time] if time else (one for one in table.passed if TIME_NAME.fullmatch(one)))
@@ -79,13 +79,6 @@ def find_stamps(
         )
     (column,) = names
     return column, table.columns[column] * seconds_of(table, column, time_unit)
-
-
-def uniform_stamps(sample_time: float, samples: int, first: float = 0.0) -> FloatArray:
-    """Return the instants of samples without stamps, from `first` on [s]."""
-    if not 0 < sample_time < np.inf:
-        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
-    return np.asarray(first + np.arange(samples) * sample_time, dtype=np.float64)
 
 
 def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, resampled: bool = False) -> Clock:

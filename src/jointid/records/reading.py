@@ -20,7 +20,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
-from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of, uniform_stamps
+from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of
 from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, unwrap
 from jointid.records.drives import Drive, Frame, index_columns
 from jointid.records.formats import Table, read_table
@@ -107,8 +107,14 @@ class RecordReader:
     def __post_init__(self) -> None:
         if unknown := [channel for channel in self.columns if channel not in CHANNELS]:
             raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
-        if self.kind not in units.POSITION_UNITS:
-            raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
+        if (
+            self.kind not in units.POSITION_UNITS
+            or not 0 < (1.0 if self.sample_time is None else self.sample_time) < np.inf
+        ):
+            raise RecordError(
+                f'A joint is "prismatic" or "revolute", and a sample time positive [s]; got "{self.kind}" and '
+                f"{self.sample_time}."
+            )
 
     def build_record(self, table: Table, name: str) -> Record:
         """Build the record that a table holds."""
@@ -227,7 +233,7 @@ class RecordReader:
         except RecordError:
             if period is None:
                 raise
-            stamps = uniform_stamps(period, values.size, first)
+            stamps = first + np.arange(values.size) * period
             rows = self._find_rows(stamps, values)
             clock = fit_clock("", stamps[rows], period)
         if again := int(np.count_nonzero(_repeats(stamps, values))):
@@ -238,7 +244,8 @@ class RecordReader:
             raise RecordError(faults)
         if kept is None and period is not None:
             if period < _SLOWER * clock.sample_time:  # samples of its own
-                return values, fit_clock("", uniform_stamps(period, values.size, clock.first), period), False, remarks
+                stamps = clock.first + np.arange(values.size) * period
+                return values, fit_clock("", stamps, period), False, remarks
             kept = _find_refreshes(values, period / clock.sample_time)
         if kept is None:
             return values, clock, False, remarks

@@ -256,11 +256,8 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
 
     The torque is in `torque_unit`; None is SI.
     """
-    wrong = []
-    for name, channel in record.items():
-        expected = torque_unit if torque_unit and name in TORQUES else si_unit(name, kind)
-        if channel.unit != expected:
-            wrong.append(f"{name} in {channel.unit}, not {expected}")
+    units_of = {name: torque_unit if torque_unit and name in TORQUES else si_unit(name, kind) for name in CHANNELS}
+    wrong = [f"{n} in {one.unit}, not {units_of[n]}" for n, one in record.items() if one.unit != units_of[n]]
     if wrong:
         raise RecordError(
             f"This {kind} joint does not fit the record, which has {'; '.join(wrong)}: correct the joint's kind, "
