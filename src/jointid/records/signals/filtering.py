@@ -100,8 +100,8 @@ class Filtering:
         most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
         if max(position, cutoff) >= nyquist or (self.decimation or 1) > most:
             raise MethodError(
-                f"Cut-offs are below the Nyquist frequency, {nyquist:g} Hz, and the decimation is {most} at most for this "
-                f"cut-off; got position_cutoff = {position:g} Hz, cutoff = {cutoff:g} Hz and decimation = "
+                f"Cut-offs are below the Nyquist frequency, {nyquist:g} Hz, and the decimation is at most {most} for "
+                f"this cut-off; got position_cutoff = {position:g} Hz, cutoff = {cutoff:g} Hz and decimation = "
                 f"{self.decimation}: lower what is above."
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
