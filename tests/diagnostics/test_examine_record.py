@@ -258,7 +258,7 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     assert record.torque is not None
     dead = replace(record.torque, values=0.0 * record.torque.values)
     found = examine(record.with_channels({"torque": dead}), loop)
-    assert "stays at 0 N m" in found.sentence
+    assert "0 N m: there is nothing to identify" in found.sentence
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
     found = examine(Record(**short, name="short"), loop)  # type: ignore[arg-type]
     assert not found.healthy
