@@ -189,11 +189,8 @@ class Record:
         if not channels:
             raise RecordError("A record needs at least one channel; give the torque and the reference.")
         added = self.injected
-        if (
-            added is not None
-            and not added.in_torque
-            and (self.tap is Tap.MEASURED or added.at is InjectionPoint.BEFORE_LIMIT)
-        ):
+        before = added is not None and added.at is InjectionPoint.BEFORE_LIMIT
+        if added is not None and not added.in_torque and (before or self.tap is Tap.MEASURED):
             raise RecordError(
                 "A measured torque, and one behind the limit, contains what was injected before it; set "
                 "in_torque = true, or tap = command and at = after_limit."
