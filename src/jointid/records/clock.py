@@ -68,7 +68,7 @@ def find_stamps(
         RecordError: there is no clock, or its unit is unknown.
     """
     if sample_time is not None and time is None:
-        return "", np.arange(table.rows) * sample_time
+        return "", np.asarray(np.arange(table.rows) * sample_time, dtype=np.float64)
     names = [name for name in table.columns if name == time or (time is None and TIME_NAME.fullmatch(name))]
     if len(names) != 1:
         why = table.explain_missing([time] if time else (one for one in table.passed if TIME_NAME.fullmatch(one)))

@@ -233,7 +233,7 @@ class RecordReader:
         except RecordError:
             if period is None:
                 raise
-            stamps = first + np.arange(values.size) * period
+            stamps = np.asarray(first + np.arange(values.size) * period, dtype=np.float64)
             rows = self._find_rows(stamps, values)
             clock = fit_clock("", stamps[rows], period)
         if again := int(np.count_nonzero(_repeats(stamps, values))):
@@ -244,7 +244,7 @@ class RecordReader:
             raise RecordError(faults)
         if kept is None and period is not None:
             if period < _SLOWER * clock.sample_time:  # samples of its own
-                stamps = clock.first + np.arange(values.size) * period
+                stamps = np.asarray(clock.first + np.arange(values.size) * period, dtype=np.float64)
                 return values, fit_clock("", stamps, period), False, remarks
             kept = _find_refreshes(values, period / clock.sample_time)
         if kept is None:
