@@ -131,9 +131,9 @@ class RecordReader:
         signals = self._log(table, columns, time, clocks)
         channels, begin, done, said = bring_together(signals, self.resample)
         # The file begins with the first row of its clocks, which no channel may use.
-        unused = set(clocks.values())
-        origins = [self._cut(table, one, one)[0] * seconds_of(table, one, self.time_unit) for one in unused]
-        origins += [one.clock.first for one in signals.values()]
+        origins = [one.clock.first for one in signals.values()]
+        for one in set(clocks.values()):
+            origins.append(float(self._cut(table, one, one)[0]) * seconds_of(table, one, self.time_unit))
         first = min((float(one.clock.stamps[0]) for one in signals.values()), default=0.0)
         logged: dict[str, Any] = dict(channels)
         if "torque" in logged:
@@ -143,7 +143,7 @@ class RecordReader:
         record = Record(
             **logged,
             name=self.name or name,
-            begin=begin + (first - float(min(origins, default=first))),
+            begin=begin + (first - min(origins, default=first)),
             resampled=done,
             remarks=tuple(dict.fromkeys((*(r for one in signals.values() for r in one.remarks), *said))),
         )
@@ -242,24 +242,21 @@ class RecordReader:
         kept = _find_filled_rows(values, resampled=resampled)
         if kept is None and (faults := finite_faults(what, values)):
             raise RecordError(faults)
+        if kept is None and period is not None and period < _SLOWER * clock.sample_time:  # samples of its own
+            stamps = np.asarray(clock.first + np.arange(values.size) * period, dtype=np.float64)
+            return values, fit_clock("", stamps, period), False, remarks
         if kept is None and period is not None:
-            if period < _SLOWER * clock.sample_time:  # samples of its own
-                stamps = np.asarray(clock.first + np.arange(values.size) * period, dtype=np.float64)
-                return values, fit_clock("", stamps, period), False, remarks
             kept = _find_refreshes(values, period / clock.sample_time)
         if kept is None:
             return values, clock, False, remarks
-        first_two = np.flatnonzero(kept)[:2]
-        clock = replace(clock, stamps=clock.stamps[kept], sample_time=float(np.diff(first_two)[0]) * clock.sample_time)
+        every = float(np.diff(np.flatnonzero(kept)[:2])[0]) * clock.sample_time
         if period is None and not resampled:
-            remarks.append(
-                f"{what} has numbers in some rows: it is a channel with a sample every {clock.sample_time:g} s"
-            )
-        if period is not None and not resampled and not is_same_rate(clock.sample_time, period):
+            remarks.append(f"{what} has numbers in some rows: it is a channel with a sample every {every:g} s")
+        elif period is not None and not resampled and not is_same_rate(every, period):
             raise RecordError(
                 f"{what} has no new number every {period:g} s, as its sample_time says; correct that, or leave it out."
             )
-        return values[kept], clock, True, remarks
+        return values[kept], replace(clock, stamps=clock.stamps[kept], sample_time=every), True, remarks
 
     def _find_rows(self, stamps: FloatArray, values: FloatArray, clock: str = "") -> NDArray[np.bool_]:
         """Return the samples of a column within the cut, (samples,), without those that repeat stamp and value."""
