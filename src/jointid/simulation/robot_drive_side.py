@@ -24,7 +24,7 @@ from jointid.simulation.kernels.engine import STATE
 from jointid.simulation.plant import HEAVY, motion_of, move_motors, pass_on
 from jointid.simulation.prescribed import motion_at_edges, part_means
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import columns_of, rows_of, seeds_of, slopes_at_start
+from jointid.simulation.robot_sensitivities import columns_of, seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
 from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
 
@@ -171,25 +171,25 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
         run: that finished.
         places: of the parameters.
     """
-    from jointid.simulation.kernels import robot_variation as kernels
+    from jointid.simulation.kernels.drive_sensitivities import Moved, Slopes
+    from jointid.simulation.kernels.variation import follow
 
-    prescribed, numbers, tape, count = run.prescribed, _with_heavy_motors(run.numbers), run.tape, len(places)
+    prescribed, numbers, count = run.prescribed, _with_heavy_motors(run.numbers), len(places)
     n, parts = numbers.rotors.size, len(prescribed.direction)
     dq, dv = np.zeros((len(numbers.masses), count)), np.zeros((len(numbers.masses), count))
     of_robot = [c for c, place in enumerate(places) if place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)]
-    rows = np.array([(NumberOf.MASS, numbers.rotors[0], 3)] * count, dtype=np.int64).reshape(-1, 3)  # moves nothing
-    moving = tuple(places[c] for c in of_robot)
-    rows[of_robot] = rows_of(numbers, moving)
-    dq[:, of_robot], _ = slopes_at_start(prescribed, run.numbers, run.start, np.zeros(n), moving)
+    dq[:, of_robot], _ = slopes_at_start(
+        prescribed, run.numbers, run.start, np.zeros(n), tuple(places[c] for c in of_robot)
+    )
     for c, place in enumerate(places):
         if place.of is NumberOf.BESIDE:
             (dv if place.column else dq)[place.row, c] = 1.0
     found = np.zeros((n, parts + 1, count))
-    at_start = kernels.Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)))
-    loop = pass_on(run.command[:, np.newaxis], prescribed.step)
-    kernels.differentiate_run(
-        prescribed.tree, numbers.inertials, numbers.plant, loop, np.zeros(n), run.command, np.zeros((n, 0, 0)), tape,
-        rows, seeds_of(numbers, places), at_start, np.zeros((n, parts + 1, 0)), found,
+    moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
+    follow(
+        numbers.plant, prescribed.tree, numbers.inertials, pass_on(run.command[:, np.newaxis], prescribed.step),
+        np.zeros(n), run.command, np.zeros((n, 0, 1)), run.tape, seeds_of(prescribed.tree, numbers, places), moved,
+        Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), found),
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)
 

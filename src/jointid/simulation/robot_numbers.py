@@ -237,7 +237,7 @@ def spring_of(row: AnyArray, law: Spring | None) -> AnyArray:
 
 
 class NumberOf(IntEnum):
-    """Owner of a parameter: an array of `RobotNumbers`; or none, of a torque added to a controller's output."""
+    """Owner of a parameter: an array of `RobotNumbers`."""
 
     LINK = 0
     MASS = 1
@@ -245,7 +245,6 @@ class NumberOf(IntEnum):
     BESIDE = 3
     LOG = 4
     DELAY = 5
-    PUSH = 6
 
 
 @dataclass(frozen=True, slots=True)

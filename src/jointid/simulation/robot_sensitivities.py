@@ -1,13 +1,13 @@
 """Derivatives of a robot's torques by its parameters: by variation of a run, or as columns at a known motion.
 
-The variation is that of `kernels.robot_variation`.
+The variation is that of `kernels.variation`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,9 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import first_state
+from jointid.simulation.kernels.engine import HIGH
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
-from jointid.simulation.plant import IMAGINARY, slope
+from jointid.simulation.plant import IMAGINARY, pack_seeds, slope
 from jointid.simulation.robot_numbers import (
     MassNumbers,
     NumberOf,
@@ -47,7 +48,9 @@ from jointid.simulation.robot_start import (
 from jointid.simulation.robots import MassMotion, RobotRun, motion_at
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.robot_variation import Moved, Seeds
+    from jointid.simulation.kernels.variation import Seeds
+
+Start: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 _RELATIVE = 1e-6  # of a number, or of 1 where that is more: differences of laws
 _SMALL = 1e-7  # rad: differences of the load
@@ -82,8 +85,6 @@ def respond_to_laws(
         Of each joint what its own law adds as the motion changes, (samples, changes); of each change the difference of
         the two laws along the motion of the run, (samples,).
     """
-    from jointid.simulation.kernels.robot_variation import Moved
-
     clock, n, count = run.experiment.clock, run.numbers.rotors.size, len(changes)
     position = motion_at(run, clock.lengths.size * np.arange(clock.steps)).position[:, run.numbers.rotors]
     pushes, direct = np.zeros((count, clock.steps)), list[FloatArray]()
@@ -96,10 +97,10 @@ def respond_to_laws(
         push[:] = clock.repeat(j, acts - before.output)
         shown = (to_log(one, seen_torque(one, of.output)) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
-    places = tuple(NumberPlace(NumberOf.PUSH, j, i) for i, (j, _) in enumerate(changes))
     still, states = np.zeros((len(run.numbers.masses), count)), run.experiment.sampled.feedback.A.shape[-1]
-    moved = Moved(still, still.copy(), np.zeros((n, states, count)), np.zeros((n, count)))
-    return _follow(run, places, moved, pushes), direct
+    pushing = [(i, j) for i, (j, _) in enumerate(changes)]
+    start = still, still, np.zeros((n, states, count))
+    return _follow(run, (), start, pushing, pushes), direct
 
 
 def _run_law(experiment: LoopInput, position: FloatArray, speed: float) -> LawRun:
@@ -110,31 +111,33 @@ def _run_law(experiment: LoopInput, position: FloatArray, speed: float) -> LawRu
 
 
 def _follow(
-    run: RobotRun, places: tuple[NumberPlace, ...], moved: Moved, pushes: FloatArray | None = None
-) -> list[FloatArray]:
+    run: RobotRun, places: tuple[NumberPlace, ...], start: Start, pushes: Sequence[tuple[int, int]] = (),
+    pushed: FloatArray | None = None,
+) -> list[FloatArray]:  # fmt: skip
     """Return the derivatives of the torques as the log shows them, by joint, (samples, parameters) each.
 
     Pushes, (pushes, clock), are torques added to controllers' outputs; in the result they are left out.
     """
-    from jointid.simulation.kernels import robot_variation as kernels
+    from jointid.simulation.kernels.drive_sensitivities import Moved, Slopes
+    from jointid.simulation.kernels.variation import follow
+    from jointid.simulation.plant import NO_LINKS
 
     experiment, clock, numbers = run.experiment, run.experiment.clock, run.experiment.carrying(run.numbers)
-    rows = rows_of(run.numbers, places)
-    command = np.zeros((len(experiment.experiments), clock.steps, len(rows)))
-    seeds = seeds_of(run.numbers, places)
-    seeds = seeds if pushes is None else seeds._replace(pushes=pushes)
-    kernels.differentiate_run(
-        experiment.tree, numbers.inertials, numbers.plant, experiment.sampled, run.before, run.command, run.excess,
-        run.tape, rows, seeds, moved, command, np.zeros((len(command), 0, 0)),
+    (n, _, elements), count = run.excess.shape, start[0].shape[1]
+    command = np.zeros((n, clock.steps, count))
+    moved = Moved(*start, np.zeros((n, 0, elements, 0)), count, np.zeros((n, elements, count)))
+    plant, seeds = numbers.plant, seeds_of(experiment.tree, numbers, places, pushes, pushed)
+    follow(
+        plant, experiment.tree, numbers.inertials, experiment.sampled, run.before, run.command, run.excess, run.tape,
+        seeds, moved, Slopes(command, np.zeros((0, 4, count)), NO_LINKS),
     )  # fmt: skip
-    for c, (kind, j, push) in enumerate(rows):
-        if kind == NumberOf.PUSH:
-            command[j, :, c] -= seeds.pushes[push]
+    for column, j in pushes:
+        command[j, :, column] -= seeds.pushed[column]
     found = []
     for j, each in enumerate(experiment.experiments):
         logged = to_log(each, clock.own(j, command[j], each.periods))
-        late = np.flatnonzero((rows[:, 0] == NumberOf.DELAY) & (rows[:, 1] == j))
-        if late.size and each.tap is Tap.MEASURED and each.timing is Timing.AVERAGED:
+        late = [c for c, place in enumerate(places) if place.of is NumberOf.DELAY and place.row == j]
+        if late and each.tap is Tap.MEASURED and each.timing is Timing.AVERAGED:
             # An edge that moves takes its height from the mean over the sample time it stands in.
             torque = acting(each, seen_torque(each, clock.own(j, run.command[j], each.periods)))
             edges = -np.diff(torque, prepend=torque[0])
@@ -143,39 +146,34 @@ def _follow(
     return found
 
 
-def rows_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> IntArray:
-    """Return of each parameter the array of the kernels, its row and its column."""
-    spring = np.cumsum(numbers.flexible) - 1
-    found = [(p.of, spring[p.row] if p.of is NumberOf.SPRING else p.row, p.column) for p in places]
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
-
-
-def seeds_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> Seeds:
+def seeds_of(
+    tree: Tree, numbers: RobotNumbers, places: Sequence[NumberPlace], pushes: Sequence[tuple[int, int]] = (),
+    pushed: FloatArray | None = None,
+) -> Seeds:  # fmt: skip
     """Return how the numbers that the kernels read depend on parameters, by a complex step: rational functions."""
-    from jointid.simulation.kernels.robot_variation import Seeds
-
-    plant = numbers.plant
-    masses = np.zeros((len(places), *plant.masses.shape[1:]))
-    springs = np.zeros((len(places), *plant.springs.shape[1:]))
+    spring, blocks = len(numbers.masses) - 1 + np.cumsum(numbers.flexible), []
     for c, place in enumerate(places):
         if place.of not in (NumberOf.MASS, NumberOf.SPRING):
             continue
         row = numbers.arrays[place.of][place.row].astype(np.complex128)
         row[place.column] += 1j * IMAGINARY
-        of_mass = place.of is NumberOf.MASS
-        own = mass_of(row, numbers.frictions[place.row]) if of_mass else spring_of(row, numbers.laws[place.row][1])
-        (masses if of_mass else springs)[c, : len(own)] = slope(own)
-    return Seeds(masses, springs, np.zeros((0, 0)))
+        if place.of is NumberOf.MASS:
+            blocks.append((c, place.row, slope(mass_of(row, numbers.frictions[place.row]))[:, :HIGH]))
+        else:
+            blocks.append((c, int(spring[place.row]), slope(spring_of(row, numbers.laws[place.row][1]))))
+    links = [(c, place.row, place.column) for c, place in enumerate(places) if place.of is NumberOf.LINK]
+    delays = [(c, place.row) for c, place in enumerate(places) if place.of is NumberOf.DELAY]
+    return pack_seeds(
+        numbers.plant, tree, blocks, links=links, delays=delays, pushes=pushes, pushed=pushed
+    )  # fmt: skip
 
 
-def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
-    """Return the derivatives at the first sample.
+def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Start:
+    """Return the derivatives at the first sample: of positions, velocities and controllers' states.
 
     Of `robot_start.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
     has; ``K (qm - q) = load(q)``.
     """
-    from jointid.simulation.kernels.robot_variation import Moved
-
     experiment, numbers = run.experiment, run.experiment.carrying(run.numbers)
     n, rotors = numbers.rotors.size, numbers.rotors
     motors, speeds = run.start[rotors], experiment.speeds
@@ -192,7 +190,7 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
     by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
     dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
     dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load, 0.0)[:, np.newaxis]
-    return Moved(dq, np.zeros_like(dq), dz, load)
+    return dq, np.zeros_like(dq), dz
 
 
 def slopes_at_start(

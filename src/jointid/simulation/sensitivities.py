@@ -161,13 +161,14 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     Shapes: (periods, lanes) and (periods * parts, 4, lanes).
     """
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
-    from jointid.simulation.plant import follow_plant, plant_of, plant_seeds
+    from jointid.simulation.kernels import variation
+    from jointid.simulation.plant import NO_LINKS, pack_seeds, plant_of, plant_seeds
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
     seeds, start = np.zeros((14, width)), np.zeros((4, width))
-    memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
-    explicit, by_name = [], _seeds(joint)
+    memory, limits = np.zeros((1, law.order, width)), np.zeros((1, law.limits.size, width))
+    explicit, by_name, delays = [], _seeds(joint), [(j, 0) for j, name in enumerate(names) if name == "delay"]
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
@@ -177,29 +178,30 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
         elif name in _INITIAL:
             at = _INITIAL[name]
             start[:, j] = _start_slope(out, *at[:2]) if any(at[:2]) else 0.0
-            memory[:, j] = _memory_slope(out, at)
-        elif name == "delay":
-            delay[j] = 1.0
-        else:
-            column, limits[:, j] = _explicit(out, name)
+            memory[0, :, j] = _memory_slope(out, at)
+        elif name != "delay":
+            column, limits[0, :, j] = _explicit(out, name)
             explicit.append(column)
     periods, elements = len(out.command), law.limits.size
-    command = np.empty((width, periods))
+    command = np.empty((1, periods, width))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
-    columns = sensitivity_kernels.Columns(explained, len(names) - len(explicit), delay, limits, start, memory)
-    slopes, rows = sensitivity_kernels.Slopes(command, states), int(out.counts[1])
+    side = np.arange(2) if out.plant is None else np.minimum(np.arange(len(out.plant.masses)), 1)
+    at_start = (start[2 * side], start[2 * side + 1], memory, explained[np.newaxis], len(names) - len(explicit), limits)
+    moved, slopes = sensitivity_kernels.Moved(*at_start), sensitivity_kernels.Slopes(command, states, NO_LINKS)
     if out.plant is None:
+        acts_later = np.array(delays, dtype=np.int64).reshape(-1, 2)
         sensitivity_kernels.follow(
-            experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes
-        )  # fmt: skip
+            experiment.sampled, out.before, out.trace, int(out.counts[1]), out.drive, seeds, acts_later, moved, slopes
+        )
     else:
-        make = partial(plant_of, joint)
-        follow_plant(
-            out.plant, [plant_seeds(make, out.values, name) if name in by_name else None for name in names],
-            experiment.sampled, out.before, out.command, out.excess, out.tape, columns, slopes,
+        blocks = plant_seeds(partial(plant_of, joint), {name: out.values[name] for name in by_name}, names)
+        packed = pack_seeds(out.plant, None, blocks, delays=delays)
+        variation.follow(
+            out.plant, None, NO_LINKS[0], experiment.sampled, np.array([out.before]), out.command[np.newaxis],
+            out.excess[np.newaxis], out.tape, packed, moved, slopes,
         )  # fmt: skip
-    return command.T, states
+    return command[0], states
 
 
 def taped_rows(samples: int) -> int:

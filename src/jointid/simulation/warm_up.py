@@ -47,11 +47,11 @@ def compile_derivatives() -> None:
     lanes, none = drive_sensitivities.LANES, np.zeros(0)
     counts, modes = np.zeros(4, dtype=np.int64), np.zeros(0, dtype=np.int16)
     trace = drive.Trace(none, np.zeros((0, 1)), np.zeros((0, 4)), modes, np.zeros((0, drive.TAPE)), counts)
-    start, law = np.zeros((4, lanes)), np.zeros((0, lanes))
-    columns = drive_sensitivities.Columns(np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), start, law)
-    slopes = drive_sensitivities.Slopes(np.zeros((lanes, 0)), np.zeros((0, 4, lanes)))
+    start, law, delays = np.zeros((2, lanes)), np.zeros((1, 0, lanes)), np.zeros((0, 2), dtype=np.int64)
+    moved = drive_sensitivities.Moved(start, start, law, np.zeros((1, 0, 1, 0)), lanes, np.zeros((1, 1, lanes)))
+    slopes = drive_sensitivities.Slopes(np.zeros((1, 0, lanes)), np.zeros((0, 4, lanes)), np.zeros((1, 0, 10)))
     loop = pass_on(np.zeros((1, 1, 0)), 1.0)
-    drive_sensitivities.follow(loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), columns, slopes)
+    drive_sensitivities.follow(loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), delays, moved, slopes)
 
 
 def compile_smooth_laws() -> None:
