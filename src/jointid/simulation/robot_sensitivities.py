@@ -5,8 +5,7 @@ The variation is that of `kernels.variation`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -26,7 +25,6 @@ from jointid.simulation.kernels.engine import HIGH
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
 from jointid.simulation.plant import IMAGINARY, pack_seeds, slope
 from jointid.simulation.robot_numbers import (
-    MassNumbers,
     NumberOf,
     NumberPlace,
     RobotNumbers,
@@ -39,10 +37,8 @@ from jointid.simulation.robot_start import (
     FirstSample,
     controllers_at,
     deflections,
-    friction_at,
     link_torques,
     own_torques,
-    speeds_at_start,
     spring_torques,
 )
 from jointid.simulation.robots import MassMotion, RobotRun, motion_at
@@ -52,7 +48,7 @@ if TYPE_CHECKING:
 
 Start: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
-_RELATIVE = 1e-6  # of a number, or of 1 where that is more: differences of laws
+_RELATIVE = 1e-5  # of a number: differences of what balances at the first sample
 _SMALL = 1e-7  # rad: differences of the load
 _NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
 
@@ -194,7 +190,7 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Start:
 
 
 def slopes_at_start(
-    first: FirstSample, numbers: RobotNumbers, start: FloatArray, soft: FloatArray, places: tuple[NumberPlace, ...]
+    first: FirstSample, numbers: RobotNumbers, start: FloatArray, soft: FloatArray, places: Sequence[NumberPlace]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of the positions in steady motion, and of the motors' torques there.
 
@@ -208,71 +204,33 @@ def slopes_at_start(
     Returns:
         (masses, parameters) and (n, parameters).
     """
-    n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
-    motors, links, speeds, all_speeds = start[rotors], start[:n], first.speeds, speeds_at_start(first, numbers)
-    carried = spring_torques(first, numbers, link_torques(first, numbers, links))
-    compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
-    lines = np.array([law is None or law.linear for _, law in numbers.laws])
-    if not np.all(lines):
-        compliance = np.where(lines, compliance, _slope(lambda torque: deflections(numbers, torque), carried))
-    lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(speeds)  # share of the torque, lost to friction
-    carried = carried + np.where(numbers.flexible, 0.0, own_torques(first, numbers))
-    gain = 1.0 / (1.0 - lost * np.sign(carried))
-    here = link_torques(first, numbers, links)
-    shifted = [link_torques(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
-    turning = np.column_stack([(there - here) / _SMALL for there in shifted])
-    direct, own, stretched = (np.zeros((n, count)) for _ in range(3))
+    n, links = numbers.rotors.size, start[: numbers.rotors.size]
+
+    def carry(other: RobotNumbers, places: FloatArray) -> FloatArray:
+        return spring_torques(first, other, link_torques(first, other, places))
+
+    def balance(other: RobotNumbers) -> FloatArray:
+        return np.stack([carry(other, links), own_torques(first, other), deflections(other, load)])
+
+    load = carry(numbers, links)
+    turning = np.column_stack([(carry(numbers, links + _SMALL * unit) - load) / _SMALL for unit in np.eye(n)])
+    step = _RELATIVE * np.maximum(np.abs(load), 1.0)
+    compliance = (deflections(numbers, load + step) - deflections(numbers, load - step)) / (2.0 * step)
+    moved = np.zeros((3, n, len(places)))
     for c, place in enumerate(places):
-        if place.of is NumberOf.DELAY:  # a steady torque acts whenever
-            continue
-        if place.of is NumberOf.LINK:
-            unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
-            unit.inertials[place.row, place.column] = 1.0
-            direct[:, c] = link_torques(first, unit, links)
-        elif place.of is NumberOf.MASS:
-            joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
-            v = float(speeds[joint])
-            one_way = v * (v < 0.0 if place.column == MassNumbers.BACKWARDS else v >= 0.0)
-            constant = float(v != 0.0 or place.row == rotors[joint])
-            effects = [first.accelerations[joint], v, np.sign(v), constant, one_way, one_way]
-            if place.column == MassNumbers.PER_TORQUE:
-                effect = float(np.abs(carried[joint]) * np.sign(v))
-            elif place.column >= MassNumbers.RISE:
-                effect = _slope_by_number(lambda other: friction_at(other, all_speeds), numbers, place)
-            else:
-                effect = float(effects[place.column])
-            (own if place.row == rotors[joint] else direct)[joint, c] = effect
-        elif lines[place.row]:
-            stretched[place.row, c] = (motors - links)[place.row] if place.column == 0 else 0.0
-        elif compliance[place.row] > 0.0:
-            gives = _slope_by_number(lambda other: deflections(other, carried), numbers, place)
-            stretched[place.row, c] = -gives / compliance[place.row]
-    direct, turning = gain[:, np.newaxis] * direct, gain[:, np.newaxis] * turning
-    direct += np.where(numbers.flexible, 0.0, gain - 1.0)[:, np.newaxis] * own
-    moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
-    load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
-    dq = np.zeros((start.size, count))
-    of_motor = soft[:, np.newaxis] * (load + own)
-    dq[:n] = of_motor - compliance[:, np.newaxis] * (load - stretched)
-    dq[rotors] = of_motor
-    return dq, load + own
-
-
-def _slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """Return the derivative of a function that acts number by number."""
-    step = _RELATIVE * np.maximum(np.abs(at), 1.0)
-    return np.asarray((function(at + step) - function(at - step)) / (2.0 * step))
-
-
-def _slope_by_number(
-    function: Callable[[RobotNumbers], FloatArray], numbers: RobotNumbers, place: NumberPlace
-) -> float:
-    """Return the derivative of a function's entry for a row by one of the row's numbers."""
-
-    def change(value: FloatArray) -> FloatArray:
-        return function(with_values(numbers, (place,), value))[[place.row]]
-
-    return float(_slope(change, np.array([place.read(numbers)]))[0])
+        if place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING):
+            value = place.read(numbers)
+            by = _RELATIVE * max(abs(value), 0.1)
+            low, high = (balance(with_values(numbers, (place,), np.array([value + d]))) for d in (-by, by))
+            moved[:, :, c] = (high - low) / (2.0 * by)
+    direct, own, stretched = moved
+    given = turning @ (soft[:, np.newaxis] * own - stretched) + direct
+    torque = np.linalg.solve(np.eye(n) - turning * (soft - compliance), given)
+    dq = np.zeros((start.size, len(places)))
+    of_motor = soft[:, np.newaxis] * (torque + own)
+    dq[:n] = of_motor - compliance[:, np.newaxis] * torque - stretched
+    dq[numbers.rotors] = of_motor
+    return dq, torque + own
 
 
 def columns_of(

@@ -547,37 +547,11 @@ def _control(law: SmallLaw, w: float, q: float, z: tuple[float, float]) -> tuple
 
 
 @inline_kernel
-def _rest(
-    p: Drive, law: SmallLaw, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
-    z: tuple[float, float], x: State, k: int,
-) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
-    """Simulate from period `k` while both masses stand still; return as `_glide`."""
-    spring = p.stiffness * (x[2] - x[0])
-    held = -p.coulomb2_back <= -p.offset2 - spring <= p.coulomb2
-    lowest, highest = p.offset1 - spring - p.coulomb1_back, p.offset1 - spring + p.coulomb1
-    keep = states.shape[0] > 0
-    clipped = 0
-    while k < w.size:
-        at = np.uint64(k)
-        u[at], limited, z = _control(law, w[at], x[0], z)
-        clipped += limited
-        s = law.before
-        if k >= law.lag:
-            s = u[np.uint64(k - law.lag)] + post[np.uint64(k - law.lag)]
-        if keep:
-            states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x
-        if not (held and lowest <= s <= highest):
-            break
-        k += 1
-    return k, clipped, x, z
-
-
-@inline_kernel
 def _glide(
     resting: bool, p: Drive, law: SmallLaw, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
-    """Simulate from period `k` while a chord shows that nothing happens; `resting` if one mass stands still.
+    """Simulate from period `k` while a chord shows that nothing happens; `resting` if a mass stands still.
 
     Return the first period that is left to `_calm`, where the controller has already run; how often it was at its
     limit; and both states. A chord needs the root energy (see `_calm`): `bound` bounds it in a period before under the
@@ -590,7 +564,7 @@ def _glide(
     p02, p12, p22, p32 = m[b + 8], m[b + 9], m[b + 10], m[b + 11]
     g0, g1, g2, g3 = m[b + 12], m[b + 13], m[b + 14], m[b + 15]
     f0, f1, f2, f3 = m[b + 16], m[b + 17], m[b + 18], m[b + 19]
-    chord1, chord2 = m[b + 22], m[b + 23]
+    chord1, chord2 = (m[b + 22], m[b + 23]) if m1 != 0 or m2 != 0 else (0.0, 0.0)  # where nothing moves, nothing bends
     # Velocities in the direction of their mode are positive while nothing happens.
     d1, d2 = -1.0 if m1 < 0 else 1.0, -1.0 if m2 < 0 else 1.0
     x1, p00, p20, p11, p31, g1, f1 = d1 * x1, d1 * p00, d1 * p20, d1 * p11, d2 * p31, d1 * g1, d1 * f1
@@ -624,7 +598,7 @@ def _glide(
             # A cone without width holds what nothing pushes: the load of a rigid joint.
             if m1 == 0:
                 room1 = 1e-300 + min(p.coulomb1 - (s - p.offset1 + most), p.coulomb1_back + (s - p.offset1 + least))
-            else:
+            if m2 == 0:
                 room2 = 1e-300 + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
         if not (room1 > chord1 * bound and room2 > chord2 * bound):
             break
@@ -698,12 +672,10 @@ def run(
                 k, limited, start, memory = _glide(
                     False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
                 )  # fmt: skip
-            elif m1 != 0 or m2 != 0:
+            else:
                 k, limited, start, memory = _glide(
                     True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
                 )  # fmt: skip
-            else:
-                k, limited, start, memory = _rest(p, law, sole, post, u, states, memory, start, k)
             x0, x1, x2, x3 = start
             clipped += limited
             if keep:

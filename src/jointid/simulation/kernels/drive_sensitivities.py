@@ -68,7 +68,6 @@ LANES = 8  # columns followed at a time: one vector of a wide machine, two of ot
 
 _ORDER = 11  # of the Taylor series
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
-_AT_REST = 4  # the mode of both masses
 _LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
 NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
@@ -233,28 +232,6 @@ def _glide(
             q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
             q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
             q[_OUT + j] = d
-        _write_output(q, at, du)
-        k += 1
-    return k
-
-
-@inline_kernel
-def _rest(
-    q: FloatArray, law: SmallLaw, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int16], u: FloatArray,
-    explicit: FloatArray, first_explicit: int, du: FloatArray,
-) -> int:  # fmt: skip
-    """Do what `_glide` does while both masses are at rest: the law alone goes on."""
-    for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
-        q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
-    while k < end and modes[k] == mode and abs(u[k]) < limit:
-        at = np.uint64(k)
-        for i in range(explicit.shape[2]):
-            q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
-        for j in range(LANES):
-            a0, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
-            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
-            q[_OUT + j] = (law.d * a0 + q[_EXPLICIT + j]) + z0
         _write_output(q, at, du)
         k += 1
     return k
@@ -483,9 +460,6 @@ def follow(
             end = min(k - k % OFTEN + OFTEN, n)
             if row < rows:
                 end = min(end, int(tape[row, 0]))
-            if mode == _AT_REST:
-                k = _rest(q, law, mode, k, end, limit, modes, u, explicit, first_explicit, du)
-                continue
             if not filled[mode]:
                 filled[mode] = True
                 _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
