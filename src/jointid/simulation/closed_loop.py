@@ -28,9 +28,10 @@ class Outcome(StrEnum):
     """Outcome of a simulation; its value is the sentence to print."""
 
     FINISHED = FINISHED
-    DIVERGED = "the loop diverged: this joint is unstable under this controller"
-    TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
-    CHATTERING = "the joint started and stopped more often within one period than a real one can"
+    DIVERGED = "the loop diverged: it is unstable under its controllers"
+    TOO_STIFF = "the motion is too fast for the period of controllers or log to be worth simulating"
+    CHATTERING = "a joint started and stopped more often within one period than a real one can"
+    NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
     INVALID = (
         "an inertia or the Coulomb friction is not positive, friction at rest or at the end of the record is less than "
         "nothing, a Stribeck speed is 0, the torques of a spring's pieces do not rise, something winds up over less "
@@ -38,8 +39,8 @@ class Outcome(StrEnum):
     )
 
 
-_OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHATTERING)
-
+OUTCOMES = tuple(Outcome)
+"""How a run ended, by the number that a kernel returns."""
 
 _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
 
@@ -252,7 +253,7 @@ def run(
                 states[: len(moved[0]), : 2 * shown : 2] = moved[0][:, :shown]
                 states[: len(moved[0]), 1 : 2 * shown : 2] = moved[1][:, :shown]
                 accelerations[: len(moved[0]), :shown] = moved[2][:, :shown]
-        outcome = _OUTCOMES[status]
+        outcome = OUTCOMES[status]
     done = int(counts[2])
     command[done:] = command[done - 1] if done else 0.0
     excess[done:] = 0.0

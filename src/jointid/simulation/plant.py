@@ -79,10 +79,11 @@ def assemble(
     return Plant(whole, of_springs, places, tied, np.array(motors, dtype=np.uint64), np.array(carriers))
 
 
-def is_possible(plant: Plant, duration: float) -> bool:
+def is_possible(plant: Plant, duration: float, links: int = 0) -> bool:
     """Test for masses, springs and friction of a physical joint, for that many seconds.
 
-    Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise.
+    Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. Of links,
+    the first masses, the rotor's inertia may be negative: motion tells its sum with the link alone.
     """
     masses, springs = plant.masses, plant.springs
     numbers = masses[..., :HIGH], springs[..., :BEGIN], plant.places
@@ -97,7 +98,7 @@ def is_possible(plant: Plant, duration: float) -> bool:
     cones = np.all(rest[:, COULOMB] + rest[:, COULOMB_BACK] >= 0) and np.all((drift >= 0) | (faded >= 0))
     unsigned = springs[..., [0, 1, SLIPS, SLIPS + 1]]
     return bool(
-        cones and np.all(rest[:, INERTIA] > 0) and np.all((per_torque >= 0) & (per_torque < 1))
+        cones and np.all(rest[links:, INERTIA] > 0) and np.all((per_torque >= 0) & (per_torque < 1))
         and np.all(rest[:, WINDING] >= 0) and np.all(unsigned >= 0)
     )  # fmt: skip
 

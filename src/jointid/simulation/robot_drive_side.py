@@ -20,13 +20,14 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Robot, Tree
+from jointid.simulation.closed_loop import OUTCOMES, Outcome
 from jointid.simulation.kernels.engine import STATE
 from jointid.simulation.plant import HEAVY, motion_of, move_motors, pass_on
 from jointid.simulation.prescribed import motion_at_edges, part_means
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import columns_of, seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
-from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
+from jointid.simulation.robots import MassMotion, choose_steps
 
 PARTS = 1
 """Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
@@ -118,7 +119,7 @@ class RobotDriveSideRun:
 
     prescribed: MotorMotion
     numbers: RobotNumbers
-    outcome: RobotOutcome
+    outcome: Outcome
     start: FloatArray
     motion: MassMotion
     torque: FloatArray
@@ -134,12 +135,12 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDrive
     n, masses, parts = numbers.rotors.size, len(numbers.masses), len(prescribed.direction)
     moved, tape, command = _with_heavy_motors(numbers), np.zeros((0, STATE)), np.zeros((n, parts + 1))
     start, speeds = np.zeros(masses), np.zeros(masses)
-    outcome = RobotOutcome.INVALID
+    outcome = Outcome.INVALID
     if numbers.possible(len(prescribed.position) * prescribed.step):
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
         taken = choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
-        outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
-    if outcome is RobotOutcome.FINISHED:
+        outcome = Outcome.FINISHED if taken <= _STEPS else Outcome.TOO_STIFF
+    if outcome is Outcome.FINISHED:
         speeds, stiff = speeds_at_start(prescribed, numbers), np.full(n, -np.inf)
         start, _ = places_at_start(prescribed, numbers, prescribed.position[0], stiff)
         speeds[numbers.rotors] = prescribed.joined[0]
@@ -150,8 +151,8 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDrive
         found = move_motors(
             moved.plant, prescribed.tree, moved.inertials, prescribed.joined, prescribed.step, places, speeds, taken
         )
-        outcome, tape, command = outcome_of(found.status), found.tape, found.command
-    if outcome is not RobotOutcome.FINISHED:
+        outcome, tape, command = OUTCOMES[found.status], found.tape, found.command
+    if outcome is not Outcome.FINISHED:
         nothing = np.zeros((parts, masses))
         return RobotDriveSideRun(
             prescribed, numbers, outcome, start, MassMotion(nothing, nothing, nothing, nothing), nothing[:, :n],

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
@@ -24,14 +24,14 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.linear import SNAP
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Timing
-from jointid.simulation.closed_loop import first_state
+from jointid.simulation.closed_loop import OUTCOMES, Outcome, first_state
 from jointid.simulation.kernels.drive import Feedback, IntArray, SampledLoop
 from jointid.simulation.kernels.engine import CUBIC, DAMPING, FREE, SLIDING, SLIPS, STATE, STIFFNESS
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
 from jointid.simulation.plant import integrate, motion_of
 from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
-from jointid.simulation.simulated import FINISHED, TORQUE_OF
+from jointid.simulation.simulated import TORQUE_OF
 
 FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
@@ -39,28 +39,6 @@ FINE, COARSE = 0.5, 1.0
 _STEPS = 64  # per part of a period, at most that are chosen
 _POSES = 5  # along the reference, at which the fastest motion is searched for
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
-
-
-class RobotOutcome(StrEnum):
-    """Outcome of a robot's simulation; its value is the sentence to print."""
-
-    FINISHED = FINISHED
-    DIVERGED = "a joint ran away: this robot is unstable under its controllers"
-    TOO_STIFF = "the robot's own motion is too fast for the period of controllers or log to be worth simulating"
-    CHATTERING = "joints started and stopped more often within one period than real ones can"
-    NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
-    INVALID = "an inertia of a rotor is not positive, a number of a friction or a spring is impossible, or no number"
-
-
-_OUTCOMES = (
-    RobotOutcome.FINISHED, RobotOutcome.DIVERGED, RobotOutcome.TOO_STIFF, RobotOutcome.CHATTERING,
-    RobotOutcome.NOT_POSITIVE,
-)  # fmt: skip
-
-
-def outcome_of(status: int) -> RobotOutcome:
-    """Return how a simulation ended, as the kernel says it."""
-    return _OUTCOMES[status]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +164,7 @@ class RobotRun:
 
     experiment: RobotInput
     numbers: RobotNumbers
-    outcome: RobotOutcome
+    outcome: Outcome
     finished: float
     events: int
     before: FloatArray
@@ -235,7 +213,7 @@ class RobotSimulation:
     """
 
     torque: FloatArray
-    outcome: RobotOutcome
+    outcome: Outcome
     finished: float
     events: int
     sample_time: float
@@ -274,16 +252,16 @@ def run_robot(
     clock, n, masses = experiment.clock, len(experiment.experiments), len(numbers.masses)
     carried, sampled = experiment.carrying(numbers), experiment.sampled
     states, elements = sampled.feedback.A.shape[-1], sampled.w.shape[1]
-    start, before, outcome = np.zeros(masses), np.zeros(n), RobotOutcome.INVALID
+    start, before, outcome = np.zeros(masses), np.zeros(n), Outcome.INVALID
     taken = 1 if steps is None else steps
     if possible:
-        outcome = RobotOutcome.FINISHED
+        outcome = Outcome.FINISHED
         if steps is None:
             taken = choose_steps(experiment.tree, experiment.references, float(np.max(clock.lengths)), carried)
             # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
-            outcome = outcome if taken <= _STEPS else RobotOutcome.TOO_STIFF
+            outcome = outcome if taken <= _STEPS else Outcome.TOO_STIFF
             taken = math.ceil(taken * FINE / stride)
-    if outcome is not RobotOutcome.FINISHED:
+    if outcome is not Outcome.FINISHED:
         nothing = np.zeros((n, clock.steps)), start, np.zeros((n, 0, elements)), np.zeros((0, STATE))
         return RobotRun(experiment, numbers, outcome, 0.0, 0, before, *nothing)
     began = begin(experiment, carried)
@@ -299,7 +277,7 @@ def run_robot(
     )  # fmt: skip
     finished = int(found.counts[2]) / clock.steps
     return RobotRun(
-        experiment, numbers, outcome_of(found.status), finished, int(found.counts[0]), before, found.command, start,
+        experiment, numbers, OUTCOMES[found.status], finished, int(found.counts[0]), before, found.command, start,
         found.excess, found.tape,
     )  # fmt: skip
 
@@ -535,29 +513,25 @@ def pack_laws(alone: Sequence[LoopInput]) -> tuple[Feedback, FloatArray]:
     """
     kernels = [each.kernel for each in alone]
     phases = math.lcm(*(kernel.A.shape[1] for kernel in kernels))
-    states, elements = (max(kernel.C.shape[axis] for kernel in kernels) for axis in (3, 2))
-    periods, driven = max(each.periods for each in alone), any(kernel.driven.size for kernel in kernels)
-    sizes = {"p": phases, "z": states, "e": elements, "t": periods if driven else 0}
-    axes = {
-        "A": "pzz",
-        "Bq": "pz",
-        "F": "pze",
-        "C": "pez",
-        "D": "pe",
-        "E": "pee",
-        "limits": "e",
-        "gates": "e",
-        "driven": "tz",
-    }
-    filled: dict[str, FloatArray] = {}
-    for name, shape in axes.items():
-        given = [getattr(kernel, name)[0] for kernel in kernels]
-        beyond = {"limits": math.inf, "gates": -1}.get(name, 0)
-        filled[name] = np.full((len(kernels), *(sizes[axis] for axis in shape)), beyond, dtype=given[0].dtype)
-        for whole, own in zip(filled[name], given, strict=True):
-            repeated = np.concatenate([own] * (phases // len(own))) if shape[0] == "p" else own
-            whole[tuple(slice(size) for size in repeated.shape)] = repeated
-    feedforward = np.zeros((len(kernels), elements, periods))
-    for whole, each in zip(feedforward, alone, strict=True):
-        whole[: len(each.feedforward), : each.periods] = each.feedforward
-    return Feedback(**filled, output=np.concatenate([kernel.output for kernel in kernels])), feedforward  # type: ignore[arg-type]
+    longest = max(each.periods for each in alone) if any(kernel.driven.size for kernel in kernels) else 0
+
+    def repeat(name: str) -> NDArray[Any]:
+        return _fill_up(
+            [np.concatenate([own] * (phases // len(own))) for (own,) in (getattr(k, name) for k in kernels)]
+        )
+
+    A, Bq, F, C, D, E = map(repeat, ("A", "Bq", "F", "C", "D", "E"))
+    limits = _fill_up([kernel.limits[0] for kernel in kernels], math.inf)
+    gates = _fill_up([kernel.gates[0] for kernel in kernels], -1)
+    driven = _fill_up([kernel.driven[0] for kernel in kernels], 0.0, (longest, 0))
+    output = np.concatenate([kernel.output for kernel in kernels])
+    return Feedback(A, Bq, F, C, D, E, limits, gates, driven, output), _fill_up([each.feedforward for each in alone])
+
+
+def _fill_up(arrays: Sequence[NDArray[Any]], beyond: float = 0.0, least: tuple[int, ...] = ()) -> NDArray[Any]:
+    """Return arrays in one, each filled up to the sizes of the largest."""
+    sizes = np.max([array.shape for array in arrays] + ([least] if least else []), axis=0)
+    whole = np.full((len(arrays), *sizes), beyond, dtype=arrays[0].dtype)
+    for one, own in zip(whole, arrays, strict=True):
+        one[tuple(slice(size) for size in own.shape)] = own
+    return whole

@@ -32,7 +32,7 @@ from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torq
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
-_TAPED = 1000  # rows of the tape to begin with
+_TAPED = 1000  # rows of the tape to begin with, and one for 16 periods
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
 _ROOM = Room()
 _INITIAL = {
@@ -90,26 +90,14 @@ def simulate_sensitivities(
     At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
     velocity includes a load that moves along.
     """
-    return _differentiate(_run_with_tape(loop, experiment, values, names, initial), names, positions)
-
-
-def _run_with_tape(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    initial: Initial | None,
-) -> ClosedLoopRun:
-    """Run with a whole tape, in reused memory."""
-    own = _seeds(loop.joint)
+    own, rows = _seeds(loop.joint), _TAPED + experiment.periods // 16
     for name in names:
         if _is_of_law(own, name):
             number(loop.controller, name)
-    rows = taped_rows(experiment.periods)
     out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
     if out.plant is None and out.counts[1] > rows:  # a joint that turns round and sticks all the time
         out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
-    return out
+    return _differentiate(out, names, positions)
 
 
 def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
@@ -204,24 +192,12 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     return command[0], states
 
 
-def taped_rows(samples: int) -> int:
-    """Usual number of tape rows for the events of so many periods."""
-    return _TAPED + samples // 16
-
-
-def coefficient_seeds(
-    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str]
-) -> dict[str, FloatArray]:
-    """Constant derivatives of kernel coefficients by the joint's parameters."""
-    nothing = dict.fromkeys(own, 0.0)
-    constant = coefficients(nothing)
-    return {name: coefficients(nothing | {name: 1.0}) - constant for name in own}
-
-
 @lru_cache(maxsize=64)
 def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
-    """Cached `coefficient_seeds` of a joint."""
-    found = coefficient_seeds(joint.coefficients, [p.name for p in joint.parameters])
+    """Return the constant derivatives of the affine kernels' coefficients by a joint's parameters."""
+    nothing = dict.fromkeys((p.name for p in joint.parameters), 0.0)
+    constant = joint.coefficients(nothing)
+    found = {name: joint.coefficients(nothing | {name: 1.0}) - constant for name in nothing}
     for seed in found.values():
         seed.setflags(write=False)
     return found
