@@ -137,15 +137,15 @@ def place_force(cosine: float, sine: float, rate: float, wave: float, q: float) 
 @inline_kernel
 def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
-    M: FloatArray, L: FloatArray, order: IntArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
+    M: FloatArray, L: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
     grip: FloatArray, pull: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill the accelerations, what friction holds in masses at rest, and the most that it can; False if M is no mass.
 
-    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, L and order are scratch
-    of its root, and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes
-    are the directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, L is scratch of its root,
+    and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the
+    directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are
     those of their bands and pieces.
     """
     nd = q.size
@@ -184,46 +184,37 @@ def accelerate(
         a[i] = push * mobility[i] if mode != 0.0 else 0.0
     positive = True
     if tree is not None:
-        positive = _solve_links(bias.size, M, L, order, modes, held, a)
+        positive = _solve_links(bias.size, M, L, modes, held, a)
     return positive
 
 
 @inline_kernel
-def _solve_links(
-    links: int, M: FloatArray, L: FloatArray, order: IntArray, modes: FloatArray, held: FloatArray, a: FloatArray
-) -> bool:
-    """Fill the accelerations of links that move, and take what these need from what holds the others."""
-    free, positive = 0, True
+def _solve_links(links: int, M: FloatArray, L: FloatArray, modes: FloatArray, held: FloatArray, a: FloatArray) -> bool:
+    """Fill the accelerations of links that move, and take what these need from what holds the others.
+
+    L is the root of the mass matrix, with one over its diagonal; one at rest has the row of the identity.
+    """
+    positive = True
     for i in range(links):
-        if modes[i] != 0.0:
-            order[0, free], order[1, free] = i, 0
-            free += 1
-    for x in range(free):
-        i = order[0, x]
-        total, begin = held[i], 0
-        while begin < x and M[i, order[0, begin]] == 0.0:  # as of two arms on one base
-            begin += 1
-        order[1, x] = begin
-        for y in range(begin, x):
-            cell = M[i, order[0, y]]
-            for k in range(max(begin, order[1, y]), y):
-                cell -= L[x, k] * L[y, k]
-            L[x, y] = cell * L[y, y]
-            total -= L[x, y] * a[order[0, y]]
-        pivot = M[i, i]
-        for k in range(begin, x):
-            pivot -= L[x, k] * L[x, k]
+        moves = modes[i] != 0.0
+        a[i], pivot = (held[i], M[i, i]) if moves else (0.0, 1.0)
+        for j in range(i):
+            cell = M[i, j] if moves and modes[j] != 0.0 else 0.0
+            for k in range(j):
+                cell -= L[i, k] * L[j, k]
+            L[i, j] = cell * L[j, j]
+            a[i] -= L[i, j] * a[j]
+            pivot -= L[i, j] * L[i, j]
         if not pivot > 0.0:
             positive = False
             break
-        L[x, x] = 1.0 / math.sqrt(pivot)
-        a[i] = total * L[x, x]
-    for x in range(free - 1 if positive else -1, -1, -1):
-        total = a[order[0, x]] * L[x, x]
-        a[order[0, x]] = total
-        for y in range(order[1, x], x):
-            a[order[0, y]] -= L[x, y] * total
-    for i in range(links if free < links else 0):
+        L[i, i] = 1.0 / math.sqrt(pivot)
+        a[i] *= L[i, i]
+    for i in range(links - 1 if positive else -1, -1, -1):
+        a[i] *= L[i, i]
+        for j in range(i):
+            a[j] -= L[i, j] * a[i]
+    for i in range(links):
         if modes[i] == 0.0:
             for j in range(links):
                 held[i] -= M[i, j] * a[j]
@@ -482,7 +473,7 @@ def run(
     )  # fmt: skip
     second, third, pull, pull1 = np.zeros(nd), np.zeros(nd), np.zeros(ns), np.zeros(ns)
     w, w1, modes = np.zeros(nd + ns), np.zeros(nd + ns), np.zeros(nd + ns)
-    at, order = np.zeros(nd + ns, dtype=np.int64), np.zeros((2, links), dtype=np.int64)
+    at = np.zeros(nd + ns, dtype=np.int64)
     mass, spring, bounds = np.zeros((nd, MASS + 1)), np.zeros((ns, SPRING)), np.zeros((nd + ns, 2))
     M, L, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
@@ -505,7 +496,7 @@ def run(
         for i in range(links):
             M[i, i] += mass[i, INERTIA]
     if not accelerate(
-        mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive, 0.0, q, v, w, a, held,
+        mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive, 0.0, q, v, w, a, held,
         grip, pull,
     ):  # fmt: skip
         return NOT_POSITIVE
@@ -538,7 +529,7 @@ def run(
             while left > 0.0 and status == FINISHED:
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
-                        mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive, time,
+                        mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive, time,
                         q, v, w, a, held, grip, pull,
                     ):  # fmt: skip
                         status = NOT_POSITIVE
@@ -587,7 +578,7 @@ def run(
                                 M[i, i] += mass[i, INERTIA]
                         then = time + (0.5 * d if stage < 2 else d)
                         if not accelerate(
-                            mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive,
+                            mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive,
                             then, q1, v1, w1, a1, held1, grip1, pull1,
                         ):  # fmt: skip
                             status = NOT_POSITIVE
