@@ -478,7 +478,9 @@ def run(
     M, L, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
     fresh, out, cut = np.empty(z.shape[1]), np.zeros(w_in.shape[1]), np.zeros(w_in.shape[1])
-    period, longest = 0.0, 0.0
+    period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
+    for i in range(nd):
+        coupled = coupled or (carriers[i] < 0 and masses[i, 0, PER_TORQUE] > 0.0)
     for part in range(parts):
         period += lengths[part]
         longest = max(longest, lengths[part])
@@ -522,10 +524,14 @@ def run(
         counts[3] += 1 if limited else 0
         time, before_period = k * period, events
         for part in range(parts):
+            left, settles = lengths[part], coupled
+            for i in range(nd):
+                settles = settles or modes[i] == 0.0 or v[i] == 0.0
             for j in range(axes):
-                source = k - lags[j, part]
-                drive[motors[j]] = command[j, source] + post[j, source] if source >= 0 else before[j]
-            left, settles = lengths[part], True
+                source, motor = k - lags[j, part], motors[j]
+                torque = command[j, source] + post[j, source] if source >= 0 else before[j]
+                a[motor] += (torque - drive[motor]) * mobility[motor]  # all that changes, unless a mass settles
+                drive[motor] = torque
             while left > 0.0 and status == FINISHED:
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(

@@ -80,9 +80,9 @@ from jointid.simulation.kernels.engine import (
 )
 
 MASSES, SPRINGS = 3, 2  # of a joint at most: its rows are as many
-# Rows of a joint's derivatives, LANES long: positions and velocities of the masses, the forces that are given on masses
-# and in springs in the middle of a step, with their rates, and how far the masses have gone in the step.
-_Q, _V, _GIVEN, _RATE, _GONE = (LANES * row for row in (0, 3, 6, 11, 16))
+# Rows of a joint's derivatives, LANES long: positions and velocities of the masses; the forces that are given on masses
+# and in springs in the middle of a step, their rates, and what is wound up otherwise; how far the masses have gone.
+_Q, _V, _GIVEN, _RATE, _GONE = (LANES * row for row in (0, 3, 6, 11, 21))
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of masses, then of springs, how the derivative of what is wound up enters the force, what of it is left at the
 # end, what it gains with the place and with the rate of winding; of springs stiffness and damping, the torque and its
@@ -487,11 +487,11 @@ def follow(
     controlled, prescribed = command.shape[2] > 0, moved_links.shape[1] > 0
     md, ms = (MASSES, SPRINGS) if tree is None else (nd, ns)
     every_row, last_row = md + ms, len(tape) - 1
-    s = aligned_zeros((3 * md + 2 * every_row) * count)
-    x = s.reshape((3 * md + 2 * every_row, count))
-    dq, dv, given = x[:md], x[md : 2 * md], x[2 * md : 2 * md + every_row]
-    rate, gone = x[2 * md + every_row : 2 * (md + every_row)], x[2 * (md + every_row) :]
-    dw, turned, dtau = np.zeros((every_row, count)), np.zeros((every_row, count)), np.zeros((axes, count))
+    begin, end = 2 * md, 2 * md + 3 * every_row
+    s = aligned_zeros((end + md) * count)
+    x = s.reshape((end + md, count))
+    dq, dv, given, rate = x[:md], x[md:begin], x[begin : begin + every_row], x[begin + every_row : end - every_row]
+    turned, gone, dw, dtau = x[end - every_row : end], x[end:], np.zeros((every_row, count)), np.zeros((axes, count))
     lead, gained = np.zeros(count), np.zeros((n, count))
     fresh, raw, taken = np.zeros((states_of_law, count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, drive, mobility = np.zeros((4, md)), np.zeros(md), np.zeros(md)
@@ -571,9 +571,8 @@ def follow(
                         masses, springs, pairs, carriers, tape, row, mean, drive, time + 0.5 * h, md, f, k, later
                     )
                     _fill_places(places, every_row, mean, f, k, later)
-                    for i in range(every_row):
-                        for c in range(count):
-                            given[i, c], rate[i, c], turned[i, c] = 0.0, 0.0, 0.0
+                    for i in range(begin * count, end * count):
+                        s[i] = 0.0
                     bands = STATE + 5 * nd + ns
                     for i in range(nd):
                         _add_seeds(seeds, i, int(tape[row, bands + i]), i, WINDING, f, k, later, given, rate, turned)
