@@ -17,12 +17,11 @@ from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from jointid.models.springs import SPRINGS, Backlash
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.simulation.closed_loop import Outcome, simulate_torque
+from jointid.simulation.closed_loop import Outcome, require_success, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.sensitivities import simulate_sensitivities
-from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.plants import prismatic
 from tests.robots_plants import two

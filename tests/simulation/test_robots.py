@@ -29,8 +29,7 @@ from jointid.simulation.kernels.engine import (
 )
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robot_start import begin
-from jointid.simulation.robots import RobotLoop, RobotRun, add_feed_forward, motion_at, prepare_robot, run_robot
+from jointid.simulation.robots import RobotLoop, RobotRun, add_feed_forward, begin, motion_at, prepare_robot, run_robot
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd

@@ -23,10 +23,9 @@ from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import differentiate
-from jointid.simulation.closed_loop import Initial
+from jointid.simulation.closed_loop import Initial, require_success
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import PARTS, DriveSide
-from jointid.simulation.simulated import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
-from jointid.simulation.simulated import FINISHED
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Trace
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 class Outcome(StrEnum):
     """Outcome of a simulation; its value is the sentence to print."""
 
-    FINISHED = FINISHED
+    FINISHED = "the simulation finished"
     DIVERGED = "the loop diverged: it is unstable under its controllers"
     TOO_STIFF = "the motion is too fast for the period of controllers or log to be worth simulating"
     CHATTERING = "a joint started and stopped more often within one period than a real one can"
@@ -43,6 +42,43 @@ OUTCOMES = tuple(Outcome)
 """How a run ended, by the number that a kernel returns."""
 
 _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
+
+
+class Simulated(Protocol):
+    """One candidate's run along a record."""
+
+    @property
+    def torque(self) -> FloatArray:
+        """Torque as logged, (samples,), or (samples, n) for a robot; held after a failure."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+
+    @property
+    def finished(self) -> float:
+        """Simulated share of the record."""
+
+    @property
+    def events(self) -> int:
+        """Number of located reversals, stops and starts."""
+
+
+Run = TypeVar("Run", bound=Simulated)
+
+
+def require_success(run: Run, of_what: str = "The simulation") -> Run:
+    """Return a run that finished.
+
+    Raises:
+        MethodError: it failed; the sentence states progress and reason.
+    """
+    if run.outcome is not Outcome.FINISHED:
+        raise MethodError(
+            f"{of_what} stopped after {100 * run.finished:.1f} % of the record because {run.outcome.value}; check the "
+            "controller's gains and the parameters' values."
+        )
+    return run
 
 
 @dataclass(frozen=True, slots=True)

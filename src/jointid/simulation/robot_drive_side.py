@@ -19,15 +19,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.robots.robot import Robot, Tree
+from jointid.models.robots.robot import Robot
 from jointid.simulation.closed_loop import OUTCOMES, Outcome
 from jointid.simulation.kernels.engine import STATE
 from jointid.simulation.plant import HEAVY, motion_of, move_motors, pass_on
 from jointid.simulation.prescribed import motion_at_edges, part_means
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import columns_of, seeds_of, slopes_at_start
-from jointid.simulation.robot_start import places_at_start, speeds_at_start
-from jointid.simulation.robots import MassMotion, choose_steps
+from jointid.simulation.robots import FirstSample, MassMotion, choose_steps, places_at_start, speeds_at_start
 
 PARTS = 1
 """Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
@@ -48,27 +47,22 @@ class RobotDriveSide:
 
 
 @dataclass(frozen=True, eq=False)
-class MotorMotion:
+class MotorMotion(FirstSample):
     """The motion of a robot's motors, prescribed.
 
     Attributes:
-        tree: of the links, as `RobotInput` has it.
         step: s of a part.
         position, velocity: (parts + 1, n) at the ends of the parts.
         joined: (parts + 1, n) the velocities that the held accelerations join (see the module).
         direction: (parts, n) of the velocity, 1 or -1, mean over each part; filtered as the positions are where the
             torques are, too.
-        speeds, accelerations: (n,) at the first sample.
     """
 
-    tree: Tree
     step: float
     position: FloatArray
     velocity: FloatArray
     joined: FloatArray
     direction: FloatArray
-    speeds: FloatArray
-    accelerations: FloatArray
 
     def begin(self, parts: int) -> MotorMotion:
         """Return the motion in the first parts."""
@@ -93,7 +87,7 @@ def prescribe_motion(
     position, velocity, acceleration, joined = motion_at_edges(positions, sample_time, parts)
     if resting is not None:
         joined[0, resting] = velocity[0, resting] = acceleration[0, resting] = 0.0
-    return MotorMotion(robot.tree, step, position, velocity, joined, _direction(velocity), velocity[0], acceleration[0])
+    return MotorMotion(robot.tree, velocity[0], acceleration[0], step, position, velocity, joined, _direction(velocity))
 
 
 def _direction(velocity: FloatArray) -> FloatArray:

@@ -33,15 +33,17 @@ from jointid.simulation.robot_numbers import (
     stribeck_share,
     with_values,
 )
-from jointid.simulation.robot_start import (
+from jointid.simulation.robots import (
     FirstSample,
+    MassMotion,
+    RobotRun,
     controllers_at,
     deflections,
     link_torques,
+    motion_at,
     own_torques,
     spring_torques,
 )
-from jointid.simulation.robots import MassMotion, RobotRun, motion_at
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.variation import Seeds
@@ -167,7 +169,7 @@ def seeds_of(
 def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Start:
     """Return the derivatives at the first sample: of positions, velocities and controllers' states.
 
-    Of `robot_start.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
+    Of `robots.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
     has; ``K (qm - q) = load(q)``.
     """
     experiment, numbers = run.experiment, run.experiment.carrying(run.numbers)

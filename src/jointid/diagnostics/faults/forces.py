@@ -23,7 +23,7 @@ from jointid.models.controllers import with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Record, Tap
-from jointid.simulation.simulated import require_success
+from jointid.simulation.closed_loop import require_success
 from jointid.uncertainty.verdict import Reason
 
 _STEP = 1e-4  # of the known signal

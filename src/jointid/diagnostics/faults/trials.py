@@ -23,8 +23,8 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import SymmetricFriction
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Tap
+from jointid.simulation.closed_loop import require_success
 from jointid.simulation.loop_input import to_log
-from jointid.simulation.simulated import require_success
 
 _FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
 _WILD = 10.0  # times the torque: a loop that is unstable with a fault so large is not that of the record
