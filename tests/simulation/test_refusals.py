@@ -11,7 +11,7 @@ import pytest
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import FRICTIONS
+from jointid.models.friction import FRICTIONS, DriftingFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
@@ -154,7 +154,7 @@ def test_numbers_that_no_joint_has_are_not_simulated(friction: str, spring: str,
 
 
 def test_friction_that_drifts_below_zero_is_not_simulated() -> None:
-    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute")))
+    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute", DriftingFriction())))
     masses = numbers.masses.copy()
     masses[0, [MassNumbers.COULOMB, MassNumbers.COULOMB_DRIFT]] = 1.0, -0.1
     fading = replace(numbers, masses=masses)

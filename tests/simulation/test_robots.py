@@ -257,13 +257,13 @@ def settled(
     """Fill the accelerations of links that stand still, as the engine does."""
     n = len(M)
     mass, spring, none, still = np.zeros((n, HIGH + 1)), np.zeros((0, SPRING)), np.zeros((0, 5)), np.zeros(n)
-    pairs, carriers, order = np.zeros((0, 2), dtype=np.uint64), np.full(n, -1), np.zeros((2, n), dtype=np.int64)
+    pairs, carriers = np.zeros((0, 2), dtype=np.uint64), np.full(n, -1)
     held, grip, L = np.zeros(n), np.zeros(n), np.zeros((n, n))
     mass[:, COULOMB] = coulomb
     mass[:, COULOMB_BACK] = coulomb
     for _ in range(1000):
         accelerate(
-            mass, spring, none, pairs, carriers, tree, M, L, order, still, still, modes, force, 0.0, still, still,
+            mass, spring, none, pairs, carriers, tree, M, L, still, still, modes, force, 0.0, still, still,
             still, a, held, grip, still[:0],
         )  # fmt: skip
         if not settle(mass, modes, still, a, held, grip, True):

@@ -277,7 +277,7 @@ class Friction:
 
     def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the numbers of the smooth law beside the lines."""
-        found = {}
+        found: dict[str, float] = {}
         for term in self.terms:
             if term.acts(prefix):
                 found |= {n: values[f"{prefix}{p[0]}"] for n, p in zip(term.numbers, term.parameters, strict=False)}
@@ -404,7 +404,7 @@ class PreslidingFriction(Friction):
 
     name = "presliding"
     label = "the same, wound up at reversals"
-    terms = (_WINDING,)
+    terms: ClassVar[tuple[Term, ...]] = (_WINDING,)
 
 
 @dataclass(frozen=True, slots=True)

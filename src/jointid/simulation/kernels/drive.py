@@ -327,7 +327,7 @@ def _fill_map(m: FloatArray, b: int, c: FloatArray, p: Drive, m1: int, m2: int, 
     """
     f = _motion(p, m1, m2)
     free = _Motion(f.mobility1, f.mobility2, f.viscous1, f.viscous2, 0.0, 0.0)
-    pieces = max(math.ceil(_fastest_rate(p) * h / _STEP), 1)
+    pieces = math.ceil(2.0 * _fastest_rate(p) * h / _STEP) + 1  # what the series leaves out is below the rounding
     for column in range(5):
         v1 = 1.0 if column == 0 and m1 != 0 else 0.0
         v2 = 1.0 if column == 2 and m2 != 0 else 0.0
