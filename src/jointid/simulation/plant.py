@@ -177,9 +177,11 @@ def pack_seeds(
     keys = [row * bands + band for row, band, *_ in found]
     begin = np.searchsorted(keys, bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1))
     numbers, columns = (np.array([one[i] for one in found], dtype=np.int64) for i in (2, 3))
-    lists = (np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2), (pushes, 2)))
-    values = np.array([one[4] for one in found])
-    return Seeds(begin, numbers, columns, values, *lists, np.zeros((0, 0)) if pushed is None else pushed)
+    of_links, of_delays, of_pushes = (
+        np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2), (pushes, 2))
+    )
+    values, none = np.array([one[4] for one in found]), np.zeros((0, 0))
+    return Seeds(begin, numbers, columns, values, of_links, of_delays, of_pushes, none if pushed is None else pushed)
 
 
 def slope(moved: AnyArray) -> FloatArray:
