@@ -490,7 +490,12 @@ def run(
     for j in range(axes):
         drive[motors[j]] = before[j]
     watched = _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
-    guards, ends = np.zeros(watched.size), np.zeros(watched.size)
+    guards, ends, fastest, winds, cubic = np.zeros(watched.size), np.zeros(watched.size), rate, False, False
+    for i in range(nd):
+        winds = winds or masses[i, 0, WINDING] > 0.0
+    for s in range(ns):
+        winds, cubic = winds or springs[s, 0, SLIDING] > 0.0, cubic or springs[s, 0, CUBIC] != 0.0
+    varies = winds or cubic or places.shape[0] > 0  # how fast the motion changes by itself, between two events
     for i in range(nd + ns):
         _enter(i, masses, springs, at, mass, spring, bounds)
     if tree is not None:
@@ -544,8 +549,7 @@ def run(
                         break
                 if settles:
                     _turn_sliders(spring, pairs, modes, v, a)
-                fastest = rate
-                if rate == 0.0:
+                if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = _fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
                 if not steps_left <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
@@ -572,9 +576,9 @@ def run(
                                 between = second[i] + third[i]
                                 q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
                                 v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
-                        for i in range(nd):
+                        for i in range(nd if winds else 0):
                             w1[i] = winding(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
-                        for s in range(ns):
+                        for s in range(ns if winds else 0):
                             one, two = pairs[s, 0], pairs[s, 1]
                             e = (q1[two] - q1[one]) - (q[two] - q[one])
                             w1[nd + s] = winding(w[nd + s], modes[nd + s], e, spring[s, SLIDING])
