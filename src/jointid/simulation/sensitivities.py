@@ -95,8 +95,8 @@ def simulate_sensitivities(
         if _is_of_law(own, name):
             number(loop.controller, name)
     out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
-    if out.plant is None and out.counts[1] > rows:  # a joint that turns round and sticks all the time
-        out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
+    if out.plant is None and out.trace.counts[1] > rows:  # a joint that turns round and sticks all the time
+        out = run(loop, experiment, values, initial, keep=True, taped=int(out.trace.counts[1]), room=_ROOM)
     return _differentiate(out, names, positions)
 
 
@@ -123,7 +123,7 @@ def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) ->
         return zero_sensitivities(response, len(names), positions, flexible)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command)), prepend=out.before)
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out.trace.u)), prepend=out.before)
         torque[:, list(names).index("delay")] += averages(experiment, edges)
     return Sensitivities(
         response,
@@ -170,9 +170,9 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
         elif name != "delay":
             column, limits[0, :, j] = _explicit(out, name)
             explicit.append(column)
-    periods, elements = len(out.command), law.limits.size
+    periods, elements = len(out.trace.u), law.limits.size
     command = np.empty((1, periods, width))
-    states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
+    states = _ROOM.array("moved", (len(out.trace.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     side = np.arange(2) if out.plant is None else np.minimum(np.arange(len(out.plant.masses)), 1)
     at_start = (start[2 * side], start[2 * side + 1], memory, explained[np.newaxis], len(names) - len(explicit), limits)
@@ -180,14 +180,22 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     if out.plant is None:
         acts_later = np.array(delays, dtype=np.int64).reshape(-1, 2)
         sensitivity_kernels.follow(
-            experiment.sampled, out.before, out.trace, int(out.counts[1]), out.drive, seeds, acts_later, moved, slopes
+            experiment.sampled,
+            out.before,
+            out.trace,
+            int(out.trace.counts[1]),
+            out.drive,
+            seeds,
+            acts_later,
+            moved,
+            slopes,
         )
     else:
         blocks = plant_seeds(partial(plant_of, joint), {name: out.values[name] for name in by_name}, names)
         packed = pack_seeds(out.plant, None, blocks, delays=delays)
         variation.follow(
-            out.plant, None, NO_LINKS[0], experiment.sampled, np.array([out.before]), out.command[np.newaxis],
-            out.excess[np.newaxis], out.tape, packed, moved, slopes,
+            out.plant, None, NO_LINKS[0], experiment.sampled, np.array([out.before]), out.trace.u[np.newaxis],
+            out.trace.excess[np.newaxis], out.trace.tape, packed, moved, slopes,
         )  # fmt: skip
     return command[0], states
 
@@ -240,11 +248,11 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     experiment, controller = out.experiment, out.loop.controller
     value = number(controller, name)
     if not math.isfinite(value):  # a limit that never acts
-        return np.zeros_like(out.excess), np.zeros(experiment.law.limits.size)
+        return np.zeros_like(out.trace.excess), np.zeros(experiment.law.limits.size)
     unit = experiment.law.period if name.endswith("delay") else 1.0
     steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
     inputs = experiment.inputs.copy()
-    inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
+    inputs[:, POSITION] = out.trace.states[:: experiment.lengths.size, 0]
     low, high = (experiment.law_of(with_numbers(controller, {name: value + by})) for by in steps)
     require_same_structure(low, high, name)
     held, width = _cut(out, inputs), steps[1] - steps[0]
@@ -268,11 +276,11 @@ def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
     """Return the excess over limits and gates, (periods, elements)."""
     law = out.experiment.law
     if law.limits.size > 1 or law.phases > 1 or out.experiment.kernel.driven.shape[1]:
-        return out.excess
+        return out.trace.excess
     if not np.any(law.F):
-        return np.zeros_like(out.excess)
+        return np.zeros_like(out.trace.excess)
     # One limit that is fed back: what it cut off is the difference of the output from the law's own.
-    output = out.command[:, np.newaxis]
+    output = out.trace.u[:, np.newaxis]
     back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
     return np.asarray(output - respond(back, inputs, _start_states(law, inputs, out), output))
 
