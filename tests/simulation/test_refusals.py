@@ -156,6 +156,7 @@ def test_numbers_that_no_joint_has_are_not_simulated(friction: str, spring: str,
 def test_friction_that_drifts_below_zero_is_not_simulated() -> None:
     numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute", DriftingFriction())))
     masses = numbers.masses.copy()
-    masses[0, [MassNumbers.COULOMB, MassNumbers.COULOMB_DRIFT]] = 1.0, -0.1
+    masses[:, MassNumbers.COULOMB_DRIFT] = -0.1, 0.0
+    masses[0, MassNumbers.COULOMB] = 1.0
     fading = replace(numbers, masses=masses)
     assert fading.possible(9.0) and not fading.possible(11.0)
