@@ -166,11 +166,6 @@ def test_units_are_those_of_the_declaration() -> None:
     assert list_units("some share of it") == ()
 
 
-def test_a_share_of_a_rated_torque_needs_the_torque_constant_where_the_torque_is_in_ampere() -> None:
-    share = ("A s/rad", "% s/rad"), ("[controller]", '[drive]\nrated_torque = "1.5 N m"\n[controller]')
-    assert loads(changed(*share)).joint.torque_unit is None
-
-
 def test_amperes_of_a_controller_on_the_load_are_the_motors() -> None:
     gear = "[controller]", '[transmission]\nratio = 10\n[controller]\nside = "load"'
     file = loads(changed(gear, ('torque_constant = "0.72 N m/A"', "")))
