@@ -40,9 +40,6 @@ def saved(tmp_path: Path) -> Saved:
 def faults_of(path: Path, *columns: Any, **how: Any) -> tuple[str, ...]:
     with pytest.raises(RecordError) as error:
         read(path, *columns, **{"kind": "prismatic", **how})
-    for fault in error.value.faults:
-        assert fault.endswith("."), fault
-        assert "\n" not in fault
     return error.value.faults
 
 
