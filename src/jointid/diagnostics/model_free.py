@@ -29,7 +29,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
@@ -238,7 +238,6 @@ def excludes(
     controller: Controller,
     late: float = 0.0,
     gain: float = 0.0,
-    reference: Channel | None = None,
 ) -> bool:
     """Whether a record with a motor position has less than a quarter of a change of law or log.
 
@@ -252,10 +251,8 @@ def excludes(
         controller: the other law.
         late: delay of the log, s.
         gain: of the log, less 1.
-        reference: that the other law follows; that of the record where None.
     """
-    driven = record if reference is None else record.with_channels({"reference": reference})
-    own, other = _follow(record, loop), _follow(driven, replace(loop, controller=controller))
+    own, other = _follow(record, loop), _follow(record, replace(loop, controller=controller))
     if own is None or other is None or record.torque is None:
         return False
     at = np.arange(min(len(own[1]), len(other[1])))

@@ -265,18 +265,6 @@ def at_period(channel: Channel, period: float, periods: int, name: str, way: Bet
     return _interpolate(values, samples, at, "cubic" if way == "spline" and np.all(np.isfinite(values)) else "linear")
 
 
-def fill_in(channel: Channel, every: int, period: float, interpolation: Interpolation) -> Channel:
-    """Return a channel that repeats each value `every` times at a shorter period, its values filled in."""
-    (changes,) = np.nonzero(np.diff(channel.values))
-    phase = int(changes[0] + 1) % every if changes.size else 0
-    points = np.concatenate([channel.values[:1] if phase else [], channel.values[phase::every]])
-    slow = replace(channel, values=points, sample_time=every * channel.sample_time)
-    repeat = period_ratio(period, channel.sample_time, "reference")[1]
-    early = repeat * (every - phase if phase else 0)  # of the first setpoint, before the record
-    filled = at_period(slow, period, early + repeat * channel.values.size, "reference", interpolation)
-    return replace(channel, values=filled[early:], sample_time=channel.sample_time / repeat)
-
-
 def running_mean(values: FloatArray, periods: float, slope: float) -> FloatArray:
     """Return the mean of the last `periods` values (samples,), as many rounded up of which the first has a part.
 
