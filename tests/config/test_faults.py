@@ -92,10 +92,6 @@ FAULTS = [
         "controller contradiction",
     ),
     (SMALLEST + '[drive]\nprofile = "abc"', "drive.profile value"),
-    (
-        SMALLEST.replace(JOINT, JOINT + "torque_constant = 0.7\n") + "[drive]\nrated_torque = 1\nrated_current = 2",
-        "drive contradiction",
-    ),
     (SMALLEST + "[method]\nfrequency = 30.0", "method.frequency contradiction"),
     (SMALLEST + "[parameters]\ninertai = 3", "parameters.inertai unknown"),
     (SMALLEST + "[parameters]\nstiffness = 3", "parameters.stiffness unknown"),

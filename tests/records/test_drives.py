@@ -114,7 +114,7 @@ def test_a_torque_constant_takes_ampere_to_newton_metres(tmp_path: Path) -> None
 
 
 def test_every_unit_of_a_drive_comes_out_in_si() -> None:
-    drive = Drive(rated_current=2.0, torque_constant=0.6, counts_per_turn=4096, counts_per_metre=1e6)
+    drive = Drive(rated_torque=1.2, torque_constant=0.6, counts_per_turn=4096, counts_per_metre=1e6)
     assert drive.resolve_unit(unit("counts"), "revolute").factor == pytest.approx(2 * math.pi / 4096)
     assert drive.resolve_unit(unit("counts"), "prismatic").factor == pytest.approx(1e-6)
     assert drive.resolve_unit(unit("permille"), "revolute").factor == pytest.approx(1.2e-3)
@@ -132,7 +132,7 @@ def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
     record = read(path, drive=Drive("kuka", axis=2), kind="revolute")
     assert record.motor_position is not None
     np.testing.assert_allclose(record.motor_position.values, 2 * ANGLE)
-    with pytest.raises(RecordError, match="give the axis of the drive"):
+    with pytest.raises(RecordError, match="the axis"):
         read(path, drive=Drive("kuka"), kind="revolute")
 
 

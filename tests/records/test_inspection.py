@@ -1,4 +1,4 @@
-"""What is in a file: the same outline whole or in pieces, its clocks, its picture, and names that steer a terminal."""
+"""What is in a file: its outline, its clocks, and names that steer a terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from jointid.common.text import printable
 from jointid.output.json import dumps, to_dict
 from jointid.records.formats import Table, write_table
-from jointid.records.inspection import draw_sparkline, find_band, inspect
+from jointid.records.inspection import find_band, inspect
 from tests.records.logged import LOGGED, ROWS
 
 
@@ -42,9 +42,7 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
     assert f'"{time.name}"' in dumps(to_dict(inspection))
 
 
-def test_the_picture_shows_where_a_signal_is() -> None:
-    assert draw_sparkline(np.repeat([0.0, 1.0, 0.5, np.nan], 6)) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
-    assert draw_sparkline(np.full(5, 3.0)) == "▁▁▁▁▁"
+def test_the_band_of_a_signal_is_its_extremes() -> None:
     low, high = find_band(np.arange(5000.0), 625)
     assert (low.size, low[1], high[1]) == (625, 8.0, 15.0)
 

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
 from jointid.records.formats import read_table
-from jointid.records.formats.bags import decode_message, message_types
+from jointid.records.formats.bags import Walk, message_types
 from tests.records.logged import bag, stamped, write_bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -172,7 +172,7 @@ def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
 )
 def test_no_definition_makes_a_message_larger_than_its_bytes(definition: str, data: bytes) -> None:
     with pytest.raises(ValueError, match="a message of it"):
-        decode_message("my/msg/A", b"\x00\x01\x00\x00" + data, message_types("my/msg/A", definition))
+        Walk(message_types("my/msg/A", definition), b"\x00\x01\x00\x00" + data).message("my/msg/A", 0)
 
 
 def test_a_definition_is_never_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

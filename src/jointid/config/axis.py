@@ -28,7 +28,7 @@ from jointid.models.springs import find_spring
 from jointid.records.checks import check_record
 from jointid.records.clock import Cut
 from jointid.records.columns import Column, known_units
-from jointid.records.drives import Drive
+from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.reading import RecordReader
 from jointid.records.record import Record
@@ -132,7 +132,8 @@ class Axis:
         Raises:
             RecordError: see `jointid.records.writing.columns_to_write`.
         """
-        return columns_to_write(record, self.columns, **self._written)
+        source, frame = self.source, Frame(self.drive, self.joint.kind, self.joint.transmission)
+        return columns_to_write(record, self.columns, frame, source.time, source.time_unit, source.sample_time)
 
     @property
     def channels(self) -> dict[str, Column]:
@@ -147,18 +148,13 @@ class Axis:
         return columns
 
     @property
-    def _written(self) -> dict[str, Any]:
-        """Arguments of reading and writing a record, beside its columns."""
-        source = self.source
-        clock = {"time": source.time, "time_unit": source.time_unit, "sample_time": source.sample_time}
-        return {**clock, "drive": self.drive, "kind": self.joint.kind, "transmission": self.joint.transmission}
-
-    @property
     def reading(self) -> dict[str, Any]:
         """Arguments of reading a record, beside its columns."""
         source = self.source
+        clock = {"time": source.time, "time_unit": source.time_unit, "sample_time": source.sample_time}
+        joint = {"drive": self.drive, "kind": self.joint.kind, "transmission": self.joint.transmission}
         cut = Cut(source.start, source.stop, source.part)
-        return self._written | {"resample": source.resample, "cut": cut}
+        return {**clock, **joint, "resample": source.resample, "cut": cut}
 
     def values(self) -> dict[str, float]:
         """Return a value for every parameter of the joint, for a simulation: fixed values and starts.

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 from jointid.common.errors import RecordError
 from jointid.records.clock import Cut, is_same_rate
@@ -34,29 +34,6 @@ class Chunk:
     number: int
     record: Record
     last: bool
-
-
-class LongRecord(Protocol):
-    """A record that can be read in chunks."""
-
-    @property
-    def name(self) -> str:
-        """Name of the record in reports."""
-
-    @property
-    def sample_time(self) -> float:
-        """Of every channel, in seconds."""
-
-    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """Yield every `every`-th chunk.
-
-        A remainder shorter than the overlap belongs to the chunk before it.
-
-        Args:
-            length: samples between the beginnings of chunks.
-            overlap: further samples, `length` at most.
-            every: 1 yields all chunks.
-        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +72,21 @@ class Log:
 
     @property
     def sample_time(self) -> float:
-        """As the first rows have it."""
+        """Of every channel, in seconds, as the first rows have it."""
         for _, table, _ in self._tables(_LOOK, 0, 1):
             return _require_one_rate(self._reader.build_record(table, self.name))
         raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """See `LongRecord.chunks`."""
+        """Yield every `every`-th chunk.
+
+        A remainder shorter than the overlap belongs to the chunk before it.
+
+        Args:
+            length: samples between the beginnings of chunks.
+            overlap: further samples, `length` at most.
+            every: 1 yields all chunks.
+        """
         reader, sample_time = self._reader, self.sample_time
         for number, table, last in self._tables(length, overlap, every):
             try:
@@ -148,13 +133,17 @@ class InMemory:
         return _require_one_rate(self.record)
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """See `LongRecord.chunks`."""
+        """See `Log.chunks`."""
         samples = min(len(channel) for _, channel in self.record.items())
         firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
         for number, first in enumerate(firsts):
             if number % every == 0:
                 part = cut(self.record, first, min(first + length + overlap, samples))
                 yield Chunk(number, part, first == firsts[-1])
+
+
+LongRecord: TypeAlias = Log | InMemory
+"""A record that can be read in chunks."""
 
 
 def begin_together(records: Sequence[Record]) -> tuple[Record, ...]:

@@ -1,8 +1,7 @@
-"""Inspect a file: size, unit, clock, range, sparkline per channel."""
+"""Inspect a file: size, unit, clock and range of each channel."""
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections import Counter
@@ -15,15 +14,13 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
-from jointid.common.text import number, pluralise, show
+from jointid.common.text import number, pluralise, short, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_table
 from jointid.records.formats.table import STAMP_NAME
 from jointid.records.recognition import Recognised, recognise
 
 _TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
-_LEVELS = "▁▂▃▄▅▆▇█"
-_SPARKLINE = 24  # characters
 _MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
 _LISTED = 1000  # channels; who has more of them reads them by a program
 _LONGEST = 60  # characters of a name in the table
@@ -114,9 +111,20 @@ class Inspection(Documented):
         Only the first 1,000 channels are listed.
         """
         del details
-        header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN", "picture")
-        rows = tuple(map(_table_row, self.channels[:_LISTED]))
-        blocks: list[Block] = [Table(header, rows, words=(0, 2, 7))] if rows else []
+        header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN")
+        rows = tuple(
+            (
+                short(one.name, _LONGEST),
+                str(one.rows),
+                show(one.unit or "-"),
+                "-" if one.sample_time is None else f"{one.sample_time:.6g} s",
+                number(one.minimum),
+                number(one.maximum),
+                str(one.missing),
+            )
+            for one in self.channels[:_LISTED]
+        )
+        blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
         if more := len(self.channels) - len(rows):
             blocks.append(Paragraph(f"and {pluralise(more, 'more channel')}, which --json lists, too"))
         if self.scalars:
@@ -178,28 +186,3 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     return Inspection(
         path.name, format_of(path).name, size, tuple(found.values()), table.scalars, table.passed, recognised
     )
-
-
-def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
-    name = show(channel.name)
-    return (
-        name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}...",
-        str(channel.rows),
-        show(channel.unit or "-"),
-        "-" if channel.sample_time is None else f"{channel.sample_time:.6g} s",
-        number(channel.minimum),
-        number(channel.maximum),
-        str(channel.missing),
-        "time" if channel.is_time else draw_sparkline(channel.values),
-    )
-
-
-def draw_sparkline(values: FloatArray) -> str:
-    """Draw the extreme value of each stretch of a signal as a line of blocks."""
-    low, high = find_band(values, _SPARKLINE)
-    bottom, top = float(np.fmin.reduce(low)), float(np.fmax.reduce(high))
-    if not math.isfinite(top - bottom):
-        return ""
-    middle, span = (bottom + top) / 2, top - bottom or math.inf
-    far = np.where(high - middle >= middle - low, high, low)
-    return "".join(" " if np.isnan(one) else _LEVELS[min(int((one - bottom) / span * 8), 7)] for one in far)

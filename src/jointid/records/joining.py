@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.records.clock import Clock, find_stamps, fit_clock
 from jointid.records.formats import Table, read_table
-from jointid.records.formats.table import Found
 from jointid.records.resampling import Resampling
 
 _TOGETHER = 0.5  # of the shorter file, that two files cover together at least
@@ -53,18 +51,18 @@ def join_files(
             f"{tables[0].source} and {tables[apart[0]].source} have no clock in common; give record.offsets: the "
             "seconds to add to the clock of each file."
         )
-    found, kept = Found(Path()), dict[str, FloatArray]()
+    joined, kept = Table(source=" and ".join(table.source for table in tables)), dict[str, FloatArray]()
     for path, table, own, offset in zip(paths, tables, clocks, offsets or [0.0] * len(tables), strict=True):
         name, stamps = Path(path).stem, own.stamps + offset
         time = next((n for n, one in kept.items() if _is_same(one, stamps, own.sample_time)), f"time of {name}")
         if time not in kept:
             kept[time] = stamps
-            found.add(time, stamps.copy(), "s")
+            joined.add(time, stamps.copy(), "s")
         for column, values in table.columns.items():
-            renamed = f"{name}: {column}" if column in found.columns else column
-            found.add(renamed, values, table.units.get(column, ""), time)
-        found.passed |= {f"{name}: {column}": why for column, why in table.passed.items()}
-    return replace(found.table(), source=" and ".join(table.source for table in tables))
+            renamed = f"{name}: {column}" if column in joined.columns else column
+            joined.add(renamed, values, table.units.get(column, ""), time)
+        joined.passed |= {f"{name}: {column}": why for column, why in table.passed.items()}
+    return joined.require_numbers()
 
 
 def choose_resampling(table: Table) -> Resampling | None:

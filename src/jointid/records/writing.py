@@ -54,11 +54,8 @@ def write(
         RecordError: the channels differ in rate or have one sample, two share a column, or the file would not be
             restored or cannot be written.
     """
-    made = columns_to_write(
-        record, columns, drive=drive, time=time, time_unit=time_unit, sample_time=sample_time, kind=kind,
-        transmission=transmission,
-    )  # fmt: skip
-    write_columns(made, path, **options)
+    frame = Frame(drive or Drive(), kind, transmission)
+    write_columns(columns_to_write(record, columns or {}, frame, time, time_unit, sample_time), path, **options)
 
 
 def write_columns(columns: Mapping[str, FloatArray], path: str | os.PathLike[str], **options: object) -> None:
@@ -70,22 +67,24 @@ def write_columns(columns: Mapping[str, FloatArray], path: str | os.PathLike[str
 
 def columns_to_write(
     record: Record,
-    columns: Mapping[str, str | Column] | None = None,
-    *,
-    drive: Drive | None = None,
+    columns: Mapping[str, str | Column],
+    frame: Frame,
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
-    kind: str = "revolute",
-    transmission: Transmission | None = None,
 ) -> dict[str, FloatArray]:
     """Return the columns that `write` writes, by name; arguments as there."""
-    wanted = {n: Column(c) if isinstance(c, str) else c for n, c in (columns or {}).items()}
-    frame = Frame(drive or Drive(), kind, transmission)
-    named = _name_columns(record, wanted, frame)
-    if transmission is not None:
+    named = dict[str, Column]()
+    for name in record.channels:
+        column = Column(given) if isinstance(given := columns.get(name), str) else given
+        if frame.drive.traces is not None:
+            tap = record.tap if name == "torque" and not (column and column.tap) else None
+            column = frame.drive.traces.column(name, column, frame.drive.place, frame.kind_of(name, column), tap)
+        named |= {name: column} if column is not None and column.column else {}
+    if frame.transmission is not None:
         sides = {name: frame.drive.side(name, named.get(name)) for name in record.channels}
-        seen = {n: refer_channel(transmission, n, channel, sides[n], back=True) for n, channel in record.items()}
+        gear = frame.transmission
+        seen = {n: refer_channel(gear, n, channel, sides[n], back=True) for n, channel in record.items()}
         record = record.with_channels(seen)
     channels = dict(record.items())
     first, periods = next(iter(channels.values())), {channel.sample_time for channel in channels.values()}
@@ -97,34 +96,19 @@ def columns_to_write(
         )
     clocks = [time or "t"] if sample_time is None or time is not None else []
     clocks += [column.time for column in named.values() if column.time is not None]
-    table = {name: _stamps(first, name, time_unit) for name in clocks}
+    table = dict[str, FloatArray]()
+    for name in clocks:
+        unit = units.unit(time_unit or unit_in_name(name, units.units_of("time")) or "s")
+        table[name] = instants(len(first), first.sample_time / unit.factor)
     for name, channel in channels.items():
-        column = named[name].column if name in named else name
+        called = named[name].column if name in named else name
         values = _column_values(name, channel, named, frame) if name in named else channel.values
-        if not np.allclose(table.setdefault(column, values), values, rtol=_ONE, atol=0.0):
-            both = [n for n, c in named.items() if c.column == column]
+        if not np.allclose(table.setdefault(called, values), values, rtol=_ONE, atol=0.0):
             raise RecordError(
-                f'{" and ".join(both) if len(both) > 1 else name} would share the column "{column}" with something '
-                "else; give each channel, and the time, a column of its own."
+                f'{name} would share the column "{called}" with something else; give each channel, and the time, a '
+                "column of its own."
             )
     return table
-
-
-def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
-    """A channel's instants in the unit of its time column."""
-    unit = units.unit(time_unit or unit_in_name(name, units.units_of("time")) or "s")
-    return instants(len(channel), channel.sample_time / unit.factor)
-
-
-def _name_columns(record: Record, wanted: Mapping[str, Column], frame: Frame) -> dict[str, Column]:
-    """Columns with a declared or profile name."""
-    traces = frame.drive.traces
-    found: dict[str, Column | None] = {name: wanted.get(name) for name in record.channels}
-    if traces is not None:
-        for name, column in found.items():
-            tap = record.tap if name == "torque" and not (column and column.tap) else None
-            found[name] = traces.column(name, column, frame.drive.place, frame.kind_of(name, column), tap)
-    return {name: column for name, column in found.items() if column is not None and column.column}
 
 
 def _column_values(name: str, channel: Channel, columns: Mapping[str, Column], frame: Frame) -> FloatArray:

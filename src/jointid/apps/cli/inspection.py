@@ -29,7 +29,7 @@ def inspect(
 ) -> None:
     """List what is in a file, channel by channel.
 
-    Each with its rows, unit, sample time, range and a small picture.
+    Each with its rows, unit, sample time and range.
     Any format that records are read from, and the folder of a ROS 2 bag or of several files. The answer says what is
     taken for a clock, and whose log it is, if known.
 

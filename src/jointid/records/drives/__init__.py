@@ -35,7 +35,6 @@ Place: TypeAlias = Mapping[str, int | str]
 """Where in a trace an axis stands: what the placeholders of names mean."""
 
 _FOLDER = files("jointid.records.drives")  # of the profiles
-_AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 _HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _WORD = re.compile(r"[a-z0-9]+")
@@ -182,19 +181,15 @@ class Profile:
                 signal = found.get(column.column)
                 made[channel] = column if signal is None else signal.fill(column, known_units(channel, kinds[channel]))
             elif found or not column.optional:
-                faults.append(self._missing(source, spoken, place, channel, sorted(found)))
-        return made, faults if made or faults else [self._missing(source, spoken, place, "any channel", [])]
+                faults.append(self._missing(source, spoken, channel, sorted(found)))
+        return made, faults if made or faults else [self._missing(source, spoken, "any channel", [])]
 
-    def _missing(self, source: str, columns: Spoken, place: Place, channel: str, found: list[str]) -> str:
+    def _missing(self, source: str, columns: Spoken, channel: str, found: list[str]) -> str:
         """Say that no column is known as a channel, or more than one."""
-        names = " ".join(name for signals in self.channels.values() for one in signals for name in one.names)
-        asked = names.replace("{index}", "{axis}")
-        lacking = [one for one in ("axis", "joint") if f"{{{one}}}" in asked and one not in place]
-        remedy = f"give the {lacking[0]} of the drive, or name the column" if lacking else "name the column"
         listed = found or list(dict.fromkeys(name for names in columns.values() for name in names))[:_LISTED]
         return (
             f'{source} has {"several columns" if found else "no column"} that profile "{self.name}" knows as '
-            f"{channel}; it has {', '.join(map(repr, listed))}: {remedy}."
+            f"{channel}; it has {', '.join(map(repr, listed))}: name one, or give the axis or the joint of the drive."
         )
 
 
@@ -274,8 +269,8 @@ class Drive:
     """A drive's profile and the parameters behind its units.
 
     Raises:
-        RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
-            1 on, or the rated torque is not rated current x torque constant where all three are given.
+        RecordError: there is no such profile, a number is not positive and finite, or the axis is not a whole number
+            from 1 on.
     """
 
     profile: str | None = setting(
@@ -290,9 +285,6 @@ class Drive:
     joint: str | None = setting(None, "name of the axis, where a trace has several and the profile's names name them")
     rated_torque: float | None = setting(
         None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
-    )
-    rated_current: float | None = setting(
-        None, "the same as a current, in place of it, beside the torque constant", unit="A", above=0
     )
     torque_constant: float | None = setting(None, "takes a torque in A to N m or N", unit="N/A or N m/A", above=0)
     torque_per_volt: float | None = setting(
@@ -311,14 +303,6 @@ class Drive:
 
     def __post_init__(self) -> None:
         check_settings(self, RecordError)
-        if self.rated_torque is not None and self._from_current is not None:
-            ratio = self._from_current / self.rated_torque
-            if abs(ratio - 1) > _AGREES:
-                raise RecordError(
-                    f"The drive's rated_torque is {self.rated_torque:g}, and rated_current x torque_constant "
-                    f"{self._from_current:g}, {ratio:.3g} times as much (peak and rms ampere differ by 1.41); correct "
-                    "one, or leave rated_current out."
-                )
 
     @property
     def place(self) -> Place:
@@ -337,12 +321,6 @@ class Drive:
         traces = self.traces
         found = None if traces is None else traces.side(channel, column.column if column else "", self.place)
         return found or ("load" if channel == "load_position" else "motor")
-
-    @property
-    def _from_current(self) -> float | None:
-        if self.rated_current is None or self.torque_constant is None:
-            return None
-        return self.rated_current * self.torque_constant
 
     def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
         """Return a unit with its factor to SI; other units stay.
@@ -367,8 +345,7 @@ class Drive:
             return replace(units.unit(POSITION_UNIT[kind]), name=unit.name, factor=turn / counts)
         if unit.dimension == units.SHARE:
             known = "" if self.traces is None else self.traces.rated_torque
-            needed = "rated_torque, or rated_current and torque_constant"
-            number = _require(self.rated_torque or self._from_current, needed, known)
+            number = _require(self.rated_torque, "rated_torque", known)
         if number is None:
             return unit
         return replace(units.unit(TORQUE_UNIT[kind]), name=unit.name, factor=unit.factor * number)

@@ -55,8 +55,6 @@ FORMATS: tuple[Format, ...] = (
 )
 """Every format there is."""
 
-_PICKLES = (".pt", ".pth", ".pkl", ".pickle")
-
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     """Return the format for a suffix; a folder is a ROS 2 bag, or holds several files.
@@ -64,29 +62,24 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     Raises:
         RecordError: unknown suffix, or an option that the format does not have.
     """
-    found = _find_format(path)
-    known = [option.name for option in fields(TextOptions)] if found is _TEXT else []
-    if unknown := sorted(set(options) - set(known)):
-        listed = ", ".join(known) or "none"
-        raise RecordError(f"Reading {found.name} has no option {', '.join(unknown)}; it has: {listed}.")
-    TextOptions(**options)  # type: ignore[arg-type]
-    return found
-
-
-def _find_format(path: str | os.PathLike[str]) -> Format:
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
+    packed, suffix = path.suffix.lower() == ".gz", Path(path.name.lower().removesuffix(".gz")).suffix
     if is_folder or not path.suffix:
-        return _FOLDER if is_folder and folder.is_record(path) else _BAG
-    packed = path.suffix.lower() == ".gz"
-    suffix = Path(path.stem).suffix.lower() if packed else path.suffix.lower()
-    found = next((one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed)), None)
-    if found is None:
-        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
-        why = "is of a pickle, which runs code" if suffix in _PICKLES else "names no known format"
-        raise RecordError(
-            f'{path.name} has the suffix "{suffix}", which {why} ({known}; texts with .gz, too); convert or unpack it.'
-        )
+        found = _FOLDER if is_folder and folder.is_record(path) else _BAG
+    else:
+        of_suffix = (one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed))
+        if (found := next(of_suffix, None)) is None:
+            known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
+            raise RecordError(
+                f'{path.name} has the suffix "{suffix}", which names no known format ({known}; texts with .gz, too; a '
+                "pickle would run code); convert or unpack it."
+            )
+    known_options = [option.name for option in fields(TextOptions)] if found is _TEXT else []
+    if unknown := sorted(set(options) - set(known_options)):
+        listed = ", ".join(known_options) or "none"
+        raise RecordError(f"Reading {found.name} has no option {', '.join(unknown)}; it has: {listed}.")
+    TextOptions(**options)  # type: ignore[arg-type]
     return found
 
 
@@ -99,7 +92,7 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     path, reader = Path(path), format_of(path, **options)
     with _explain_failure(path, reader):
         if reader.read is not None:
-            return reader.read(path)
+            return reader.read(path).require_numbers()
         assert reader.blocks is not None
         return join_tables(reader.blocks(path, None, **options))
 
@@ -124,24 +117,21 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 def _explain_failure(path: Path, reader: Format) -> Iterator[None]:
     """Refuse a path without content, and say why a file cannot be read, whatever the library of its format raises."""
     try:
-        size = path.stat().st_size
-        if not (path.is_dir() or (path.is_file() and size)):
+        if not (path.stat().st_size and path.is_file()) and not path.is_dir():
             raise RecordError(f"{path.name} is empty, a pipe or a device; log or copy it again, to a file.")
         yield
     except JointidError:
         raise
-    except MemoryError as error:
-        raise RecordError(
-            f"{path.name} takes more memory than there is; log fewer channels, or cut it into shorter files."
-        ) from error
     except Exception as error:
-        if isinstance(error, OSError) and error.errno:  # of the system; a library's own has no number
-            said = os.strerror(error.errno).lower()
-            raise RecordError(f"{path} cannot be opened ({said}); check the path.") from error
-        raise RecordError(
+        said = (
             f"{path.name} cannot be read as {reader.name}: it is damaged, cut off or of another format; log or copy it "
             "again, or convert it to CSV or NPY by what wrote it."
-        ) from error
+        )
+        if isinstance(error, MemoryError):
+            said = f"{path.name} takes more memory than there is; log fewer channels, or cut it into shorter files."
+        if isinstance(error, OSError) and error.errno:  # of the system; a library's own has no number
+            said = f"{path} cannot be opened ({os.strerror(error.errno).lower()}); check the path."
+        raise RecordError(said) from error
 
 
 def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
@@ -154,5 +144,11 @@ def write_table(path: str | os.PathLike[str], table: Table, **options: object) -
     if writer.write is None or path.suffix.lower() == ".gz":
         written = ", ".join(entry.name for entry in FORMATS if entry.write is not None)
         raise RecordError(f"{path.name} is of a format that is read alone; write one of {written}.")
+    if table.scalars or len({values.size for values in table.columns.values()}) != 1:
+        lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
+        raise RecordError(
+            f"{writer.name} holds columns of one length and no scalars; got {lengths or 'no column'}, and scalars "
+            f"{', '.join(table.scalars) or 'none'}: leave some out."
+        )
     with beside(path) as fresh:
         writer.write(fresh, table, **options)

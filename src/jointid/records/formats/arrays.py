@@ -12,6 +12,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeAlias
@@ -19,16 +20,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Found, Table, find_columns, require_columns, require_room, to_numbers
+from jointid.records.formats.table import Table, find_columns, require_room, to_numbers
 
 _HEADER = 2**16  # characters of the header of a NumPy array, for more than a thousand columns
 _REST = 2**8  # characters of it beside the names of the columns
-_VARIABLE = re.compile(
-    r"(?!(?:break|case|catch|classdef|continue|else|elseif|end|for|function|global|if|otherwise|parfor|persistent|"
-    r"return|spmd|switch|try|while)$)[A-Za-z]\w{0,62}",
-    re.ASCII,
-)
-_OF_SCIPY = ("__header__", "__version__", "__globals__", "__function_workspace__")
+_VARIABLE = re.compile(r"(?!end$|for$|global$|if$)[A-Za-z]\w{0,62}", re.ASCII)  # of MATLAB; no word that a log may have
 _HDF5, _HEADER_73 = b"\x89HDF\r\n\x1a\n", 512  # the signature, and the bytes of MATLAB's own header before it
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
@@ -51,15 +47,14 @@ def read_npy(path: Path, rows: int | None) -> Iterator[Table]:
     total = max((view.size for view in views.values()), default=1)
     require_room(path.name, 0 if rows else total * len(views), len(views))
     for first in range(0, total, rows or total):
-        found = Found(path, passed=passed)
+        table = Table(source=path.name, passed=passed)
         for name, view in views.items():
-            found.add(name, to_numbers(view[first : first + (rows or total)], view[:1]))
-        yield found.table()
+            table.add(name, to_numbers(view[first : first + (rows or total)], view[:1]))
+        yield table.require_numbers()
 
 
 def write_npy(path: Path, table: Table) -> None:
     """Write a record array of float64 fields."""
-    require_columns(table, "NPY")
     array = np.empty(table.rows, dtype=[(name, "<f8") for name in table.columns])
     if (size := len(repr(array.dtype.descr))) > _HEADER - _REST:
         raise RecordError(
@@ -75,20 +70,19 @@ def write_npy(path: Path, table: Table) -> None:
 
 def read_npz(path: Path) -> Table:
     """Read every array; objects, which would be pickles, are passed over."""
-    found = Found(path)
+    table = Table(source=path.name)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         require_room(path.name, sum(member.file_size for member in members) // 8, len(members))
         for member in members:
-            name = member.filename.removesuffix(".npy")
-            try:
-                with archive.open(member) as file:
-                    array = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_HEADER)
-            except ValueError:
-                found.passed[name] = "it is no array, holds objects, or less than it declares"
+            name, array = member.filename.removesuffix(".npy"), None
+            with suppress(ValueError), archive.open(member) as file:
+                array = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_HEADER)
+            if array is None:
+                table.passed[name] = "it is no array, holds objects, or less than it declares"
             else:
-                found.take(name, array)
-    return found.table()
+                table.take(name, array)
+    return table
 
 
 def read_mat(path: Path) -> Table:
@@ -106,23 +100,23 @@ def read_mat(path: Path) -> Table:
             variables = loadmat(path)
         except MatReadWarning as warning:
             raise RecordError(f"{path.name} has two variables of one name; rename one of them.") from warning
-    found = Found(path)
+    table = Table(source=path.name)
     for name, value in variables.items():
-        if name not in _OF_SCIPY:
-            _take_variable(found, name, value)
-    return found.table()
+        if not name.startswith("__"):  # as SciPy's own do
+            _take_variable(table, name, value)
+    return table
 
 
-def _take_variable(found: Found, path: str, value: Any) -> None:
+def _take_variable(table: Table, path: str, value: Any) -> None:
     if type(value) is not np.ndarray or value.dtype.kind == "O":  # MATLAB's objects are subclasses
-        found.passed[path] = "a cell array, a sparse matrix or an object of MATLAB"
+        table.passed[path] = "a cell array, a sparse matrix or an object of MATLAB"
     elif value.dtype.names is None:
-        found.take(path, value)
+        table.take(path, value)
     else:
         for index, element in enumerate(value.ravel(order="F")):
             for field in value.dtype.names:
                 inner = f"{path}.{field}" if value.size == 1 else f"{path}[{index}].{field}"
-                _take_variable(found, inner, element[field])
+                _take_variable(table, inner, element[field])
 
 
 def write_mat(path: Path, table: Table) -> None:
@@ -142,7 +136,7 @@ def write_mat(path: Path, table: Table) -> None:
 def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
     """Read every dataset of numbers by its path; what another file or place holds is not followed."""
     h5py = extra("h5py", "logs", f"Reading {path.name}")
-    found, seen = Found(path), 0
+    table, seen, bearable = Table(source=path.name), 0, _ANY_FILE + _PACKED_MOST * path.stat().st_size
 
     def visit(name: str, member: Member) -> None:
         nonlocal seen
@@ -153,11 +147,15 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
             return
         called = name.replace("/", ".") if matlab else name
         if why := _refuse(h5py, member):
-            found.passed[called] = why
+            table.passed[called] = why
         elif h5py.check_ref_dtype(member.dtype) is None:
-            _take_dataset(found, called, member, matlab)
-        elif member.size > _ELEMENTS:
-            found.passed[called] = f"an array of more than {_ELEMENTS} structures"
+            numbers = member.size * len(member.dtype.names or " ")
+            require_room(path.name, table.numbers + numbers)
+            if 8 * numbers > bearable:
+                raise RecordError(f"{path.name} declares numbers that were never written; log or copy it again.")
+            unit = next((text for key in _UNITS if (text := _text_of(member, key))), "")
+            array = np.asarray(member[()])
+            table.take(called, array.T if matlab else array, unit)
         else:  # the elements of an array of structures
             above, _, field = name.rpartition("/")
             for index, reference in enumerate(member[()].ravel()):
@@ -168,35 +166,25 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)  # each once, and no link to another place
-        return found.table()
-
-
-def _take_dataset(found: Found, name: str, dataset: Member, matlab: bool) -> None:
-    """Read a dataset whose declared size is bearable."""
-    numbers = dataset.size * len(dataset.dtype.names or " ")
-    require_room(found.path.name, found.numbers + numbers)
-    if 8 * numbers > _ANY_FILE + _PACKED_MOST * found.path.stat().st_size:
-        raise RecordError(f"{found.path.name} declares numbers that were never written; log or copy it again.")
-    unit = next((text for key in _UNITS if (text := _text_of(dataset, key))), "")
-    array = np.asarray(dataset[()])
-    found.take(name, array.T if matlab else array, unit)
+        return table
 
 
 def _refuse(h5py: Any, dataset: Member) -> str:
     """Reason to pass over a dataset: no numbers, numbers in another file, or too large chunks."""
     properties, kind = dataset.id.get_create_plist(), _text_of(dataset, "MATLAB_class")
+    packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if dataset.shape is None or dataset.size == 0 or "MATLAB_empty" in dataset.attrs:
         return "it is empty"
     if kind in ("char", "cell") or h5py.check_string_dtype(dataset.dtype) is not None:
-        return "a cell array" if kind == "cell" else "it holds text"
-    if dataset.dtype.kind == "c" or dataset.dtype.names in (("real", "imag"), ("r", "i")):
-        return "it holds complex numbers"
-    if "MATLAB_sparse" in dataset.parent.attrs:
-        return "a sparse matrix"
+        return "it holds text, or cells"
+    if dataset.dtype.names in (("real", "imag"), ("r", "i")) or "MATLAB_sparse" in dataset.parent.attrs:
+        return "it holds complex numbers, or a sparse matrix"
     if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
         return "its numbers are in another file"
-    packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
-    return f"its chunks are declared as {packed / 2**30:.3g} GiB each" if packed > _CHUNK else ""
+    is_array = h5py.check_ref_dtype(dataset.dtype) is not None
+    if packed > _CHUNK or (is_array and dataset.size > _ELEMENTS):
+        return f"its chunks are declared as {packed / 2**30:.3g} GiB each, or it has {dataset.size} structures"
+    return ""
 
 
 def _text_of(member: Member, key: str) -> str:

@@ -1,8 +1,9 @@
 """ROS 2 bags, a folder or a file (MCAP or SQLite), with one clock per topic.
 
 The library rosbags reads the files and parses the definitions of messages. It would compile these to Python code and
-run it, so messages (CDR version 1 of the Object Management Group) are decoded here, by interpretation. Every length is
-checked against the available bytes, and every message against a budget.
+run it, so messages (CDR version 1 of the Object Management Group) are walked through here, by interpretation. Messages
+of the same lengths and joint names have their numbers at the same bytes, and are read without a further walk. Every
+length is checked against the available bytes, and every message against a budget.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ import re
 import sqlite3
 import struct
 from array import array
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 from urllib.parse import quote
@@ -21,7 +24,7 @@ from urllib.parse import quote
 import numpy as np
 
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Found, Table, require_room
+from jointid.records.formats.table import Table, require_room
 
 SUFFIXES = (".mcap", ".db3")
 """Endings of the files of a bag."""
@@ -30,7 +33,8 @@ _NUMBERS = {
     "bool": "B", "byte": "B", "octet": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
     "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
 }  # fmt: skip
-_SIZES = {code: struct.calcsize("=" + code) for code in _NUMBERS.values()}
+_SIZES = {kind: struct.calcsize("=" + code) for kind, code in _NUMBERS.items()}
+_INSTANT = "iI"  # seconds and nanoseconds
 _TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
 _OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
@@ -38,13 +42,18 @@ _BUDGET, _DEEPEST = 20_000, 16  # fields of one message, messages within message
 _MOTORS = 64  # messages of an array without names; more are no motors of a robot
 _WIDEST_ARRAY, _WIDEST_TOPIC = 256, 1000  # columns of an array without names (a longer one is a picture), of a topic
 _TOPICS = 2000  # of a file; the library compares each with all
+_RECENT = 8  # layouts of messages of one size that are tried
+_HEADER = 4  # bytes before a message: its encoding
 _DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
 _SQLITE = b"SQLite format 3\0"
 _COMPUTED = re.compile(r"\bAS\b", re.IGNORECASE)  # of a column that is generated, and of a table by a query
 _DIGITS = re.compile(r"(\d+)")
 
-Value: TypeAlias = Any
-"""A number, an array, an instant (int, in nanoseconds), a text, a message (dict) or a list of messages or texts."""
+Place: TypeAlias = tuple[int, str]
+"""First byte of a number, an instant or a text in a message, and its code."""
+
+Node: TypeAlias = Any
+"""What a field of a message is: a place, a message (dict of nodes), or a list of nodes."""
 
 Types: TypeAlias = Mapping[str, Any]
 """Definitions of messages as rosbags parses them, by the names of their types."""
@@ -64,154 +73,190 @@ def read_bag(path: Path) -> Table:
         files.sort(key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
     if not files:
         raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; unpack .zstd files, or name a file.")
-    found, topics, count = Found(path), dict[str, _Topic](), 0
+    table, topics, count = Table(source=path.name), dict[str, _Topic](), 0
     for name, kind, types, logged, data in (message for file in files for message in _read_messages(file)):
-        if name not in found.passed:
-            topic = topics.setdefault(name, _Topic(name, kind))
+        if name not in table.passed:
             try:
+                topic = topics.setdefault(name, _Topic(kind))
                 if topic.kind != kind:
                     raise ValueError("its messages are of more than one kind")
-                count += topic.take(types, logged, data)
+                topic.add(name, types, logged, data)
             except KeyError:
-                found.passed[name] = f"the bag has no definition of {kind}"
+                table.passed[name] = f"the bag has no definition of {kind}"
             except ValueError as error:
-                found.passed[name] = str(error)
+                table.passed[name] = str(error)
+            count += len(topics[name].names) + 1
             require_room(path.name, count)
-    read = {name: topic.columns() for name, topic in topics.items() if name not in found.passed}
+    read = {name: topic.columns() for name, topic in topics.items() if name not in table.passed}
     dates = [stamps.min() for stamps, columns in read.values() if columns and stamps.min() >= _DATE]
     for name, (stamps, columns) in read.items():
         if columns:
             zero = min(dates) if stamps.min() >= _DATE else 0
-            found.add(f"{name}/time", (stamps - zero) / 1e9, "s")
+            table.add(f"{name}/time", (stamps - zero) / 1e9, "s")
         for column, values in columns.items():
-            found.add(column, values, clock=f"{name}/time")
-    return found.table()
+            table.add(column, values, clock=f"{name}/time")
+    return table
 
 
 @dataclass(slots=True)
 class _Topic:
-    """The messages of one topic, as growing columns."""
+    """The messages of one topic.
 
-    name: str
+    Attributes:
+        names: of all numbers, in their order; the empty one is of the header's stamps.
+        logged: log times in nanoseconds.
+        layouts: the latest by definitions and size: the fixed bytes, and the place of its numbers in `numbers`.
+        numbers: of each layout what reads them, the paths with their codes, the rows of its messages, and the numbers.
+    """
+
     kind: str
-    logged: array[int] = field(default_factory=lambda: array("q"))
-    stamped: array[int] = field(default_factory=lambda: array("q"))
-    numbers: dict[str, array[float]] = field(default_factory=dict)
+    names: dict[str, None] = field(default_factory=dict)
+    logged: list[int] = field(default_factory=list)
+    layouts: dict[tuple[int, int], deque[tuple[struct.Struct, tuple[Any, ...], int]]] = field(default_factory=dict)
+    numbers: list[tuple[struct.Struct, list[tuple[str, str]], list[int], array[float]]] = field(default_factory=list)
 
-    def take(self, types: Types, time: int, data: bytes) -> int:
-        """Add a message, and return how many numbers it may have; see `decode_message`."""
-        fields, row = decode_message(self.kind, data, types), len(self.logged)
+    def add(self, name: str, types: Types, time: int, data: bytes) -> None:
+        """Add a message of the topic of this name."""
+        recent = self.layouts.setdefault((id(types), len(data)), deque(maxlen=_RECENT))
+        at = next((at for fixed, stated, at in recent if fixed.unpack_from(data) == stated), None)
+        if at is None:
+            walk = Walk(types, data)
+            message = walk.message(self.kind, 0)
+            found = list(walk.find(message, name))
+            match message:
+                case {"header": {"stamp": (_, str(code)) as stamp}} if code == _INSTANT:
+                    found.append(("", stamp))
+            found.sort(key=lambda one: one[1])
+            paths = [(path, code) for path, (_, code) in found]
+            self.names |= dict.fromkeys(path for path, _ in paths)
+            if len(self.names) > _WIDEST_TOPIC or len(dict(paths)) < len(paths):
+                raise ValueError(f"it has more than {_WIDEST_TOPIC} numbers, or two of one name in a message")
+            fixed, at = walk.pick(sorted(walk.fixed)), len(self.numbers)
+            self.numbers.append((walk.pick(place for _, place in found), paths, [], array("d")))
+            recent.appendleft((fixed, fixed.unpack_from(data), at))
+        reader, _, rows, numbers = self.numbers[at]
+        rows.append(len(self.logged))
+        numbers.extend(reader.unpack_from(data))
         self.logged.append(time)
-        header = fields.get("header")
-        stamp = header.get("stamp") if isinstance(header, dict) else None
-        if isinstance(stamp, int) and stamp:
-            self.stamped.append(stamp)
-        for path, value in _flatten(fields, self.name):
-            column = self.numbers.setdefault(path, array("d"))
-            column.extend([np.nan] * (row - len(column)))  # of the messages before, which had no such number
-            if len(column) > row or len(self.numbers) > _WIDEST_TOPIC:
-                raise ValueError(f"it has more than {_WIDEST_TOPIC} numbers, or two in a message called {path!r}")
-            column.append(value)
-        return len(self.numbers) + 1
 
     def columns(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], dict[str, np.ndarray[Any, np.dtype[np.float64]]]]:
         """Return the stamps in nanoseconds, in their order, and the columns."""
-        stamps = np.array(self.stamped if len(self.stamped) == len(self.logged) else self.logged, dtype=np.int64)
-        order = np.argsort(np.array(self.logged, dtype=np.int64), kind="stable")
-        columns = {}
-        for name, values in self.numbers.items():
-            values.extend([np.nan] * (len(self.logged) - len(values)))
-            columns[name] = np.array(values, dtype=np.float64)[order]
-        return stamps[order], {name: values for name, values in columns.items() if not np.isnan(values).all()}
+        logged = np.array(self.logged, dtype=np.int64)
+        stamped, order = np.zeros_like(logged), np.argsort(logged, kind="stable")
+        columns = {name: np.full(logged.size, np.nan) for name in self.names if name}
+        for _, paths, rows, numbers in self.numbers:
+            values = iter(np.frombuffer(numbers).reshape(len(rows), -1).T)
+            for path, code in paths:
+                column = next(values)
+                if code == _INSTANT:
+                    instants = column.astype(np.int64) * 10**9 + next(values).astype(np.int64)
+                    if not path:
+                        stamped[rows] = instants
+                        continue
+                    column = instants / 1e9
+                columns[path][rows] = column
+        stamps = stamped if stamped.all() else logged
+        return stamps[order], {n: values[order] for n, values in columns.items() if not np.isnan(values).all()}
 
 
-def decode_message(name: str, data: bytes, types: Types) -> dict[str, Value]:
-    """Decode a message of type `name`, "package/msg/Type".
+class Walk:
+    """A way through the bytes of one message, from front to back, aligned from the end of its header.
+
+    Attributes:
+        fixed: places of the lengths and names by which others of its layout are known.
 
     Raises:
         ValueError: invalid bytes, or too many parts.
         KeyError: an unknown type.
     """
-    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError("a message of it is not plain CDR")
-    return _Decoder(types, data[4:], "<" if data[1] else ">").message(name, 0)
 
+    def __init__(self, types: Types, data: bytes) -> None:
+        if len(data) < _HEADER or data[0] != 0 or data[1] not in (0, 1):
+            raise ValueError("a message of it is not plain CDR")
+        self.types, self.data, self.order = types, data, "<" if data[1] else ">"
+        self.at, self.budget, self.fixed = _HEADER, _BUDGET, [(0, f"{_HEADER}s")]
 
-class _Decoder:
-    """The bytes of one message, read from front to back, aligned from the end of its header."""
-
-    def __init__(self, types: Types, data: bytes, order: str) -> None:
-        self.types, self.data, self.order = types, data, order
-        self.at, self.budget = 0, _BUDGET
-
-    def message(self, name: str, deep: int) -> dict[str, Value]:
+    def message(self, kind: str, deep: int) -> dict[str, Node]:
+        """Walk through a message of a type, "package/msg/Type"."""
         if deep > _DEEPEST:
             raise ValueError("a message of it has messages within messages without end")
-        _, fields = self.types[name]
+        _, fields = self.types[kind]
         if not fields:
-            self.take(1, 1)  # a message without fields is a byte long
+            self.skip(1, 1)  # a message without fields is a byte long
         return {key: self.member(shape.name, described, deep) for key, (shape, described) in fields}
 
-    def member(self, shape: str, described: Any, deep: int) -> Value:
-        """Read a field: a value (BASE, NAME), so many of them (ARRAY), or any number (SEQUENCE)."""
+    def member(self, shape: str, described: Any, deep: int) -> Node:
+        """Walk through a field: a value (BASE, NAME), so many of them (ARRAY), or any number (SEQUENCE)."""
         if shape in ("BASE", "NAME"):
             return self.value(described[0] if shape == "BASE" else described, deep)
-        (_, inner), length = described
-        kind = inner if isinstance(inner, str) else inner[0]
-        count = length if shape == "ARRAY" else self.number("I")
-        if kind in _NUMBERS:
-            start = self.take(_SIZES[_NUMBERS[kind]] if count else 1, count)  # nothing is not aligned
-            return np.frombuffer(self.data, self.order + _NUMBERS[kind], count, start)
+        (inner, kind), length = described
+        kind = kind[0] if inner.name == "BASE" else kind
+        count, size = length if shape == "ARRAY" else self.length(), _SIZES.get(kind, 1)
+        if kind in _SIZES and (size == 1 or count > _WIDEST_ARRAY):  # bytes, or a picture
+            self.skip(size if count else 1, size * count)  # nothing is not aligned
+            return []
         if count > len(self.data) - self.at:  # each is a byte long at least
             raise ValueError("a message of it is shorter than it says")
         return [self.value(kind, deep) for _ in range(count)]
 
-    def value(self, kind: str, deep: int) -> Value:
-        if kind in _NUMBERS:
-            return float(self.number(_NUMBERS[kind]))
+    def value(self, kind: str, deep: int) -> Node:
+        """Walk through a value: a number, a text, an instant or a message."""
+        if kind in _SIZES:
+            return self.skip(_SIZES[kind], _SIZES[kind]), _NUMBERS[kind]
         if kind == "string":
-            count = self.number("I")
-            start = self.take(1, count)
-            return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
-        if kind in _TIME:
-            return int(self.number("i")) * 10**9 + int(self.number("I"))
-        return self.message(kind, deep + 1)
+            count = self.length()
+            return self.skip(1, count), f"{count}s"
+        return (self.skip(4, 8), _INSTANT) if kind in _TIME else self.message(kind, deep + 1)
 
-    def number(self, code: str) -> Any:
-        return struct.unpack_from(self.order + code, self.data, self.take(_SIZES[code], 1))[0]
+    def length(self) -> int:
+        """Read the length of a text or a sequence, which tells layouts apart."""
+        self.fixed.append((self.skip(4, 4), "I"))
+        return int(struct.unpack_from(f"{self.order}I", self.data, self.at - 4)[0])
 
-    def take(self, size: int, count: int) -> int:
-        """Skip the alignment and `count` items; return their offset."""
+    def skip(self, size: int, length: int) -> int:
+        """Skip what aligns to a size, and so many bytes; return where these begin."""
         self.budget -= 1
-        start = self.at + -self.at % size
-        self.at = start + count * size
+        start = self.at + (_HEADER - self.at) % size
+        self.at = start + length
         if self.at > len(self.data) or self.budget < 0:
             raise ValueError(f"a message of it is shorter than it says, or has more than {_BUDGET} parts")
         return start
 
+    def pick(self, places: Iterable[Place]) -> struct.Struct:
+        """Return what reads these places, in the order of their bytes."""
+        text, at = self.order, 0
+        for start, code in places:
+            text += f"{start - at}x{code}"
+            at = start + struct.calcsize("=" + code)
+        return struct.Struct(text)
 
-def _flatten(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a message by path.
+    def find(self, message: Mapping[str, Node], path: str, names: Sequence[str] = ()) -> Iterator[tuple[str, Place]]:
+        """Yield the numbers of a message by path.
 
-    Arrays as long as the list of joint names beside or above them use these, "path/joint/field"; others use indices,
-    "path/field[0]", as do arrays of messages, "path/field[0]/inner". Bytes, long arrays and text are skipped.
-    """
-    own = (value for key in _NAMING if isinstance(value := message.get(key), list) and value)
-    names = next((value for value in own if isinstance(value[0], str)), names) or []
-    for key, value in message.items():
-        inner = "" if key in _OF_ITS_OWN else f"/{key}"
-        if isinstance(value, int | float):
-            yield f"{path}{inner}", value / 1e9 if isinstance(value, int) else value
-        elif isinstance(value, dict) and key not in ("header", "layout"):
-            yield from _flatten(value, f"{path}{inner}", names)
-        elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST_ARRAY:
-            named = len(names) == value.size
-            for k, one in enumerate(value.tolist()):
-                yield f"{path}/{names[k]}{inner}" if named else f"{path}{inner}[{k}]", one
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            named = len(names) == len(value)
-            for k, part in enumerate(value if named or len(value) <= _MOTORS else ()):
-                yield from _flatten(part, f"{path}/{names[k]}" if named else f"{path}{inner}[{k}]")
+        Arrays as long as the list of joint names beside or above them use these, "path/joint/field"; others use
+        indices, "path/field[0]", as do arrays of messages, "path/field[0]/inner". Bytes, long arrays and text are
+        skipped.
+        """
+        for naming in _NAMING:
+            match message.get(naming):
+                case [(int(), str(code)), *_] as texts if code.endswith("s"):
+                    self.fixed += texts
+                    read = self.pick(texts).unpack_from(self.data)
+                    names = [text.rstrip(b"\0").decode("utf-8", "replace") for text in read]
+                    break
+        for key, node in message.items():
+            inner = path if key in _OF_ITS_OWN else f"{path}/{key}"
+            match node:
+                case (int(), str(code)):
+                    if not code.endswith("s"):
+                        yield inner, node
+                case dict() if key not in ("header", "layout"):
+                    yield from self.find(node, inner, names)
+                case [first, *_] if len(node) in (len(names), *range(_MOTORS + 1)) or type(first) is tuple:
+                    is_named = len(node) == len(names)
+                    for k, one in enumerate(node):
+                        part = one if type(one) is dict else {key if is_named else "data": one}
+                        yield from self.find(part, f"{path}/{names[k]}" if is_named else f"{inner}[{k}]")
 
 
 def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
@@ -232,9 +277,8 @@ def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
         if len(links) > _TOPICS:
             raise RecordError(f"{file.name} has more than {_TOPICS} topics; record only those of the joint.")
         asked = {link.id: (link.msgtype, str(link.msgdef.data) * (link.msgdef.format.name == "MSG")) for link in links}
-        known = {one: message_types(*one) for one in set(asked.values())}
         for link, time, data in storage.messages(links):
-            yield link.topic, link.msgtype, known[asked[link.id]], time, data
+            yield link.topic, link.msgtype, message_types(*asked[link.id]), time, data
 
 
 def _require_plain(file: Path) -> None:
@@ -247,6 +291,7 @@ def _require_plain(file: Path) -> None:
                 raise RecordError(f"{file.name} has a {kind} with computed content, which no bag has; record it again.")
 
 
+@cache
 def message_types(name: str, text: str) -> Types:
     """Definitions of a message type and its dependencies, if known; an empty text selects ROS's own definition."""
     from rosbags.typesys import TypesysError, get_types_from_msg

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,8 +11,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Found, Table, require_columns, require_room, to_numbers
+from jointid.records.formats.table import Table, require_room, to_numbers
 
+_IN_BYTES = ("DECIMAL", "FLOAT16")  # numbers that Parquet keeps as bytes
 _GROUP = 65536  # rows of Parquet that are written, and decoded, together
 _LONGEST_LIST = 1000  # columns of a column of lists
 _UNITS = (b"units", b"unit")
@@ -49,68 +49,59 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
             page_checksum_verification=True,
         ) as file,
     ):
-        about, wanted = file.metadata, [field for field in file.schema_arrow if _may_be_numbers(field.type)]
+        about, leaves = file.metadata, [file.schema.column(index) for index in range(len(file.schema))]
         groups = [about.row_group(index) for index in range(about.num_row_groups)]
         held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
         require_room(path.name, 0 if rows else max(held, about.num_rows * about.num_columns))
-        passed = {field.name: f"it holds {field.type}" for field in file.schema_arrow if field not in wanted}
-        for batch in file.iter_batches(rows or _GROUP, columns=[field.name for field in wanted], use_threads=False):
-            found = Found(path, passed=passed)
-            for field, array in zip(wanted, batch.columns, strict=True):
-                _take_array(found, field.name, array, begin)
+        # Texts are not decoded: they may be of any size.
+        wanted = [
+            leaf.path
+            for leaf in leaves
+            if not leaf.physical_type.endswith("BYTE_ARRAY") or leaf.logical_type.type in _IN_BYTES
+        ]
+        passed = {leaf.path: "it holds text" for leaf in leaves if leaf.path not in wanted}
+        for batch in file.iter_batches(rows or _GROUP, columns=wanted, use_threads=False):
+            table = Table(source=path.name, passed=passed)
+            for field, array in zip(batch.schema, batch.columns, strict=True):
+                _take_array(table, field.name, array, begin)
                 unit = next((field.metadata[key] for key in _UNITS if key in (field.metadata or {})), b"").decode()
-                found.units |= {field.name: unit.strip()} if unit.strip() and field.name in found.columns else {}
-            yield found.table()
+                table.units |= {field.name: unit.strip()} if unit.strip() and field.name in table.columns else {}
+            yield table.require_numbers()
 
 
-def _may_be_numbers(kind: Arrow) -> bool:
-    types = extra("pyarrow.types", "logs", "Reading Parquet")
-    if types.is_struct(kind):
-        return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
-    if types.is_dictionary(kind) or types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind):
-        return _may_be_numbers(kind.value_type)
-    return bool(types.is_primitive(kind) or types.is_decimal(kind))
-
-
-def _take_array(found: Found, name: str, array: Arrow, begin: list[np.datetime64]) -> None:
+def _take_array(table: Table, name: str, array: Arrow, begin: list[np.datetime64]) -> None:
     """Add the columns of an array; `begin` is the first instant of the file, once there is one."""
-    types, kind = extra("pyarrow.types", "logs", "Reading Parquet"), array.type
+    arrow = extra("pyarrow", "logs", "Reading Parquet")
+    types, kind = arrow.types, array.type
     if types.is_dictionary(kind):
-        _take_array(found, name, array.dictionary_decode(), begin)
+        _take_array(table, name, array.dictionary_decode(), begin)
     elif types.is_struct(kind):
         for index, member in enumerate(array.flatten()):
-            _take_array(found, f"{name}.{kind.field(index).name}", member, begin)
+            _take_array(table, f"{name}.{kind.field(index).name}", member, begin)
     elif hasattr(kind, "value_type"):
-        flat, size = _to_floats(array.flatten()), len(array.flatten()) // len(array)
-        sizes = [size] if types.is_fixed_size_list(kind) else array.value_lengths().unique().to_pylist()
-        if array.null_count or sizes != [size] or not 0 < size <= _LONGEST_LIST:
-            found.passed[name] = "its lists are empty, too long or of several lengths"
+        flat, sizes = array.flatten(), set(arrow.compute.list_value_length(array).to_pylist())
+        size = len(flat) // len(array)
+        if sizes != {size} or not 0 < size <= _LONGEST_LIST:
+            table.passed[name] = "its lists are empty, too long or of several lengths"
             return
-        for index, column in enumerate(flat.reshape(-1, size).T):
-            found.add(f"{name}[{index}]", np.ascontiguousarray(column))
-    elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
-        values = array.cast("int32" if types.is_time32(kind) else "int64").fill_null(0).to_numpy(zero_copy_only=False)
-        instants = values.astype(f"M8[{kind.unit}]" if types.is_timestamp(kind) else f"m8[{kind.unit}]")
-        instants[array.is_null().to_numpy(zero_copy_only=False)] = "NaT"
-        if types.is_timestamp(kind) and not begin:
+        for index in range(size):
+            _take_array(table, f"{name}[{index}]", flat[index::size], begin)
+    elif types.is_temporal(kind):
+        if types.is_time(kind):  # of the day
+            count = array.cast("int32" if types.is_time32(kind) else "int64")
+            array = count.cast("int64").cast(arrow.duration(kind.unit))
+        instants = array.to_numpy(zero_copy_only=False)
+        if instants.dtype.kind == "M" and not begin:
             begin.extend(instants[~np.isnat(instants)][:1])
-        found.add(name, to_numbers(instants, np.array(begin) if begin else None), "s")
-    elif _may_be_numbers(kind):
-        found.add(name, _to_floats(array))
+        table.add(name, to_numbers(instants, np.array(begin)), "s")
     else:
-        found.passed[name] = f"it holds {kind}"
-
-
-def _to_floats(array: Arrow) -> FloatArray:
-    array = array.cast("float64", safe=False).fill_null(math.nan)
-    return np.array(array.to_numpy(zero_copy_only=False), dtype=np.float64)
+        numbers = array.cast("float64", safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False)
+        table.add(name, np.array(numbers))
 
 
 def write_parquet(path: Path, table: Table) -> None:
     """Write float64 columns with checksums; their units are metadata."""
-    require_columns(table, "Parquet")
-    arrow = extra("pyarrow", "logs", "Writing Parquet")
-    parquet = extra("pyarrow.parquet", "logs", "Writing Parquet")
+    arrow, parquet = extra("pyarrow", "logs", "Writing Parquet"), extra("pyarrow.parquet", "logs", "Writing Parquet")
     stated = {name: {"unit": unit} for name, unit in table.units.items()}
     schema = arrow.schema([arrow.field(name, arrow.float64(), metadata=stated.get(name)) for name in table.columns])
     made = arrow.Table.from_arrays([arrow.array(values) for values in table.columns.values()], schema=schema)
@@ -130,54 +121,53 @@ def read_tdms(path: Path) -> Table:
     nptdms = extra("nptdms", "logs", f"Reading {path.name}")
     # What is wrong with a file is said here, once, and not on the side.
     extra("nptdms.log", "logs", "Reading TDMS").log_manager.set_level(logging.CRITICAL)
+    table = Table(source=path.name)
     # An open file, not its path: an index beside it, which may be of another file, is then left alone.
     with path.open("rb") as raw:
         file = nptdms.TdmsFile.open(raw)
         if file.file_status.incomplete_final_segment:
             raise RecordError(f"{path.name} ends in the middle of its data; log or copy it again.")
         every = [channel for group in file.groups() for channel in group.channels()]
-        require_room(path.name, sum(len(channel) for channel in every))
-        found = Found(path)
-        for prefix, properties in [("", file.properties), *((f"{one.name}/", one.properties) for one in file.groups())]:
-            numbers = {n: v for n, v in properties.items() if isinstance(v, int | float | np.number)}
-            found.scalars |= {f"{prefix}{n}": float(v) for n, v in numbers.items() if not isinstance(v, bool)}
+        require_room(path.name, sum(map(len, every)))
         begins = {channel.path: begin for channel in every if (begin := _find_begin(channel)) is not None}
         first = min(begins.values(), default=None)
         late = {path: float((begin - first) / np.timedelta64(1, "s")) for path, begin in begins.items()}
+        for prefix, owner in [("", file), *((f"{one.name}/", one) for one in file.groups())]:
+            numbers = {n: v for n, v in owner.properties.items() if np.asarray(v).dtype.kind in "iuf"}
+            table.scalars |= {f"{prefix}{n}": float(v) for n, v in numbers.items()}
         for group in file.groups():
-            _take_group(found, group, late)
-        return found.table()
+            _take_group(table, group, late)
+    return table
 
 
 def _find_begin(channel: Nptdms) -> np.datetime64 | None:
     """Return the first instant of a waveform, or of a channel of instants."""
     if not len(channel):
         return None
-    is_instants = np.dtype(channel.dtype).kind == "M"
-    begin = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
+    begin = channel.read_data(0, 1)[0] if np.dtype(channel.dtype).kind == "M" else channel.properties.get(_START)
     return begin if isinstance(begin, np.datetime64) and begin >= _UNSET else None
 
 
-def _take_group(found: Found, group: Nptdms, late: dict[str, float]) -> None:
+def _take_group(table: Table, group: Nptdms, late: dict[str, float]) -> None:
     prefix = "" if group.name == _NAMELESS else f"{group.name}/"
-    waves: dict[str, FloatArray] = {}
+    waves = dict[str, FloatArray]()
     for channel in group.channels():
         step, offset = (float(channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
         if len(channel) and step > 0:
-            waves[channel.name] = np.asarray(late.get(channel.path, 0.0) + offset + np.arange(len(channel)) * step)
+            waves[channel.name] = late.get(channel.path, 0.0) + offset + np.arange(len(channel)) * step
     is_common = len({times.tobytes() for times in waves.values()}) == 1 and "time" not in waves
     if is_common:
-        found.add(f"{prefix}time", next(iter(waves.values())), "s")
+        table.add(f"{prefix}time", next(iter(waves.values())), "s")
     for channel in group.channels():
         name, kind = f"{prefix}{channel.name}", np.dtype(channel.dtype).kind
         if not len(channel) or kind not in "fiubM":
-            found.passed[name] = "it holds no numbers"
+            table.passed[name] = "it holds no numbers"
             continue
         values, begin = channel.read_data(), late.get(channel.path, 0.0) if kind == "M" else 0.0
         if values.size != len(channel):
             raise ValueError(f"{values.size} numbers where {len(channel)} are declared")
         unit = "s" if kind == "M" else str(next(filter(None, map(channel.properties.get, _TDMS_UNITS)), "")).strip()
         clock = "" if channel.name not in waves else f"{prefix}time" if is_common else f"{name}/time"
-        found.add(name, to_numbers(values, values[:1]) + begin, unit, clock)
+        table.add(name, to_numbers(values, values[:1]) + begin, unit, clock)
         if clock and not is_common:
-            found.add(clock, waves[channel.name], "s")
+            table.add(clock, waves[channel.name], "s")

@@ -10,7 +10,7 @@ from typing import Any
 
 from jointid.common.errors import RecordError
 from jointid.records.formats.columnar import read_parquet
-from jointid.records.formats.table import STAMP_NAME, Found, Table, join_tables
+from jointid.records.formats.table import STAMP_NAME, Table, join_tables
 from jointid.records.formats.text import read_text
 
 _INFO, _DATA, _JOINTS = "meta/info.json", "data/*/*.parquet", "joint_list.txt"
@@ -34,7 +34,7 @@ def read_folder(path: Path) -> Table:
     """
     if (path / _INFO).is_file():
         return _read_data_set(path)
-    whole = Found(path)
+    whole = Table(source=path.name)
     joints = [line.strip() for line in _read_names(path / _JOINTS).split("\n") if line.strip()]
     for file in sorted(one for one in path.iterdir() if one.suffix.lower() == ".csv" and one.is_file()):
         table = join_tables(read_text(file, None))
@@ -46,7 +46,7 @@ def read_folder(path: Path) -> Table:
             continue
         for name, values in table.columns.items():
             whole.add(named[name], values, table.units.get(name, ""), named[clock] if name != clock else "")
-    return whole.table()
+    return whole
 
 
 def _read_names(file: Path) -> str:

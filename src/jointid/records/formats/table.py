@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,10 +30,9 @@ _QUOTED = 100  # characters of a name
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 _WIDEST_MATRIX = 1000  # columns of a matrix; one that is wider is a picture
 _REAL, _INSTANTS = "fiub", "mM"  # kinds of NumPy's types that become numbers
-_KINDS = {"S": "text", "U": "text", "O": "objects", "c": "complex numbers", "V": "records"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Table:
     """The numbers of one file, by name.
 
@@ -47,31 +44,63 @@ class Table:
         units: name -> unit of a column, as the file spells it, where the format keeps such and the file has one.
         passed: name -> why it was not read, of what looks like a column and is none.
         clocks: name of a column -> that of its own time column, where the file has several clocks.
+        numbers: count of the values of all columns.
 
     Raises:
         RecordError: a column is not one-dimensional, or holds nothing.
     """
 
-    columns: Mapping[str, FloatArray]
-    scalars: Mapping[str, float] = field(default_factory=dict)
+    columns: dict[str, FloatArray] = field(default_factory=dict)
+    scalars: dict[str, float] = field(default_factory=dict)
     source: str = ""
-    units: Mapping[str, str] = field(default_factory=dict)
-    passed: Mapping[str, str] = field(default_factory=dict)
-    clocks: Mapping[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    passed: dict[str, str] = field(default_factory=dict)
+    clocks: dict[str, str] = field(default_factory=dict)
+    numbers: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        columns: dict[str, FloatArray] = {}
-        for name, values in self.columns.items():
-            column = np.asarray(values, dtype=np.float64)
-            if column.flags.writeable or column.base is not None:  # what somebody else may change
-                column = np.array(column)
-            if column.ndim != 1 or column.size == 0:
-                raise RecordError(f'Column "{name}" has shape {column.shape}; give a non-empty array of one dimension.')
-            column.flags.writeable = False
-            columns[name] = column
-        object.__setattr__(self, "columns", MappingProxyType(columns))
-        for one in ("scalars", "units", "passed", "clocks"):
-            object.__setattr__(self, one, MappingProxyType(dict(getattr(self, one))))
+        given, self.columns = self.columns, {}
+        for name, values in given.items():
+            self.add(name, values if not values.flags.writeable else values.copy())
+
+    def take(self, name: str, array: np.ndarray[Any, Any], unit: str = "") -> None:
+        """Add an array: its columns, its one number, or why it is passed over."""
+        if array.size == 1 and array.dtype.kind in _REAL:
+            self._require_new(name)
+            self.scalars[name] = float(array.item())
+            return
+        require_room(self.source, self.numbers + array.size * len(array.dtype.names or " "))
+        for column, view in find_columns(name, array, self.passed).items():
+            self.add(column, to_numbers(view), unit)
+
+    def add(self, name: str, values: FloatArray, unit: str = "", clock: str = "") -> None:
+        """Add a column that nobody else changes; it becomes read-only."""
+        self._require_new(name)
+        values = np.asarray(values, dtype=np.float64)
+        if values.ndim != 1 or values.size == 0:
+            raise RecordError(f'Column "{name}" has shape {values.shape}; give a non-empty array of one dimension.')
+        values.flags.writeable = False
+        self.columns[name] = values
+        self.numbers += values.size
+        require_room(self.source, self.numbers, len(self.columns))
+        self.units |= {name: unit} if unit else {}
+        self.clocks |= {name: clock} if clock else {}
+
+    def _require_new(self, name: str) -> None:
+        if name in self.columns or name in self.scalars:
+            raise RecordError(f"{self.source} has more than one column called {name!r}; rename them.")
+
+    def require_numbers(self) -> Table:
+        """Return the table.
+
+        Raises:
+            RecordError: there is no number.
+        """
+        if not (self.columns or self.scalars):
+            listed = "; ".join(f"{name!r}: {why}" for name, why in list(self.passed.items())[:_FEW])
+            said = f" ({listed})" if listed else ""
+            raise RecordError(f"{self.source} holds no numbers{said}; log the signals as columns of numbers.")
+        return self
 
     def list_columns(self) -> str:
         """List the first column names, quoted."""
@@ -99,65 +128,16 @@ def join_tables(tables: Iterable[Table]) -> Table:
     every, numbers = list[Table](), 0
     for table in tables:
         every.append(table)
-        numbers += sum(values.size for values in table.columns.values())
+        numbers += table.numbers
         require_room(table.source, numbers)
     if len(every) == 1:
         return every[0]
     shared = [name for name in every[0].columns if all(name in table.columns for table in every)]
-    return replace(
-        every[0],
-        columns={name: freeze(np.concatenate([table.columns[name] for table in every])) for name in shared},
-        passed={name: why for table in every for name, why in table.passed.items()},
-        clocks={name: clock for name, clock in every[0].clocks.items() if clock in shared},
-    )
-
-
-@dataclass(slots=True)
-class Found:
-    """Contents of a file by name; `numbers` counts the values of the columns, the others are as in `Table`."""
-
-    path: Path
-    columns: dict[str, FloatArray] = field(default_factory=dict)
-    scalars: dict[str, float] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
-    passed: dict[str, str] = field(default_factory=dict)
-    clocks: dict[str, str] = field(default_factory=dict)
-    numbers: int = 0
-
-    def take(self, name: str, array: np.ndarray[Any, Any], unit: str = "") -> None:
-        """Add an array: its columns, its one number, or why it is passed over."""
-        if array.size == 1 and array.dtype.kind in _REAL:
-            self._require_new(name)
-            self.scalars[name] = float(array.item())
-            return
-        require_room(self.path.name, self.numbers + array.size * len(array.dtype.names or " "))
-        for column, view in find_columns(name, array, self.passed).items():
-            self.add(column, to_numbers(view), unit)
-
-    def add(self, name: str, values: FloatArray, unit: str = "", clock: str = "") -> None:
-        """Add a column that nobody else has."""
-        self._require_new(name)
-        self.columns[name] = freeze(values)
-        self.numbers += values.size
-        require_room(self.path.name, self.numbers, len(self.columns))
-        self.units |= {name: unit} if unit else {}
-        self.clocks |= {name: clock} if clock else {}
-
-    def _require_new(self, name: str) -> None:
-        if name in self.columns or name in self.scalars:
-            raise RecordError(f"{self.path.name} has more than one column called {name!r}; rename them.")
-
-    def table(self) -> Table:
-        """Return the table.
-
-        Raises:
-            RecordError: there is no number.
-        """
-        if not (self.columns or self.scalars):
-            listed = "; ".join(f"{name!r}: {why}" for name, why in list(self.passed.items())[:_FEW])
-            said = f" ({listed})" if listed else ""
-            raise RecordError(f"{self.path.name} holds no numbers{said}; log the signals as columns of numbers.")
-        return Table(self.columns, self.scalars, self.path.name, self.units, self.passed, self.clocks)
+    joined = replace(every[0], columns={}, passed={name: why for table in every for name, why in table.passed.items()})
+    joined.clocks = {name: clock for name, clock in every[0].clocks.items() if clock in shared}
+    for name in shared:
+        joined.add(name, np.concatenate([table.columns[name] for table in every]))
+    return joined
 
 
 def find_columns(name: str, array: np.ndarray[Any, Any], passed: dict[str, str]) -> dict[str, np.ndarray[Any, Any]]:
@@ -170,15 +150,10 @@ def find_columns(name: str, array: np.ndarray[Any, Any], passed: dict[str, str])
         parts = ((f"{name}.{part}" if name else part, array[part]) for part in array.dtype.names)
         return {column: view for part in parts for column, view in find_columns(*part, passed).items()}
     sides = [size for size in array.shape if size != 1]
-    why = ""
-    if array.dtype.kind not in _REAL + _INSTANTS:
-        why = f"it holds {_KINDS.get(array.dtype.kind, 'no numbers')}"
-    elif 0 in sides:
-        why = "it is empty"
-    elif len(sides) > 2 or (len(sides) == 2 and min(sides) > (_WIDEST_MATRIX if name else WIDEST)):
-        why = f"it has the shape {array.shape}"
-    if why:
-        passed[name or "the array"] = why
+    is_number = array.dtype.kind in _REAL + _INSTANTS
+    is_wide = len(sides) == 2 and min(sides) > (_WIDEST_MATRIX if name else WIDEST)
+    if not is_number or 0 in sides or len(sides) > 2 or is_wide:
+        passed[name or "the array"] = f"it has the shape {array.shape}" if is_number else f"it holds {array.dtype}"
         return {}
     if len(sides) < 2:
         return {name or "1": array.reshape(-1)}
@@ -195,22 +170,6 @@ def to_numbers(values: np.ndarray[Any, Any], first: np.ndarray[Any, Any] | None 
         known = values[~np.isnat(values)] if first is None else first
         values = values - (known.ravel()[0] if known.size else np.datetime64(0, "s"))
     return np.asarray(values / np.timedelta64(1, "s"), dtype=np.float64)
-
-
-def freeze(values: FloatArray) -> FloatArray:
-    """Make values read-only, so that a table need not copy them."""
-    values.flags.writeable = False
-    return values
-
-
-def require_columns(table: Table, target: str) -> None:
-    """Refuse what no written format holds: scalars, and columns of unequal length."""
-    if table.scalars or len({values.size for values in table.columns.values()}) != 1:
-        lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-        raise RecordError(
-            f"{target} holds columns of one length and no scalars; got {lengths or 'no column'}, and scalars "
-            f"{', '.join(table.scalars) or 'none'}: leave some out."
-        )
 
 
 def require_room(source: str, numbers: int, columns: int = 0) -> None:

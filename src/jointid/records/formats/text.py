@@ -9,25 +9,26 @@ import codecs
 import csv
 import gzip
 import io
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, filterfalse, islice
 from pathlib import Path
 from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import pluralise, short
 from jointid.common.units import UnitError, normalise_unit, unit
 from jointid.records.formats.scope import find_scope, read_scope
 from jointid.records.formats.stamps import Stamps, find_stamps, is_stamp
-from jointid.records.formats.table import TIME_NAME, Table, require_columns, require_room
+from jointid.records.formats.table import TIME_NAME, Table, require_room
 
 _BLANKS = " "  # the delimiter that stands for any run of blanks
 _COMMA_BLANK = ", "  # the delimiter beside decimal commas that is a comma with a blank behind it
@@ -35,7 +36,7 @@ _DELIMITERS = (_COMMA_BLANK, ";", "\t", "|", ",", _BLANKS)  # of dialects that r
 _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
 _REMARKS = ("#", "%", "//", "sep=")  # "sep=;" is a note from one spreadsheet program to another
 _BEGINNING = 2**20  # characters that tell how a file is written
-_CELLS = 2**21  # that are read together
+_CELLS = 2**19  # that are read together
 _LONGEST = 2_500_000  # characters of a line: more than the widest table has
 _SAMPLE = 200  # lines that decide, from the end, where the data is
 _FILLED = 1000  # cells that tell what a column holds
@@ -48,7 +49,6 @@ _NUMBERS = {
 # A cell cut at the wrong mark, and no date.
 _SPLIT_NUMBER = re.compile(r"(?!\d\d?\.\d\d?\.\d{4}$)[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)
 _SEPARATOR = re.compile(r"\s*,\s*|\s+")  # of the numbers of a list in a cell
-_BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
 _NO_UNIT = ("", "-")
 _OTHER_UNITS = frozenset({
     "V", "mV", "µV", "uV", "kV", "mA", "µA", "uA", "kA", "W", "kW", "VA", "Hz", "kHz", "MHz", "°C", "degC", "C", "K",
@@ -103,15 +103,15 @@ class Dialect(NamedTuple):
 
     def split(self, line: str) -> list[str]:
         """Split a line into cells, without blanks and quotes; a quote without end makes one cell."""
+        cells = [line]
         if self.delimiter == _COMMA_BLANK:
             return [cell.strip(' \t"') for cell in re.split(r",[ \t]+", line)]
         if '"' in line:
-            try:
+            with suppress(csv.Error):
                 cells = next(csv.reader([line.strip(" ")], delimiter=self.delimiter, skipinitialspace=True))
-            except csv.Error:
-                return [line]
-            return [cell.strip() for cell in cells]
-        return line.split() if self.delimiter == _BLANKS else [cell.strip() for cell in line.split(self.delimiter)]
+        else:
+            cells = line.split(None if self.delimiter == _BLANKS else self.delimiter)
+        return [cell.strip() for cell in cells]
 
     def kind(self, cell: str) -> str:
         """Return the letter of a cell, "e" if it is empty."""
@@ -135,6 +135,11 @@ class Dialect(NamedTuple):
         """Write decimal points, and something else for a point beside decimal commas, which makes no number."""
         return text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
 
+    def rewrite(self, cells: Sequence[str], kinds: str) -> str:
+        """Join the cells of a row, numbers with decimal points."""
+        row = zip(cells, kinds, strict=True)
+        return _NOWHERE.join(self.with_points(cell) or "nan" if kind == "n" else cell for cell, kind in row)
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -155,56 +160,64 @@ class Layout:
 
     def read(self, lines: Sequence[str]) -> Table:
         """Parse rows."""
-        mark = self.dialect.delimiter
-        texts = [line.rstrip(_BLANKS).removesuffix(mark) for line in lines] if self.closed else lines
-        try:
-            plain = list(map(self.dialect.with_points, texts))
-            values = np.loadtxt(plain, delimiter=None if mark == _BLANKS else mark, comments=None, ndmin=2)
-            columns = dict(zip(self.names, values.T, strict=True))
-            return Table(columns, source=self.path.name, passed=self.passed)
-        except (ValueError, TypeError):  # words, quotes, an empty cell or a fault: only the slow way can tell
-            rows = list(map(self.dialect.split, texts))
-        width = len(self.names)
-        for line, row in zip(lines, rows, strict=True):
-            if len(row) != width:
-                raise self._fault(line, f"has {pluralise(len(row), 'cell')} for {pluralise(width, 'column')}")
-        columns = {}
-        for name, cells in zip(self.names, zip(*rows, strict=True), strict=True):
-            columns |= self._parse(name, lines, cells)
-        if not columns:
-            raise RecordError(f"{self.path.name} has no column of numbers; log the signals as numbers.")
-        # A single column of instants is the clock, whatever its name.
-        clock = [name for name in self.stamps if name in columns]
-        is_clock = len(clock) == 1 and not any(map(TIME_NAME.fullmatch, columns))
-        clocks = dict.fromkeys((name for name in columns if name not in clock), clock[0]) if is_clock else {}
-        return Table(columns, {}, self.path.name, dict.fromkeys(clock, "s"), self.passed, clocks)
-
-    def _parse(self, name: str, lines: Sequence[str], cells: Sequence[str]) -> dict[str, FloatArray]:
-        """Return the column of some cells, of lists "name[0]", "name[1]", ..., or note why it is passed over."""
-        try:
-            plain = [self.dialect.with_points(cell) or "nan" for cell in cells]
-            return {name: np.loadtxt(plain, delimiter=_NOWHERE, comments=None, ndmin=1)}
-        except ValueError:
-            kind = _commonest(map(self.dialect.kind, islice(filter(None, cells), _FILLED)))
-        if kind == "w":
-            self.passed[name] = "it holds text"
-            return {}
-        with suppress(ValueError):
-            if kind == "t":
-                stamps = self.stamps[name] = self.stamps.get(name) or find_stamps(cells)
-                return {name: stamps.seconds(cells)}
-            if kind == "l" and all(cell.startswith("[") for cell in cells):
-                lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells], dtype=np.float64)
-                return {f"{name}[{k}]": column for k, column in enumerate(lists.T)}
-        for line, cell in zip(lines, cells, strict=True):
-            if self.dialect.kind(cell) not in (kind, "e"):
-                raise self._fault(line, f'has "{short(cell)}" in column "{name}", unlike the other rows')
-        self.passed[name] = "its instants or its lists are not written alike"
-        return {}
-
-    def _fault(self, line: str, what: str) -> RecordError:
+        dialect, kinds, width = self.dialect, self.dialect.kinds[: len(self.names)], len(self.names)
+        texts = [line.rstrip(_BLANKS).removesuffix(dialect.delimiter) for line in lines] if self.closed else lines
+        if dialect.decimal == "." or not set(kinds) - set("nw"):  # points of instants are no decimal marks
+            with suppress(ValueError, TypeError):
+                return self._load([dialect.with_points(text) for text in texts], dialect.delimiter, kinds)
+        # Quotes, an empty cell, other kinds than at the end of the file, or a fault: only the slow way can tell.
+        rows = list(map(dialect.split, texts))
+        if all(len(row) == width for row in rows):
+            columns = zip(*rows, strict=True)
+            kinds = "".join(_commonest(map(dialect.kind, islice(filter(None, one), _FILLED))) for one in columns)
+            with suppress(ValueError):
+                return self._load([dialect.rewrite(row, kinds) for row in rows], _NOWHERE, kinds)
+        like = dialect._replace(kinds=kinds)
+        line = next((line for line, text in zip(lines, texts, strict=True) if not like.is_row(text)), lines[0])
         number = next(number for number, one in _number_lines(self.path) if one == line)
-        return RecordError(f"{self.path.name}: line {number} {what}; mend or delete that line.")
+        raise RecordError(
+            f'{self.path.name}: line {number} has "{short(line)}", which is no row of '
+            f"{pluralise(width, 'column')} like the others; mend or delete that line."
+        )
+
+    def _load(self, texts: Sequence[str], mark: str, kinds: str) -> Table:
+        """Return the table of rows whose numbers have points.
+
+        Raises:
+            ValueError: a row has another width, or a cell is of another kind.
+        """
+        cells = {k: list[str]() for k, kind in enumerate(kinds) if kind in "lt"}
+        converters = {k: partial(_keep, cells.get(k)) for k, kind in enumerate(kinds) if kind != "n"}
+        values = np.loadtxt(
+            texts, delimiter=None if mark == _BLANKS else mark, comments=None, converters=converters or None, ndmin=2
+        )
+        table = Table(source=self.path.name, passed=self.passed)
+        for k, (name, kind, column) in enumerate(zip(self.names, kinds, values.T, strict=True)):
+            if kind == "n":
+                table.add(name, column.copy())
+            elif kind == "w":
+                table.passed[name] = "it holds text"
+            elif kind == "l":
+                if not all(cell.startswith("[") for cell in cells[k]):
+                    raise ValueError(name)
+                lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells[k]], dtype=np.float64)
+                for place, numbers in enumerate(lists.T):
+                    table.add(f"{name}[{place}]", numbers.copy())
+            else:
+                stamps = self.stamps[name] = self.stamps.get(name) or find_stamps(cells[k])
+                table.add(name, stamps.seconds(cells[k]), "s")
+        clock = [name for name in self.stamps if name in table.columns]
+        if len(clock) == 1 and not any(map(TIME_NAME.fullmatch, table.columns)):
+            # A single column of instants is the clock, whatever its name.
+            table.clocks |= dict.fromkeys((name for name in table.columns if name not in clock), clock[0])
+        return table.require_numbers()
+
+
+def _keep(cells: list[str] | None, cell: str) -> float:
+    """Keep a cell that is no number."""
+    if cells is not None:
+        cells.append(cell.strip())
+    return math.nan
 
 
 def read_text(path: Path, rows: int | None, **options: Any) -> Iterator[Table]:
@@ -236,8 +249,10 @@ def open_text(path: Path) -> IO[bytes]:
     return gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb")  # type: ignore[return-value]
 
 
-def find_encoding(path: Path, head: bytes) -> str:
-    """Return the encoding of a text that begins so: UTF-8, UTF-16 with byte order mark, or Latin-1."""
+def _number_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a file of any length, from 1, in UTF-8, UTF-16 with byte order mark, or Latin-1."""
+    with open_text(path) as raw:
+        head = raw.read(_BEGINNING)
     encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
         text = codecs.getincrementaldecoder(encoding)().decode(head)
@@ -245,13 +260,6 @@ def find_encoding(path: Path, head: bytes) -> str:
         encoding, text = "latin-1", head.decode("latin-1")
     if "\0" in text:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
-    return encoding
-
-
-def _number_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a file of any length, from 1."""
-    with open_text(path) as raw:
-        encoding = find_encoding(path, raw.read(_BEGINNING))
     with open_text(path) as raw, io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file:
         # Not by iteration: a file may be one line that does not fit into memory.
         for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
@@ -291,8 +299,7 @@ def _choose_dialect(file: str, lines: Sequence[str], options: TextOptions) -> Di
 
     "1,5" is ambiguous: two integers, or a decimal comma. A line of names decides, or else an option has to.
     """
-    marks = (options.delimiter,) if options.delimiter else _DELIMITERS
-    sample = lines[-_SAMPLE:]
+    sample, marks = lines[-_SAMPLE:], (options.delimiter,) if options.delimiter else _DELIMITERS
     tried = [Dialect(mark, point) for mark in marks for point in options.decimal or ".,"]
     if not any('"' in line for line in sample):  # alone to keep a decimal comma and a delimiting one apart
         tried = [dialect for dialect in tried if dialect.delimiter != dialect.decimal]
@@ -303,17 +310,15 @@ def _choose_dialect(file: str, lines: Sequence[str], options: TextOptions) -> Di
             "without thousands separators."
         )
     best = max(fits, key=_rank)
-    single, pair = (
-        next((f for f in fits if f.decimal == point and f.kinds == kinds), None) for point, kinds in _UNSURE
-    )
-    if single and pair and best in (single, pair):
-        first = next(place for place, line in enumerate(lines) if single.is_row(line))
+    unsure = [next((f for f in fits if (f.decimal, f.kinds) == one), None) for one in _UNSURE]
+    if best in unsure and None not in unsure:
+        first = next(place for place, line in enumerate(lines) if best.is_row(line))
         if not first:
             raise RecordError(
                 f'{file} can be read in two ways: "{lines[0]}" is one number with a decimal comma, or two whole '
                 'numbers; give decimal = "," or delimiter = ",".'
             )
-        return pair if "," in lines[first - 1] else single
+        best = unsure["," in lines[first - 1]] or best
     # A drive that stands still at the end logs whole numbers there: the decimal mark shows further up.
     twins = [fit for fit in fits if (_rank(fit), fit.delimiter) == (_rank(best), best.delimiter)]
     marked = [line for line in lines if "." in line or "," in line] if len(twins) > 1 else []
@@ -363,34 +368,26 @@ def _find_names(file: str, above: Sequence[str], dialect: Dialect, closed: bool,
     names += [""] * (closed and len(names) == width - 1)
     fits = len(names) == width
     has_number = any(one.fullmatch(name) for one in _NUMBERS.values() for name in names)
-    if header is None and (
-        (is_remark and (has_number or not fits)) or (not fits and len(names) == 1 and not has_number)
-    ):
+    if header is None and ((is_remark and (has_number or not fits)) or (len(names) == 1 != width and not has_number)):
         return [""] * width  # a remark, or the last line of a preamble
     if not fits or (header is None and has_number):
         raise RecordError(
             f'{file}: the line "{short(above[-1])}" stands above the first row of {pluralise(width, "column")} and '
             "does not name them; mend it, or give header = true if it holds names, false if it is a remark."
         )
-    return names if len(above) == 1 else _add_units(dialect.split(above[-2]), names)
-
-
-def _add_units(over: list[str], names: list[str]) -> list[str]:
-    """Join a line of units to the names above it."""
-    units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
-    bare = [cell for cell in names if cell not in _NO_UNIT and not _BRACKETED.fullmatch(cell)]
+    over = dialect.split(above[-2]) if len(above) > 1 else []
+    units = [cell[1:-1] if cell[:1] + cell[-1:] in ("[]", "()") else cell for cell in names]
+    bare = [cell for cell, one in zip(names, units, strict=True) if cell == one and cell not in _NO_UNIT]
     # Under a remark, "m" alone is as well a name.
-    if len(over) != len(names) or not any(units) or not all(map(_is_unit, bare)) or (len(names) == 1 and bare):
+    if len(over) != width or not any(units) or not all(map(_is_unit, bare)) or (width == 1 and bare):
         return names
-    return [name if u in _NO_UNIT else f"{name} [{u}]" for name, u in zip(over, units, strict=True)]
+    return [name if one in _NO_UNIT else f"{name} [{one}]" for name, one in zip(over, units, strict=True)]
 
 
 def _is_unit(text: str) -> bool:
-    try:
-        unit(normalise_unit(text))
-    except UnitError:
-        return text in _OTHER_UNITS
-    return True
+    with suppress(UnitError):
+        return bool(unit(normalise_unit(text)))
+    return text in _OTHER_UNITS
 
 
 def write_text(path: Path, table: Table, **options: Any) -> None:
@@ -399,7 +396,6 @@ def write_text(path: Path, table: Table, **options: Any) -> None:
     Default delimiter and decimal mark are comma and point, or semicolon beside a decimal comma. Numbered columns
     have no header. Names that would read as numbers or spreadsheet formulas are refused.
     """
-    require_columns(table, "Delimited text")
     said = TextOptions(**options)
     mark, point = said.delimiter or (";" if said.decimal == "," else ","), said.decimal or "."
     if mark == point:
