@@ -18,7 +18,6 @@ from jointid.records.formats import Table, read_blocks, read_table, write_table
 from jointid.records.reading import read
 from tests.records.logged import LOGGED, POSITION, TIME, TORQUE, Logged
 
-BINARY = [name for name in LOGGED if name not in ("csv", "npy", "mat", "jsonl")]
 PACKAGES = {"hdf5": "h5py", "mat73": "h5py", "parquet": "pyarrow", "tdms": "nptdms", "mcap": "rosbags"}
 
 
@@ -37,17 +36,6 @@ def test_what_the_formats_own_library_writes_is_read(name: str, tmp_path: Path) 
     np.testing.assert_array_equal(position, POSITION)
     np.testing.assert_array_equal(torque, TORQUE)
     assert table.source == path.name
-
-
-@pytest.mark.parametrize("name", LOGGED)
-def test_a_record_is_made_of_any_of_them(name: str, tmp_path: Path) -> None:
-    time, position, torque = LOGGED[name].names
-    own_clock = name in ("mcap", "db3", "tdms")
-    columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
-    record = read(made(name, tmp_path), columns, time=None if own_clock else time, kind="revolute")
-    assert record.torque is not None and record.reference is not None
-    np.testing.assert_array_equal(record.torque.values, TORQUE)
-    assert record.reference.sample_time == pytest.approx(1e-3, abs=1e-15)
 
 
 @pytest.mark.parametrize("name", ["mat", "hdf5", "mat73", "tdms", "mcap", "db3", "npz", "jsonl"])

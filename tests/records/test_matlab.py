@@ -64,18 +64,6 @@ def test_sides_of_one_number_do_not_count(tmp_path: Path) -> None:
     assert not table.passed
 
 
-def test_version_4_is_read(tmp_path: Path) -> None:
-    table = read_variables(tmp_path / "run.mat", {"q": np.arange(3.0)}, format="4")
-    np.testing.assert_array_equal(table.columns["q"], [0, 1, 2])
-
-
-@pytest.mark.parametrize("kind", ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32"])
-def test_every_type_of_number_becomes_a_float(kind: str, tmp_path: Path) -> None:
-    values = np.arange(100, 105).astype(kind)
-    table = read_variables(tmp_path / "run.mat", {"q": values})
-    np.testing.assert_array_equal(table.columns["q"], values.astype(float))
-
-
 def test_the_other_byte_order_is_read(tmp_path: Path) -> None:
     values = np.array([0.5, -1.0, 3.0], dtype=">f8").tobytes()
     path = tmp_path / "run.mat"

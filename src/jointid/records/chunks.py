@@ -97,8 +97,8 @@ class Log:
                 raise RecordError(
                     [f"{Path(self.path).name}, rows from {number * length + 1} on: {fault}" for fault in error.faults]
                 ) from None
-            begin = number * length * sample_time
-            yield Chunk(number, _map_channels(record, lambda c: replace(c, sample_time=sample_time), begin), last)
+            channels = {name: replace(channel, sample_time=sample_time) for name, channel in record.items()}
+            yield Chunk(number, replace(record.with_channels(channels), begin=number * length * sample_time), last)
 
     @property
     def _reader(self) -> RecordReader:
@@ -133,7 +133,7 @@ class InMemory:
         return _require_one_rate(self.record)
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """See `Log.chunks`."""
+        """Yield every `every`-th chunk; see `Log.chunks`."""
         samples = min(len(channel) for _, channel in self.record.items())
         firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
         for number, first in enumerate(firsts):
@@ -152,21 +152,20 @@ def begin_together(records: Sequence[Record]) -> tuple[Record, ...]:
     Raises:
         RecordError: they cover no time together, or the channels of one have rates by which they are not cut there.
     """
-    latest = max(record.begin for record in records)
-    return tuple(_begin_at(record, latest) for record in records)
-
-
-def _begin_at(record: Record, begin: float) -> Record:
-    late, periods = begin - record.begin, [channel.sample_time for _, channel in record.items()]
-    off = max(abs(late - round(late / period) * period) for period in periods)
-    if late <= 0.5 * min(periods):
-        return record
-    if late > record.duration - 2 * max(periods) or off > 0.5 * min(periods):
-        raise RecordError(
-            f"The channels of another joint begin {late:g} s later, by their own clocks, where these are not cut; "
-            "give resample, or log all joints by one clock."
-        )
-    return _map_channels(record, lambda c: replace(c, values=c.values[round(late / c.sample_time) :]), begin)
+    latest, made = max(record.begin for record in records), list[Record]()
+    for record in records:
+        late, periods = latest - record.begin, [channel.sample_time for _, channel in record.items()]
+        off = max(abs(late - round(late / period) * period) for period in periods)
+        if late <= 0.5 * min(periods):
+            made.append(record)
+            continue
+        if late > record.duration - 2 * max(periods) or off > 0.5 * min(periods):
+            raise RecordError(
+                f"The channels of another joint begin {late:g} s later, by their own clocks, where these are not cut; "
+                "give resample, or log all joints by one clock."
+            )
+        made.append(_cut_each(record, lambda c, late=late: slice(round(late / c.sample_time), None), latest))
+    return tuple(made)
 
 
 def _require_one_rate(record: Record) -> float:
@@ -178,10 +177,9 @@ def _require_one_rate(record: Record) -> float:
 
 def cut(record: Record, first: int, end: int) -> Record:
     """Return some samples of a record, whose channels have one rate."""
-    begin = record.begin + first * _require_one_rate(record)
-    return _map_channels(record, lambda c: replace(c, values=c.values[first:end]), begin)
+    return _cut_each(record, lambda _: slice(first, end), record.begin + first * _require_one_rate(record))
 
 
-def _map_channels(record: Record, change: Callable[[Channel], Channel], begin: float) -> Record:
-    changed = record.with_channels({name: change(channel) for name, channel in record.items()})
-    return replace(changed, begin=begin)
+def _cut_each(record: Record, samples: Callable[[Channel], slice], begin: float) -> Record:
+    parts = {name: replace(channel, values=channel.values[samples(channel)]) for name, channel in record.items()}
+    return replace(record.with_channels(parts), begin=begin)

@@ -13,7 +13,7 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
+from jointid.common.document import Block, Document, Documented, Listing, Table
 from jointid.common.text import number, pluralise, short, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_table
@@ -106,10 +106,7 @@ class Inspection(Documented):
     recognised: Recognised | None = None
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Table of channels, scalars, skipped content and clocks.
-
-        Only the first 1,000 channels are listed.
-        """
+        """Table of channels; scalars, skipped content, whose log it is, and clocks."""
         del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN")
         rows = tuple(
@@ -124,18 +121,14 @@ class Inspection(Documented):
             )
             for one in self.channels[:_LISTED]
         )
-        blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
-        if more := len(self.channels) - len(rows):
-            blocks.append(Paragraph(f"and {pluralise(more, 'more channel')}, which --json lists, too"))
-        if self.scalars:
-            numbers = ", ".join(f"{show(n)} {v:.6g}" for n, v in self.scalars.items())
-            blocks.append(Paragraph(f"single numbers: {numbers}"))
-        if self.passed:
-            blocks.append(Listing(tuple(f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items())))
-        if self.recognised is not None:
-            blocks.append(Paragraph(show(self.recognised.sentence)))
+        more = len(self.channels) - len(rows)
+        said = [f"{pluralise(more, 'more channel')}, which --json lists"] if more else []
+        said += [f"single number: {show(name)} {value:.6g}" for name, value in self.scalars.items()]
+        said += [f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items()]
+        said += [] if self.recognised is None else [show(self.recognised.sentence)]
         title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
-        return Document(title, (*blocks, Listing(tuple(self.clocks()))))
+        blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
+        return Document(title, (*blocks, Listing((*said, *self.clocks()))))
 
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""
@@ -162,27 +155,28 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         RecordError: the file is missing or cannot be read.
     """
     path = Path(path)
-    table = read_table(path, **options)
-    of_time, declared = units.units_of("time"), table.clocks
-    found = {
-        name: InspectedChannel(name, table.units.get(name) or unit_in_name(name, of_time) or None, values)
-        for name, values in table.columns.items()
-    }
-    clocks = dict[str, InspectedChannel]()
-    for name, channel in found.items():
-        is_named = _TIME.fullmatch(name) or name in declared.values()
+    table, of_time = read_table(path, **options), units.units_of("time")
+    found, clocks = dict[str, InspectedChannel](), dict[str, InspectedChannel]()
+    for name, values in table.columns.items():
+        channel = InspectedChannel(name, table.units.get(name) or unit_in_name(name, of_time) or None, values)
+        is_named = _TIME.fullmatch(name) or name in table.clocks.values()
         unit = units.normalise_unit(channel.unit or "s")
-        step = float(channel.values[-1] - channel.values[0]) / max(channel.rows - 1, 1)
-        if is_named and unit in of_time and channel.stalls <= _MOSTLY * (channel.rows - 1) and step > 0:
-            clocks[name] = replace(channel, time=name, sample_time=step * units.unit(unit).factor)
+        step = float(values[-1] - values[0]) / max(values.size - 1, 1)
+        if is_named and unit in of_time and channel.stalls <= _MOSTLY * (values.size - 1) and step > 0:
+            channel = clocks[name] = replace(channel, time=name, sample_time=step * units.unit(unit).factor)
+        found[name] = channel
     for name, channel in found.items():
         alike = [one for one, clock in clocks.items() if clock.rows == channel.rows]
-        time = name if name in clocks else declared.get(name) or (alike[0] if len(alike) == 1 else "")
+        time = name if name in clocks else table.clocks.get(name) or (alike[0] if len(alike) == 1 else "")
         if time in clocks:
             found[name] = replace(channel, time=time, sample_time=clocks[time].sample_time)
-    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
-    size = sum(file.stat().st_size for file in files)
-    recognised = recognise(tuple(found))
+    size = sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]) if file.is_file())
     return Inspection(
-        path.name, format_of(path).name, size, tuple(found.values()), table.scalars, table.passed, recognised
+        path.name,
+        format_of(path).name,
+        size,
+        tuple(found.values()),
+        table.scalars,
+        table.passed,
+        recognise(tuple(found)),
     )

@@ -59,11 +59,6 @@ class Recognised:
     axes: tuple[LoggedAxis, ...]
 
     @property
-    def names(self) -> list[str]:
-        """Columns that the profile knows."""
-        return [name for axis in self.axes for name in (*axis.channels.values(), *axis.gains)]
-
-    @property
     def sentence(self) -> str:
         """The recognised log in a sentence."""
         gains = sorted({gain.name for axis in self.axes for gain in axis.gains.values()})
@@ -78,37 +73,31 @@ class Recognised:
 def recognise(columns: tuple[str, ...]) -> Recognised | None:
     """Recognise whose log has these columns; None where no profile knows a position, and another channel or axis.
 
-    "q" and "tau" alone are nobody's names.
-
-    Of several profiles the one counts that knows most columns; the plain names come last.
+    "q" and "tau" alone are nobody's names. Of several profiles the one counts that knows most columns; the plain names
+    come last.
     """
-    spoken, best = index_columns(columns), list[Recognised]()
+    spoken, best, most = index_columns(columns), None, 1
     for name in sorted(profile_names(), key=lambda one: (one == _LAST, one)):
-        if name == _LAST and best:
-            break
-        found = Recognised(load_profile(name), tuple(_find_axes(load_profile(name), columns, spoken)))
-        if len(found.names) > 1 and not all(map(_PLAIN.fullmatch, found.names)):
-            best.append(found)
-    return max(best, key=lambda one: len(one.names), default=None)
+        if name != _LAST or best is None:
+            profile = load_profile(name)
+            axes = tuple(_find_axes(profile, columns, spoken))
+            names = [column for axis in axes for column in (*axis.channels.values(), *axis.gains)]
+            if len(names) > most and not all(map(_PLAIN.fullmatch, names)):
+                best, most = Recognised(profile, axes), len(names)
+    return best
 
 
 def _find_axes(profile: Profile, columns: tuple[str, ...], spoken: Spoken) -> Iterator[LoggedAxis]:
     """Yield axes with a position of their own, each column at its first place."""
+    known = [name for signals in profile.channels.values() for one in signals for name in one.names]
+    every = (re.escape(name).replace(r"\{joint\}", r"([^/]+)") for name in known if "{joint}" in name)
+    patterns = [re.compile(f"(?:.*[./])?{one}", re.IGNORECASE) for one in every]
+    found = (next(filter(None, (one.fullmatch(name) for one in patterns)), None) for name in columns)
+    joints = dict.fromkeys(match[1] for match in found if match)
     taken = set[str]()
-    for place in (place_of(), *map(place_of, range(1, _MOST + 1)), *_joints(profile, columns)):
-        found = {channel: set(profile.find(channel, spoken, place)) - taken for channel in profile.channels}
-        channels = {channel: names.pop() for channel, names in found.items() if len(names) == 1}
+    for place in (place_of(), *map(place_of, range(1, _MOST + 1)), *(place_of(joint=name) for name in joints)):
+        free = {channel: set(profile.find(channel, spoken, place)) - taken for channel in profile.channels}
+        channels = {channel: names.pop() for channel, names in free.items() if len(names) == 1}
         if "motor_position" in channels or "reference" in channels:
             taken.update(channels.values())
             yield LoggedAxis(place, channels, profile.gain_columns(spoken, place))
-
-
-def _joints(profile: Profile, columns: tuple[str, ...]) -> Iterator[Place]:
-    """Yield the joints whose names stand in columns, in their order."""
-    names = [
-        name for signals in profile.channels.values() for one in signals for name in one.names if "{joint}" in name
-    ]
-    every = (re.escape(name).replace(r"\{joint\}", r"([^/]+)") for name in names)
-    patterns = [re.compile(f"(?:.*[./])?{one}", re.IGNORECASE) for one in every]
-    found = (next(filter(None, (one.fullmatch(name) for one in patterns)), None) for name in columns)
-    yield from (place_of(joint=name) for name in dict.fromkeys(match[1] for match in found if match))

@@ -138,13 +138,6 @@ class Profile:
         found = {gain: _find_named(_fill_names(gain.columns, place), columns) for gain in self.gains}
         return {names[0]: gain for gain, names in found.items() if len(names) == 1}
 
-    def side(self, channel: str, column: str, place: Place) -> Side | None:
-        """Transmission side of a channel, by column or by default."""
-        signals = (
-            self.find(channel, index_columns([column]), place).values() if column else self.channels.get(channel, ())
-        )
-        return next((signal.side for signal in signals), None)
-
     def column(
         self, channel: str, declared: Column | None, place: Place, kind: str, tap: Tap | None = None
     ) -> Column | None:
@@ -318,9 +311,11 @@ class Drive:
         """Transmission side of a channel: declared, by profile, or usual."""
         if column is not None and column.side is not None:
             return column.side
-        traces = self.traces
-        found = None if traces is None else traces.side(channel, column.column if column else "", self.place)
-        return found or ("load" if channel == "load_position" else "motor")
+        signals = [] if self.traces is None else list(self.traces.channels.get(channel, ()))
+        if self.traces is not None and column is not None and column.column:
+            signals = list(self.traces.find(channel, index_columns([column.column]), self.place).values())
+        usual: Side = "load" if channel == "load_position" else "motor"
+        return signals[0].side or usual if signals else usual
 
     def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
         """Return a unit with its factor to SI; other units stay.
@@ -335,28 +330,21 @@ class Drive:
             UnitError: a number is missing; the message is the end of a sentence.
         """
         number = {"current": self.torque_constant, "voltage": self.torque_per_volt}.get(unit.dimension)
+        needed, known, turn = "", "", 2 * math.pi if kind == "revolute" else 1.0
         if unit.dimension == units.COUNTS:
-            name, own = _COUNTS[kind], f"load_{_COUNTS[kind]}"
-            motor = None if of_load and geared else getattr(self, name)
+            needed = f"load_{_COUNTS[kind]}" if of_load and geared else _COUNTS[kind]
+            number = (getattr(self, f"load_{_COUNTS[kind]}") if of_load else None) or getattr(self, needed)
             known = "" if self.traces is None or kind == "prismatic" else self.traces.counts
-            needed = f"{own}, of the load's own encoder behind the transmission," if of_load and geared else name
-            counts = _require((getattr(self, own) if of_load else None) or motor, needed, known)
-            turn = 2 * math.pi if kind == "revolute" else 1.0
-            return replace(units.unit(POSITION_UNIT[kind]), name=unit.name, factor=turn / counts)
-        if unit.dimension == units.SHARE:
-            known = "" if self.traces is None else self.traces.rated_torque
-            number = _require(self.rated_torque, "rated_torque", known)
+        elif unit.dimension == units.SHARE:
+            number, needed, known = self.rated_torque, "rated_torque", self.traces.rated_torque if self.traces else ""
+        if number is None and needed:
+            said = f" ({known})" if known else ""
+            raise units.UnitError(f"which needs the drive's {needed}{said}: give it below [drive], or another unit")
         if number is None:
             return unit
+        if unit.dimension == units.COUNTS:
+            return replace(units.unit(POSITION_UNIT[kind]), name=unit.name, factor=turn / number)
         return replace(units.unit(TORQUE_UNIT[kind]), name=unit.name, factor=unit.factor * number)
-
-
-def _require(number: float | None, needed: str, known: str) -> float:
-    """Return a number of a drive, or refuse its unit; `known` is what its profile says of the number."""
-    if number is None:
-        said = f" ({known})" if known else ""
-        raise units.UnitError(f"which needs the drive's {needed}{said}: give it below [drive], or another unit")
-    return number
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path.name} has more than {_LONGEST} bytes of text; cut it into shorter files.")
     table = Table(source=path.name)
     if path.name.lower().removesuffix(".gz").endswith((".jsonl", ".ndjson")):
-        _take_rows(table, "", (json.loads(line) for line in raw.split(b"\n") if line.strip()))
+        _take(table, "", [json.loads(line) for line in raw.split(b"\n") if line.strip()])
     else:
         _take(table, "", json.loads(raw))
     return table
@@ -37,40 +37,34 @@ def read_json(path: Path) -> Table:
 
 def _take(table: Table, name: str, value: Any) -> None:
     """Add the columns of a document by their paths; a list of records is a record of lists."""
-    match value:
-        case dict():
-            for key, member in value.items():
-                _take(table, f"{name}.{key}" if name else key, member)
-        case list() if any(type(one) is dict for one in value):
-            _take_rows(table, name, value)
-        case _:
-            _take_cells(table, name or "value", value)
-
-
-def _take_rows(table: Table, name: str, rows: Iterable[Any]) -> None:
-    columns, count = dict[str, list[Any]](), 0
-    for count, one in enumerate(rows, start=1):
-        for path, leaf in _leaves(name, one):
-            if path not in columns:
-                columns[path] = []
-                require_room(table.source, count * len(columns), len(columns))
-            columns[path].extend([None] * (count - 1 - len(columns[path])))
-            columns[path][count - 1 :] = [leaf]
-    for path, cells in columns.items():
-        _take_cells(table, path or "value", cells + [None] * (count - len(cells)))
+    if type(value) is dict:
+        for key, member in value.items():
+            _take(table, f"{name}.{key}" if name else key, member)
+    elif type(value) is list and any(type(one) is dict for one in value):
+        columns = dict[str, list[Any]]()
+        for row, one in enumerate(value):
+            for path, leaf in _leaves(name, one):
+                if path not in columns:
+                    columns[path] = [None] * len(value)
+                    require_room(table.source, len(value) * len(columns), len(columns))
+                columns[path][row] = leaf
+        for path, cells in columns.items():
+            _take_cells(table, path or "value", cells)
+    else:
+        _take_cells(table, name or "value", value)
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the values of a record with their paths."""
-    match value:
-        case dict():
-            for key, member in value.items():
-                yield from _leaves(f"{name}.{key}" if name else key, member)
-        case list():
-            for place, member in enumerate(value):
-                yield from _leaves(f"{name}[{place}]", member)
-        case _:
-            yield name, value
+    if type(value) is dict:
+        inner = [(f"{name}.{key}" if name else key, member) for key, member in value.items()]
+    elif type(value) is list:
+        inner = [(f"{name}[{place}]", member) for place, member in enumerate(value)]
+    else:
+        yield name, value
+        return
+    for path, member in inner:
+        yield from _leaves(path, member)
 
 
 def _take_cells(table: Table, name: str, cells: Any) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,108 +29,89 @@ _OFF = 0.1  # of the sample time, that the time column's step may differ from it
 _SYMBOLS = {"°": "deg", "°/s": "deg/s", "1/min": "rpm"}
 
 
-@dataclass(frozen=True, slots=True)
-class Scope:
-    """Header of an export.
-
-    Attributes:
-        rows: by their keys, the cells of each row that says something of the channels; those of the time columns too.
-        groups: the columns of each, the time first.
-        first: the first line of numbers among those of the file.
-    """
-
-    delimiter: str
-    rows: Mapping[str, Sequence[str]]
-    groups: tuple[range, ...]
-    first: int
-
-    def cell(self, key: str, column: int, default: str = "") -> str:
-        """Return a row's entry for a column."""
-        return dict(enumerate(self.rows.get(key, ()))).get(column, default)
-
-    def name(self, column: int) -> str:
-        """Return a channel's name and, in brackets, its unit if stated.
-
-        The file does not say whether the values are scaled, so an unknown unit has to be declared.
-        """
-        names = [self.cell("Name", other) for group in self.groups for other in group[1:]]
-        name = self.cell("Name" if len(set(names)) == len(names) and all(names) else "SymbolName", column)
-        symbol = self.cell("Unit", column).partition("(")[0].strip()
-        symbol = _SYMBOLS.get(symbol, symbol)
-        factors = (self.cell(key, column, "1").replace(",", ".") for key in ("ScaleFactor", "Unit ScaleFactor"))
-        if scaled := [factor for factor in factors if factor not in ("", "1")]:
-            return f"{name} [{symbol or 'no unit'}, drawn times {' times '.join(scaled)}]"
-        return f"{name} [{symbol}]" if symbol else name
-
-
-def find_scope(lines: Sequence[str]) -> Scope | None:
-    """Parse the header of an export; None for other text."""
+def is_scope(lines: Sequence[str]) -> bool:
+    """Test for the header of an export."""
     mark = lines[0][4:5] if lines and lines[0].startswith("Name") else ""
-    split = [[cell.strip() for cell in line.split(mark)] for line in lines[:_LOOK]] if mark else []
-    keys = [cells[0] for cells in split]
-    if mark.isalnum() or not any(key in _OF_EXPORT for key in keys):
-        return None
-    top = max(i for i, key in enumerate(keys) if key == "Name")
-    first = next((i for i in range(top, len(keys)) if keys[i] not in _ROWS), len(keys))
-    rows = {keys[i]: split[i] for i in range(top, first)}
-    # Beside a full header a channel may be called "Name" too: its other rows are then not their keys.
-    is_key = [all(len(cells) <= c or cells[c] == key for key, cells in rows.items()) for c in range(len(rows["Name"]))]
-    starts = [c for c, cell in enumerate(rows["Name"]) if cell == "Name" and is_key[c]]
-    return Scope(mark, rows, tuple(map(range, starts, (*starts[1:], len(rows["Name"])))), first)
+    keys = [line.partition(mark)[0].strip() for line in lines[:_LOOK]] if mark else []
+    return not mark.isalnum() and any(key in _OF_EXPORT for key in keys)
 
 
-def read_scope(path: Path, scope: Scope, lines: Sequence[str], decimal: str | None = None) -> Table:
+def read_scope(path: Path, lines: Sequence[str], decimal: str | None = None) -> Table:
     """Read an export, each column with its own clock.
 
     Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. None detects the decimal mark.
     """
-    rows = [line for line in lines[scope.first :] if line.rstrip(f" {scope.delimiter}") != "EOF"]
-    if not rows or scope.delimiter == " " or not scope.groups or any(len(group) < 2 for group in scope.groups):
+    mark = lines[0][4]
+    head = [[cell.strip() for cell in line.split(mark)] for line in lines[:_LOOK]]
+    top = max(i for i, cells in enumerate(head) if cells[0] == "Name")
+    first = next((i for i in range(top, len(head)) if head[i][0] not in _ROWS), len(head))
+    said, width = {cells[0]: cells for cells in head[top:first]}, len(head[top])
+    # Beside a full header a channel may be called "Name" too: its other rows are then not their keys.
+    is_key = [all(len(cells) <= c or cells[c] == key for key, cells in said.items()) for c in range(width)]
+    starts = [c for c, cell in enumerate(said["Name"]) if cell == "Name" and is_key[c]]
+    groups = list(map(range, starts, (*starts[1:], width)))
+    rows = [line for line in lines[first:] if line.rstrip(f" {mark}") != "EOF"]
+    if not rows or mark == " " or not groups or any(len(group) < 2 for group in groups):
         raise RecordError(
             f"{path.name} has blanks between its columns, a time column without channels or no row; export it with "
             "tabs or semicolons, and with a time column for each channel or each sample time."
         )
-    point = decimal or ("," if scope.delimiter != "," and any("," in row for row in rows) else ".")
+    point = decimal or ("," if mark != "," and any("," in row for row in rows) else ".")
     try:
-        values = _parse(scope, rows, point)
+        values = _parse(rows, mark, width, starts, point)
     except (ValueError, OverflowError) as error:
         raise RecordError(
             f'{path.name} has a cell that is no number with the decimal mark "{point}"; export it again.'
         ) from error
-    clocks = {group.start: values[~np.isnan(values[:, group.start]), group.start] for group in scope.groups}
-    alike = len({clock.tobytes() for clock in clocks.values()}) == 1
+    clocks = [values[~np.isnan(values[:, start]), start] for start in starts]
+    alike = len({clock.tobytes() for clock in clocks}) == 1
+    # The names of the symbols tell channels apart that have the same name.
+    names = [cell for group in groups for cell in said["Name"][group[1] : group.stop]]
+    naming = "Name" if len(set(names)) == len(names) and all(names) else "SymbolName"
     table = Table(source=path.name)
-    for group in scope.groups:
-        numbers, first = values[: clocks[group.start].size, group.start : group.stop], scope.name(group[1])
+    for group, clock in zip(groups, clocks, strict=True):
+        described = [{key: cells[c] for key, cells in said.items() if c < len(cells)} for c in group[1:]]
+        numbers, called = values[: clock.size, group.start : group.stop], [_name(one, naming) for one in described]
         # Rows that repeat the one before are the export's padding.
         numbers = numbers[np.any(np.diff(numbers, axis=0, prepend=np.nan) != 0, axis=1)]
         step = np.median(np.diff(numbers[:, 0])) if len(numbers) > 1 else np.nan
-        stated = scope.cell("SampleTime[ms]", group[1]).replace(",", ".")
+        stated = described[0].get("SampleTime[ms]", "").replace(",", ".")
         if not numbers.size or np.isnan(numbers).any() or (stated and abs(step / float(stated) - 1) > _OFF):
             raise RecordError(
-                f'{path.name} has a row without a number of "{first}" or its time, or steps of {step:g} ms where a '
+                f'{path.name} has a row without a number of "{called[0]}" or its time, or steps of {step:g} ms where a '
                 f"sample is stated every {stated} ms; export it with a time column for each sample time."
             )
-        clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
-        if clock not in table.columns:
-            table.add(clock, numbers[:, 0].copy())
-        for index, column in enumerate(group[1:], start=1):
-            table.add(scope.name(column), numbers[:, index].copy(), clock="" if alike else clock)
+        time = "time [ms]" if alike else f"time of {called[0].partition(' [')[0]} [ms]"
+        if time not in table.columns:
+            table.add(time, numbers[:, 0].copy())
+        for index, name in enumerate(called, start=1):
+            table.add(name, numbers[:, index].copy(), clock="" if alike else time)
     return table
 
 
-def _parse(scope: Scope, rows: Sequence[str], point: str) -> FloatArray:
+def _name(said: Mapping[str, str], naming: str) -> str:
+    """Return a channel's name and, in brackets, its unit if stated.
+
+    The file does not say whether the values are scaled, so an unknown unit has to be declared.
+    """
+    name, symbol = said.get(naming, ""), said.get("Unit", "").partition("(")[0].strip()
+    symbol = _SYMBOLS.get(symbol, symbol)
+    factors = (said.get(key, "1").replace(",", ".") for key in ("ScaleFactor", "Unit ScaleFactor"))
+    if scaled := [factor for factor in factors if factor not in ("", "1")]:
+        return f"{name} [{symbol or 'no unit'}, drawn times {' times '.join(scaled)}]"
+    return f"{name} [{symbol}]" if symbol else name
+
+
+def _parse(rows: Sequence[str], mark: str, width: int, starts: Sequence[int], point: str) -> FloatArray:
     """Return the numbers of all columns, (rows, columns), NaN where a cell is empty.
 
     Raises:
         ValueError: a cell is no number.
     """
-    values = np.full((len(rows), len(scope.rows["Name"])), np.nan)
-    starts, firsts = [group.start for group in scope.groups], [cell.strip() for cell in rows[0].split(scope.delimiter)]
-    stamps = (firsts[start] for start in starts if start < len(firsts))
-    origin = min((int(cell) for cell in stamps if _FILETIME.fullmatch(cell)), default=0)
+    values, stamps = np.full((len(rows), width), np.nan), dict(enumerate(map(str.strip, rows[0].split(mark))))
+    origin = min((int(stamps[c]) for c in starts if _FILETIME.fullmatch(stamps.get(c, ""))), default=0)
     for row, line in zip(values, rows, strict=True):
-        for column, cell in enumerate(map(str.strip, line.split(scope.delimiter)[: row.size])):
+        for column, cell in enumerate(map(str.strip, line.split(mark)[:width])):
             if cell and origin and column in starts:
                 row[column] = (int(cell) - origin) / _TICKS  # as a float it would lose its last digits
             elif cell:

@@ -26,7 +26,7 @@ from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import pluralise, short
 from jointid.common.units import UnitError, normalise_unit, unit
-from jointid.records.formats.scope import find_scope, read_scope
+from jointid.records.formats.scope import is_scope, read_scope
 from jointid.records.formats.stamps import Stamps, find_stamps, is_stamp
 from jointid.records.formats.table import TIME_NAME, Table, require_room
 
@@ -51,9 +51,8 @@ _SPLIT_NUMBER = re.compile(r"(?!\d\d?\.\d\d?\.\d{4}$)[\d\s.,;'|+-]*[.,;'|][\d\s.
 _SEPARATOR = re.compile(r"\s*,\s*|\s+")  # of the numbers of a list in a cell
 _NO_UNIT = ("", "-")
 _OTHER_UNITS = frozenset({
-    "V", "mV", "µV", "uV", "kV", "mA", "µA", "uA", "kA", "W", "kW", "VA", "Hz", "kHz", "MHz", "°C", "degC", "C", "K",
-    "bar", "Pa", "J", "g", "kg", "dB", "ppm", "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2",
-    "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
+    "µV", "uV", "kV", "µA", "uA", "kA", "W", "kW", "VA", "MHz", "°C", "degC", "C", "K", "bar", "Pa", "J", "dB", "ppm",
+    "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2", "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
 })  # fmt: skip
 _UNSURE = ((",", "n"), (".", "nn"))  # decimal marks and columns by which "1,5" can be read
 _NOWHERE = "\x1f"  # a delimiter between cells that are numbers by themselves
@@ -232,11 +231,10 @@ def read_text(path: Path, rows: int | None, **options: Any) -> Iterator[Table]:
     while size < _BEGINNING and (line := next(lines, None)) is not None:
         beginning.append(line)
         size += len(line)
-    scope = None if said.header is False else find_scope([*filterfalse(_is_remark, beginning)])
-    if scope is not None:
+    if said.header is not False and is_scope([*filterfalse(_is_remark, beginning)]):
         if rows is not None:
             raise RecordError(f"{path.name} is an export of TwinCAT Scope, which is read whole; convert it to NPY.")
-        yield read_scope(path, scope, [*filterfalse(_is_remark, chain(beginning, lines))], said.decimal)
+        yield read_scope(path, [*filterfalse(_is_remark, chain(beginning, lines))], said.decimal)
         return
     layout, start = _find_layout(path, beginning, said)
     content = filterfalse(_is_remark, chain(beginning[start:], lines))
