@@ -67,14 +67,14 @@ class Stamps(NamedTuple):
 
 
 def find_stamps(cells: Sequence[str]) -> Stamps:
-    """Return the column that begins with these cells; at least one is filled.
+    """Return the column that begins with these cells.
 
     Day and month are in the order that gives the record the shorter duration.
 
     Raises:
         ValueError: a cell is no instant.
     """
-    spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells))
+    spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells), "")
     if (found := _match(begin)) is None or not found["c"]:  # the order does not matter
         return Stamps(*_read(begin, True), True)
     for day_first in (True, False):
