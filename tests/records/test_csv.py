@@ -142,6 +142,10 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
     ),
     "words between blanks": ("t state q\n0 idle 1\n1 run 2\n", {"t": [0, 1], "q": [1, 2]}),
     "words without names": ("0;idle;1,5\n1;run;2,5\n", {"1": [0, 1], "3": [1.5, 2.5]}),
+    "lists, quoted": ('t;q;n\n0.5;"[1.0, -2e-3]";7\n', {"t": [0.5], "q[0]": [1], "q[1]": [-2e-3], "n": [7]}),
+    "lists, of blanks": ("t;q;n\n0.5;[1.0 -2e-3];7\n", {"t": [0.5], "q[0]": [1], "q[1]": [-2e-3], "n": [7]}),
+    "lists, of commas": ("t;q;n\n0.5;[1.0,-2e-3];7\n", {"t": [0.5], "q[0]": [1], "q[1]": [-2e-3], "n": [7]}),
+    "two returns, as of Universal Robots": ("t q_0\r\r\n1 2.5\r\r\n2 3.5\r\r\n", {"t": [1, 2], "q_0": [2.5, 3.5]}),
     "infinity": ("q\ninf\n-Infinity\n", {"q": [np.inf, -np.inf]}),
 }
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.common.transmission import Transmission
 from jointid.common.units import COUNTS, SHARE, unit
@@ -193,42 +192,3 @@ def test_the_channels_of_the_kr300(data_dir: Path, name: str) -> None:
         record = record_of_axis(data_dir, name, axis)
         assert record.channels == ("torque", "reference", "motor_position", *(("load_position",) if axis <= 3 else ()))
         assert (record.tap, record.torque.sample_time, len(record.torque)) == (Tap.MEASURED, 0.004, 2501)  # type: ignore[union-attr, arg-type]
-
-
-def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) -> None:
-    """A drive with a 17-bit encoder counted by 16 bits, and the torque in per mille: what CiA 402 traces hold."""
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.controller.Cascade(position_gain=80.0, velocity_gain=0.5))
-    reference = ji.excitation.trapezoids(
-        speeds=(10.0, 20.0), acceleration=300.0, travel=6.0, rest=0.1, sample_time=5e-4
-    )
-    truth = {"inertia": 2e-3, "viscous": 4e-3, "coulomb": 0.12, "offset": 0.02}
-    made = ji.simulated_record(loop, reference, truth, sample_time=5e-4)
-    assert made.torque is not None
-    path = trace(
-        tmp_path,
-        t=np.arange(reference.size) * 5e-4,
-        **{
-            "Position demand value": np.mod(np.round(reference / (2 * math.pi) * 131072), 65536),
-            "Torque demand value": np.round(made.torque.values / RATED * 1e3),
-        },
-    )
-    file = loads("""
-        [joint]
-        kind = "revolute"
-        [record.channels]
-        reference = { wrap = 65536 }
-        [drive]
-        profile = "cia402"
-        rated_torque = 1.27
-        counts_per_turn = 131072
-        [controller]
-        law = "cascade"
-        position_gain = 80.0
-        velocity_gain = 0.5
-        """)
-    record = file.record(path)
-    assert record.tap is Tap.COMMAND
-    assert file.loop is not None
-    estimate = ji.identify(record, file.loop, file.method)
-    for name, value in truth.items():
-        assert estimate[name].value == pytest.approx(value, rel=1e-2), name

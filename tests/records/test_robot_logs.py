@@ -95,14 +95,6 @@ def test_a_folder_of_texts_is_one_record(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("row", ['0.5;"[1.0, -2e-3]";7', "0.5;[1.0 -2e-3];7", "0.5;[1.0,-2e-3];7"])
-def test_a_list_in_a_cell_is_a_column_for_each_number(tmp_path: Path, row: str) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text("t;q;n\n" + f"{row}\n" * 3)
-    columns = read_table(path).columns
-    assert {name: values[0] for name, values in columns.items()} == {"t": 0.5, "q[0]": 1.0, "q[1]": -2e-3, "n": 7.0}
-
-
 def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
     table = read_table(lerobot(tmp_path / "set"))
     np.testing.assert_allclose(table.columns["action.knee.pos"][: TIME.size], COMMAND[:, 1], atol=1e-6)

@@ -1,13 +1,11 @@
-"""TwinCAT Scope's export and Universal Robots' RTDE recordings, written here as those programs write them.
+"""TwinCAT Scope's export, written here as that program writes it.
 
-The layout of the former is that of exports that TwinCAT 3 Scope View made (tabs or semicolons, a header of 17 rows, a
-blank in each cell that is missing); no such file is among the real records. The latter is written by the `csv` module,
-as the robot maker's own client does.
+The layout is that of exports that TwinCAT 3 Scope View made (tabs or semicolons, a header of 17 rows, a blank in each
+cell that is missing); no such file is among the real records.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +15,6 @@ import pytest
 import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_table
-from jointid.records.record import Tap
 
 START = 132959733843760000  # a FILETIME: 2 May 2022
 HEADER = (
@@ -154,34 +151,3 @@ def test_rows_that_were_filled_with_the_ones_before_are_left_out(read: Callable[
     table = read("\r\n\r\n".join([head, middle, "\r\n".join(filled)]))
     np.testing.assert_array_equal(table.columns["Slow"], np.arange(20.0))
     np.testing.assert_array_equal(table.columns["time of Slow [ms]"], np.arange(20) * 2.0)
-
-
-# Universal Robots' RTDE
-
-NAMES = ["timestamp", *(f"{name}_{k}" for name in ("target_q", "actual_q", "actual_current") for k in range(6))]
-TIME = np.arange(500) * 2e-3
-ANGLES = 0.3 * np.sin(np.outer(TIME, np.arange(3, 9)))
-CURRENTS = 1.5 * np.cos(np.outer(TIME, np.arange(3, 9)))
-
-
-def rtde_file(path: Path, delimiter: str = " ", newline: str = "", names: list[str] = NAMES) -> Path:
-    """Write what the client's CSVWriter does: `newline=None` on Windows makes it end its lines with two returns."""
-    with path.open("w", newline=newline or None, encoding="utf-8") as file:
-        writer = csv.writer(file, delimiter=delimiter, lineterminator="\r\n" if not newline else "\r\r\n")
-        writer.writerow(names)
-        for k, time in enumerate(TIME):
-            writer.writerow([812.406 + time, *ANGLES[k], *(ANGLES[k] + 1e-3), *CURRENTS[k]])
-    return path
-
-
-@pytest.mark.parametrize(("delimiter", "newline"), [(" ", ""), (",", ""), (" ", "\n")])
-def test_a_recording_of_a_robot_needs_the_number_of_the_joint(tmp_path: Path, delimiter: str, newline: str) -> None:
-    path = rtde_file(tmp_path / "robot.csv", delimiter, newline)
-    drive = ji.Drive("ur-rtde", axis=3, torque_constant=0.11)
-    record = ji.read(path, drive=drive, kind="revolute")
-    assert record.channels == ("torque", "reference", "motor_position")
-    assert record.torque is not None
-    assert record.reference is not None
-    assert (record.torque.unit, record.torque.sample_time, record.tap) == ("N m", 2e-3, Tap.MEASURED)
-    np.testing.assert_allclose(record.torque.values, 0.11 * CURRENTS[:, 2])
-    np.testing.assert_allclose(record.reference.values, ANGLES[:, 2])

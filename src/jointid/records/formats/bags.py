@@ -42,7 +42,7 @@ _BUDGET, _DEEPEST = 20_000, 16  # fields of one message, messages within message
 _MOTORS = 64  # messages of an array without names; more are no motors of a robot
 _WIDEST_ARRAY, _WIDEST_TOPIC = 256, 1000  # columns of an array without names (a longer one is a picture), of a topic
 _TOPICS = 2000  # of a file; the library compares each with all
-_RECENT = 8  # layouts of messages of one size that are tried
+_RECENT = 8  # layouts of messages that are tried
 _HEADER = 4  # bytes before a message: its encoding
 _DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
 _SQLITE = b"SQLite format 3\0"
@@ -105,21 +105,20 @@ class _Topic:
     Attributes:
         names: of all numbers, in their order; the empty one is of the header's stamps.
         logged: log times in nanoseconds.
-        layouts: the latest by definitions and size: the fixed bytes, and the place of its numbers in `numbers`.
-        numbers: of each layout what reads them, the paths with their codes, the rows of its messages, and the numbers.
+        recent: layouts of messages: definitions and size, what reads the fixed bytes and the numbers, and whereto.
+        numbers: by paths with their codes the rows of messages, and their numbers.
     """
 
     kind: str
     names: dict[str, None] = field(default_factory=dict)
     logged: list[int] = field(default_factory=list)
-    layouts: dict[tuple[int, int], deque[tuple[struct.Struct, tuple[Any, ...], int]]] = field(default_factory=dict)
-    numbers: list[tuple[struct.Struct, list[tuple[str, str]], list[int], array[float]]] = field(default_factory=list)
+    recent: deque[tuple[Any, ...]] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    numbers: dict[tuple[tuple[str, str], ...], tuple[list[int], array[float]]] = field(default_factory=dict)
 
     def add(self, name: str, types: Types, time: int, data: bytes) -> None:
         """Add a message of the topic of this name."""
-        recent = self.layouts.setdefault((id(types), len(data)), deque(maxlen=_RECENT))
-        at = next((at for fixed, stated, at in recent if fixed.unpack_from(data) == stated), None)
-        if at is None:
+        alike = (one for one in self.recent if one[0] == (id(types), len(data)) and one[1].unpack_from(data) == one[2])
+        if (layout := next(alike, None)) is None:
             walk = Walk(types, data)
             message = walk.message(self.kind, 0)
             found = list(walk.find(message, name))
@@ -127,14 +126,15 @@ class _Topic:
                 case {"header": {"stamp": (_, str(code)) as stamp}} if code == _INSTANT:
                     found.append(("", stamp))
             found.sort(key=lambda one: one[1])
-            paths = [(path, code) for path, (_, code) in found]
+            paths = tuple((path, code) for path, (_, code) in found)
             self.names |= dict.fromkeys(path for path, _ in paths)
             if len(self.names) > _WIDEST_TOPIC or len(dict(paths)) < len(paths):
                 raise ValueError(f"it has more than {_WIDEST_TOPIC} numbers, or two of one name in a message")
-            fixed, at = walk.pick(sorted(walk.fixed)), len(self.numbers)
-            self.numbers.append((walk.pick(place for _, place in found), paths, [], array("d")))
-            recent.appendleft((fixed, fixed.unpack_from(data), at))
-        reader, _, rows, numbers = self.numbers[at]
+            fixed, reader = walk.pick(sorted(walk.fixed)), walk.pick(place for _, place in found)
+            target = self.numbers.setdefault(paths, ([], array("d")))
+            layout = ((id(types), len(data)), fixed, fixed.unpack_from(data), reader, *target)
+            self.recent.appendleft(layout)
+        *_, reader, rows, numbers = layout
         rows.append(len(self.logged))
         numbers.extend(reader.unpack_from(data))
         self.logged.append(time)
@@ -144,7 +144,7 @@ class _Topic:
         logged = np.array(self.logged, dtype=np.int64)
         stamped, order = np.zeros_like(logged), np.argsort(logged, kind="stable")
         columns = {name: np.full(logged.size, np.nan) for name in self.names if name}
-        for _, paths, rows, numbers in self.numbers:
+        for paths, (rows, numbers) in self.numbers.items():
             values = iter(np.frombuffer(numbers).reshape(len(rows), -1).T)
             for path, code in paths:
                 column = next(values)
