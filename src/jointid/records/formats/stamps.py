@@ -75,10 +75,8 @@ def find_stamps(cells: Sequence[str]) -> Stamps:
         ValueError: a cell is no instant.
     """
     spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells), "")
-    if (found := _match(begin)) is None or not found["c"]:  # the order does not matter
-        return Stamps(*_read(begin, True), True)
     for day_first in (True, False):
-        with suppress(ValueError):  # there is no such month
+        with suppress(ValueError):  # there may be no such month
             made = Stamps(*_read(begin, day_first), day_first)
             seconds = made.seconds(cells)
             spans.append((float(np.nanmax(seconds) - np.nanmin(seconds)), made))
