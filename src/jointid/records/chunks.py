@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -15,7 +15,7 @@ from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_blocks
 from jointid.records.formats.table import join_tables
 from jointid.records.reading import RecordReader
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 
 _LOOK = 1000  # rows that tell the sample time
 _ONE_CLOCK = "has one uniform clock; log all channels at one rate, and leave resample, start, stop and part out"
@@ -164,7 +164,8 @@ def begin_together(records: Sequence[Record]) -> tuple[Record, ...]:
                 f"The channels of another joint begin {late:g} s later, by their own clocks, where these are not cut; "
                 "give resample, or log all joints by one clock."
             )
-        made.append(_cut_each(record, lambda c, late=late: slice(round(late / c.sample_time), None), latest))
+        parts = {n: replace(c, values=c.values[round(late / c.sample_time) :]) for n, c in record.items()}
+        made.append(replace(record.with_channels(parts), begin=latest))
     return tuple(made)
 
 
@@ -177,9 +178,6 @@ def _require_one_rate(record: Record) -> float:
 
 def cut(record: Record, first: int, end: int) -> Record:
     """Return some samples of a record, whose channels have one rate."""
-    return _cut_each(record, lambda _: slice(first, end), record.begin + first * _require_one_rate(record))
-
-
-def _cut_each(record: Record, samples: Callable[[Channel], slice], begin: float) -> Record:
-    parts = {name: replace(channel, values=channel.values[samples(channel)]) for name, channel in record.items()}
+    begin = record.begin + first * _require_one_rate(record)
+    parts = {name: replace(channel, values=channel.values[first:end]) for name, channel in record.items()}
     return replace(record.with_channels(parts), begin=begin)

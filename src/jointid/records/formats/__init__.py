@@ -65,16 +65,16 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
     packed, suffix = path.suffix.lower() == ".gz", Path(path.name.lower().removesuffix(".gz")).suffix
+    possible = [one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed)]
     if is_folder or not path.suffix:
-        found = _FOLDER if is_folder and folder.is_record(path) else _BAG
-    else:
-        of_suffix = (one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed))
-        if (found := next(of_suffix, None)) is None:
-            known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
-            raise RecordError(
-                f'{path.name} has the suffix "{suffix}", which names no known format ({known}; texts with .gz, too; a '
-                "pickle would run code); convert or unpack it."
-            )
+        possible = [_FOLDER if is_folder and folder.is_record(path) else _BAG]
+    if not possible:
+        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
+        raise RecordError(
+            f'{path.name} has the suffix "{suffix}", which names no known format ({known}; texts with .gz, too; a '
+            "pickle would run code); convert or unpack it."
+        )
+    found = possible[0]
     known_options = [option.name for option in fields(TextOptions)] if found is _TEXT else []
     if unknown := sorted(set(options) - set(known_options)):
         listed = ", ".join(known_options) or "none"

@@ -81,8 +81,6 @@ def read_bag(path: Path) -> Table:
                 if topic.kind != kind:
                     raise ValueError("its messages are of more than one kind")
                 topic.add(name, types, logged, data)
-            except KeyError:
-                table.passed[name] = f"the bag has no definition of {kind}"
             except ValueError as error:
                 table.passed[name] = str(error)
             count += len(topics[name].names) + 1
@@ -166,8 +164,7 @@ class Walk:
         fixed: places of the lengths and names by which others of its layout are known.
 
     Raises:
-        ValueError: invalid bytes, or too many parts.
-        KeyError: an unknown type.
+        ValueError: invalid bytes, an unknown type, or too many parts.
     """
 
     def __init__(self, types: Types, data: bytes) -> None:
@@ -178,8 +175,8 @@ class Walk:
 
     def message(self, kind: str, deep: int) -> dict[str, Node]:
         """Walk through a message of a type, "package/msg/Type"."""
-        if deep > _DEEPEST:
-            raise ValueError("a message of it has messages within messages without end")
+        if kind not in self.types or deep > _DEEPEST:
+            raise ValueError(f"the bag has no definition of {kind}, or messages within messages without end")
         _, fields = self.types[kind]
         if not fields:
             self.skip(1, 1)  # a message without fields is a byte long

@@ -154,7 +154,7 @@ def _take_group(table: Table, group: Nptdms, late: dict[str, float]) -> None:
     for channel in group.channels():
         step, offset = (float(channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
         if len(channel) and step > 0:
-            waves[channel.name] = late.get(channel.path, 0.0) + offset + np.arange(len(channel)) * step
+            waves[channel.name] = np.asarray(late.get(channel.path, 0.0) + offset + np.arange(len(channel)) * step)
     is_common = len({times.tobytes() for times in waves.values()}) == 1 and "time" not in waves
     if is_common:
         table.add(f"{prefix}time", next(iter(waves.values())), "s")

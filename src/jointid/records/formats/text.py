@@ -12,7 +12,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -186,7 +186,9 @@ class Layout:
             ValueError: a row has another width, or a cell is of another kind.
         """
         cells = {k: list[str]() for k, kind in enumerate(kinds) if kind in "lt"}
-        converters = {k: partial(_keep, cells.get(k)) for k, kind in enumerate(kinds) if kind != "n"}
+        converters: dict[int | str, Callable[[str], float]] = {
+            k: partial(_keep, cells.get(k)) for k, kind in enumerate(kinds) if kind != "n"
+        }
         values = np.loadtxt(
             texts, delimiter=None if mark == _BLANKS else mark, comments=None, converters=converters or None, ndmin=2
         )
