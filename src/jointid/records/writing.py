@@ -81,9 +81,8 @@ def columns_to_write(
             tap = record.tap if name == "torque" and not (column and column.tap) else None
             column = frame.drive.traces.column(name, column, frame.drive.place, frame.kind_of(name, column), tap)
         named |= {name: column} if column is not None and column.column else {}
-    if frame.transmission is not None:
+    if (gear := frame.transmission) is not None:
         sides = {name: frame.drive.side(name, named.get(name)) for name in record.channels}
-        gear = frame.transmission
         seen = {n: refer_channel(gear, n, channel, sides[n], back=True) for n, channel in record.items()}
         record = record.with_channels(seen)
     channels = dict(record.items())
