@@ -71,7 +71,7 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
 
 def _take_array(table: Table, name: str, array: Arrow, begin: list[np.datetime64]) -> None:
     """Add the columns of an array; `begin` is the first instant of the file, once there is one."""
-    arrow = extra("pyarrow", "logs", "Reading Parquet")
+    arrow, compute = extra("pyarrow", "logs", "Reading Parquet"), extra("pyarrow.compute", "logs", "Reading Parquet")
     types, kind = arrow.types, array.type
     if types.is_dictionary(kind):
         _take_array(table, name, array.dictionary_decode(), begin)
@@ -79,7 +79,7 @@ def _take_array(table: Table, name: str, array: Arrow, begin: list[np.datetime64
         for index, member in enumerate(array.flatten()):
             _take_array(table, f"{name}.{kind.field(index).name}", member, begin)
     elif hasattr(kind, "value_type"):
-        flat, sizes = array.flatten(), set(arrow.compute.list_value_length(array).to_pylist())
+        flat, sizes = array.flatten(), set(compute.list_value_length(array).to_pylist())
         size = len(flat) // len(array)
         if sizes != {size} or not 0 < size <= _LONGEST_LIST:
             table.passed[name] = "its lists are empty, too long or of several lengths"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,12 +57,12 @@ def _read_names(file: Path) -> str:
 
 def _rename(column: str, mark: str, joints: Any) -> str:
     """Return the name of a column, an element of a list by its joint, where the joints have names of their own."""
-    if isinstance(joints, dict) and len(joints) == 1:  # such as {"motors": [...]}
+    if type(joints) is dict and len(joints) == 1:  # such as {"motors": [...]}
         (joints,) = joints.values()
-    match = _ELEMENT.fullmatch(column)
-    if match is None or not isinstance(joints, list) or not len(set(map(str, joints))) == len(joints) > int(match[2]):
+    element, names = _ELEMENT.fullmatch(column), joints if type(joints) is list else []
+    if element is None or not len(set(map(str, names))) == len(names) > int(element[2]):
         return column
-    return f"{match[1]}{mark}{joints[int(match[2])]}"
+    return f"{element[1]}{mark}{names[int(element[2])]}"
 
 
 def _read_data_set(path: Path) -> Table:
@@ -71,12 +70,8 @@ def _read_data_set(path: Path) -> Table:
     if not files:
         raise RecordError(f"{path.name} is a LeRobot data set without a file {_DATA}; copy its folder data too.")
     whole = join_tables(table for file in files for table in read_parquet(file, None))
-    features = json.loads(_read_names(path / _INFO))["features"]
-    names = {name: features.get(name.partition("[")[0], {}).get("names") for name in whole.columns}
-    called = {name: _rename(name, ".", joints) for name, joints in names.items()}
-    return replace(
-        whole,
-        columns={called[name]: values for name, values in whole.columns.items()},
-        units={called[name]: unit for name, unit in whole.units.items()},
-        source=path.name,
-    )
+    features, table = json.loads(_read_names(path / _INFO))["features"], Table(source=path.name, passed=whole.passed)
+    for name, values in whole.columns.items():
+        joints = features.get(name.partition("[")[0], {}).get("names")
+        table.add(_rename(name, ".", joints), values, whole.units.get(name, ""))
+    return table
