@@ -26,7 +26,7 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side, Transmission
 from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
-from jointid.records.record import CHANNELS, InjectionPoint, Tap, Timing
+from jointid.records.record import CHANNELS, InjectionPoint, Tap
 
 Spoken: TypeAlias = Mapping[tuple[str, ...], Sequence[str]]
 """Columns of a trace by the words that name them."""
@@ -44,24 +44,16 @@ _BRACKETS = re.compile(r"\s*[\[(](?!\d+[\])])[^\[\]()]*[\])]\s*$")  # of a unit;
 
 
 @dataclass(frozen=True, slots=True)
-class TraceSignal:
-    """A drive signal that can serve as a channel.
+class TraceSignal(Column):
+    """A drive signal that can serve as a channel: a column with its usual unit, side, timing and tap.
 
     Attributes:
         names: of its column; {axis} stands for the number of the axis, {index} for one less, {joint} for its name.
-        unit: of its values; None where the column's name says it, or SI.
-        side: of a transmission on which it is measured; None where it is the usual one.
-        timing, tap, at: see `Column`.
         axes: that have it; None where all have.
         fallback: whether it counts only where the trace has no other signal of its channel.
     """
 
-    names: tuple[str, ...]
-    unit: str | None = None
-    side: Side | None = None
-    timing: Timing | None = None
-    tap: Tap | None = None
-    at: InjectionPoint | None = None
+    names: tuple[str, ...] = ()
     axes: tuple[int, ...] | None = None
     fallback: bool = False
 
@@ -78,7 +70,7 @@ class TraceSignal:
             unit=column.unit if stated else self.unit,  # a gain leads to another unit
             timing=column.timing or self.timing,
             tap=column.tap or self.tap,
-            at=self.at if self.at is not None and column.at is InjectionPoint.AFTER_LIMIT else column.at,
+            at=self.at if column.at is InjectionPoint.AFTER_LIMIT else column.at,
         )
 
 
@@ -220,17 +212,19 @@ def load_profile(name: str) -> Profile:
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
     raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-    channels = {
-        channel: tuple(TraceSignal(**{key: _freeze(key, one[key]) for key in one}) for one in signals)
-        for channel, signals in raw.pop("channels").items()
-    }
-    gains = tuple(DriveGain(**{key: _freeze(key, one[key]) for key in one}) for one in raw.pop("gains", ()))
-    return Profile(name, channels=channels, gains=gains, **{key: _freeze(key, raw[key]) for key in raw})
+    channels, gains = raw.pop("channels"), raw.pop("gains", ())
+    return Profile(
+        name,
+        channels={
+            channel: tuple(TraceSignal(**_freeze(one)) for one in signals) for channel, signals in channels.items()
+        },
+        gains=tuple(DriveGain(**_freeze(one)) for one in gains),
+        **_freeze(raw),
+    )
 
 
-def _freeze(key: str, value: Any) -> Any:
-    kind = {"timing": Timing, "tap": Tap, "at": InjectionPoint}.get(key)
-    return kind(value) if kind else tuple(value) if isinstance(value, list) else value
+def _freeze(raw: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if type(value) is list else value for key, value in raw.items()}
 
 
 def index_columns(columns: Iterable[str]) -> Spoken:
