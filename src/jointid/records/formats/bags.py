@@ -176,7 +176,7 @@ class Walk:
     def message(self, kind: str, deep: int) -> dict[str, Node]:
         """Walk through a message of a type, "package/msg/Type"."""
         if kind not in self.types or deep > _DEEPEST:
-            raise ValueError(f"the bag has no definition of {kind}, or messages within messages without end")
+            raise ValueError(f"a message of it has no definition of {kind}, or messages within messages without end")
         _, fields = self.types[kind]
         if not fields:
             self.skip(1, 1)  # a message without fields is a byte long
