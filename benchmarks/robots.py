@@ -25,8 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robot_start import begin
-from jointid.simulation.robots import prepare_robot, run_robot
+from jointid.simulation.robots import begin, prepare_robot, run_robot
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, seven, six, two

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.diagnostics.check_loop import search_faults
-from jointid.diagnostics.fault_tests import rank_tests
+from jointid.diagnostics.score import rank_tests
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
 from jointid.uncertainty.covariance import sandwich

@@ -37,8 +37,7 @@ PAIRS = (
 )  # fmt: skip
 RIGHT = {  # what the check should call them
     "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
-    "load-dependent friction": ("load_dependent_friction", "motor_load_friction"),
-    "motor load friction": ("motor_load_friction", "load_dependent_friction"),
+    "load-dependent friction": ("load_dependent_friction",), "motor load friction": ("load_dependent_friction",),
     "changing friction": ("changing_friction",), "presliding": ("winding_friction", "presliding"),
     "cogging": ("cogging",), "second mode": ("second_mode",), "stribeck": ("stribeck", "presliding"),
     "saturation": ("torque_saturation",), "lost samples": ("lost_samples",), "gravity": ("gravity",),

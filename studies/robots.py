@@ -35,9 +35,10 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering, window_torque
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSimulation
+from jointid.simulation.robots import RobotLoop, RobotRun, RobotSimulation
 from jointid.simulation.synthesis import simulate
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
@@ -97,7 +98,7 @@ def drives(seed: int, flexible: bool) -> Drives | None:
     asked = [Record(reference=Channel(column, unit, period)) for column, unit in zip(q.T, units, strict=True)]
     loop = RobotLoop(robot, laws)
     run = simulate(loop, asked)
-    if run.outcome is not RobotOutcome.FINISHED or not _holds(run, q, travel):
+    if run.outcome is not Outcome.FINISHED or not _holds(run, q, travel):
         return None
     noise, coloured = random.standard_normal(run.torque.shape), bool(random.random() < 0.5)
     if coloured:

@@ -26,10 +26,10 @@ from studies.mechanics import simulate
 LOG = 1e-3  # s
 _COARSE = 4  # samples of the log in a coarse setpoint
 _HELD, _CUBIC = ("held_reference", "the reference is held"), ("cubic_reference", "by cubics")
-_LINEAR, _MEAN = ("linear_reference", "by lines"), ("averaged_reference", "the drive averages the reference")
+_LATE, _MEAN = ("reference_delay", "the reference"), ("averaged_reference", "the drive averages the reference")
 RIGHT: dict[str, tuple[str, str] | None] = {  # fault and words that come first; None where the default is right
     "hold": _HELD, "linear": None, "cubic": _CUBIC, "average": _MEAN,
-    "coarse hold": None, "coarse linear": _LINEAR, "coarse cubic": _CUBIC, "coarse average": _MEAN,
+    "coarse hold": None, "coarse linear": _LATE, "coarse cubic": _LATE, "coarse average": _MEAN,
 }  # fmt: skip
 
 

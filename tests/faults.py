@@ -19,10 +19,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Simulation, simulate
+from jointid.simulation.closed_loop import Simulation, require_success, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import LoopInput, prepare
-from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulated_record
 
 Loop = Literal["L19", "L30"]

@@ -530,7 +530,7 @@ def _smooth(made: Axis, seed: int) -> Told:
 
 _GEARED = (
     Mistake("side of the reference forgotten", frozenset({"gear_side"}), _side_forgotten, 'side = "load"'),
-    Mistake("gear ratio ten times as small", frozenset({"reference_scale"}), _other_ratio, "as by another gear"),
+    Mistake("gear ratio ten times as small", frozenset({"reference_scale"}), _other_ratio),
 )
 MORE = (
     Mistake("half a second of motion", frozenset({"record_too_short"}), _too_short, "the record is too short"),

@@ -10,8 +10,7 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, get_args, get_origin
 
 from jointid.common.settings import Setting
-from jointid.config.declaration import FileKey, list_keys, table_of, table_of_items
-from jointid.config.quantities import list_units
+from jointid.config.declaration import FileKey, list_keys, list_units, table_of, table_of_items
 from jointid.config.tables import JOINT_FILE, ROBOT_FILE
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")

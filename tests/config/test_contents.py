@@ -6,7 +6,6 @@ import dataclasses
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
@@ -16,12 +15,8 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import (
     PD,
-    POSITION,
-    REFERENCE,
-    REFERENCE_VELOCITY,
     Cascade,
     DigitalFilter,
-    StateSpaceController,
 )
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
@@ -167,56 +162,19 @@ def test_ripple() -> None:
     assert file.joint.rigid == RigidJoint("prismatic", ripple=PositionHarmonics(0.005))
 
 
-def test_a_state_space_law() -> None:
-    text = """[controller]
-    law = "state_space"
-    A = [[0.5]]
-    C = [1.0]
-    B = { position = [1.0], excess = [0.1] }
-    D = { reference = 3.0, position = -3.0 }
-    limit = 2.0
-    """
-    law = loads(JOINT + CHANNELS + text).controller
-    assert isinstance(law, StateSpaceController)
-    lowered = law.law(1e-3)
-    columns = [REFERENCE, REFERENCE_VELOCITY, POSITION]
-    np.testing.assert_array_equal(lowered.B[0, :, columns], [[0.0], [0.0], [1.0]])
-    np.testing.assert_array_equal(lowered.D[0, 0, columns], [3.0, 0.0, -3.0])
-    np.testing.assert_array_equal(lowered.F, [[[0.1]]])
-    assert lowered.limit == 2.0
-    static = 'law = "state_space"\nA = []\nB = {}\nC = []\nD = { reference = 1.0, position = -1.0 }\n'
-    assert loads(JOINT + CHANNELS + "[controller]\n" + static).controller is not None
-
-
+@pytest.mark.parametrize("model", ["rigid", "flexible"])
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (CHANNELS + CASCADE, DIDIM()),  # even though there is a motor position
-        (CHANNELS, IDIM()),
-        (CHANNELS.replace("reference", "load_position") + CASCADE, IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
-    ],
-)
-def test_the_method(text: str, expected: object) -> None:
-    assert loads(JOINT + text).method == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        (CHANNELS + CASCADE, DIDIM()),
         (BOTH_ENCODERS + CASCADE, DIDIM()),  # even though there are both positions
         (BOTH_ENCODERS, IDIM()),
         (BOTH_ENCODERS.replace("reference", "injected") + CASCADE, IDIM()),
-        (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"', IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "didim"', DIDIM()),
+        (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
         (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", DIDIM(tolerance=1e-3)),
-        (CHANNELS + CASCADE + "[method]\nfrequency = 42.0", DIDIM(frequency=42.0)),
     ],
 )
-def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:
-    file = loads(JOINT + 'model = "flexible"\n' + text)
+def test_the_method(model: str, text: str, expected: object) -> None:
+    file = loads(f'{JOINT}model = "{model}"\n{text}')
     assert file.method == expected
     assert loads(dumps(file)) == file
 
@@ -244,31 +202,12 @@ def test_values_are_those_fixed_and_those_started_from() -> None:
         loads(SMALLEST).axis.values()
 
 
-# Methods without a controller
-
-_BARE = """
-[joint]
-kind = "revolute"
-model = "flexible"
-[record.channels]
-torque = { column = "i", unit = "A" }
-motor_position = { column = "q", unit = "rad" }
-[method]
-"""
-
-
-@pytest.mark.parametrize(
-    ("lines", "made"),
-    [
-        ('name = "drive_side"', DriveSideFit()),
-        ('name = "drive_side"\nlog_delay = -4e-4', DriveSideFit(-4e-4)),
-        ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
-    ],
-)
-def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit) -> None:
-    file = loads(_BARE + lines)
-    assert file.method == made
-    assert loads(dumps(file)).method == made
+def test_settings_of_the_drive_side_come_back() -> None:
+    text = JOINT + 'model = "flexible"\n' + CHANNELS + '[method]\nname = "drive_side"\nlog_delay = -4e-4\n'
+    for more, made in (("", DriveSideFit(-4e-4)), ('current_lag = "estimated"', DriveSideFit(-4e-4, None))):
+        file = loads(text + more)
+        assert file.method == made
+        assert loads(dumps(file)).method == made
 
 
 def test_the_files_on_the_page_are_right() -> None:

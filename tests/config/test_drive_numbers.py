@@ -47,12 +47,6 @@ def shown(text: str, made: Controller, folder: Path, **values: float) -> Learned
     return learned.beside(file.axis.drive_numbers(made))
 
 
-def test_a_signal_like_the_torque_has_the_unit_in_its_name(tmp_path: Path) -> None:
-    path = tmp_path / "joint.toml"
-    path.write_text(GEARED.replace('"i", unit = "A"', '"i [A]"'), encoding="utf-8")
-    assert load(path, learn=True).axis.column_like("torque", "injected").unit == "A"
-
-
 def test_a_gain_that_may_be_below_0_has_a_time_from_its_upper_end() -> None:
     """Of an integral gain between -50 and 200 1/s the time is 5 ms or more; below 0 there is none."""
     to = DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)

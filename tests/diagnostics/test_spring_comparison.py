@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics import law_comparison
-from jointid.diagnostics.law_comparison import RIGID, JudgedLaw, SpringComparison
+from jointid.diagnostics.law_comparison import RIGID, JudgedLaw, LawComparison
 from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
 from studies.mechanics import spoiled
@@ -30,13 +30,13 @@ def some_of(record: Record, samples: int) -> Record:
 
 
 @pytest.fixture(scope="module")
-def gapped() -> tuple[Case, SpringComparison]:
+def gapped() -> tuple[Case, LawComparison]:
     case, record = gapped_axis()
     return case, compare_springs(record, with_spring(case.loop, LinearSpring()), didim=ji.DIDIM(frequency=case.mode))
 
 
 @pytest.fixture(scope="module")
-def plain() -> tuple[Case, SpringComparison]:
+def plain() -> tuple[Case, LawComparison]:
     case = prismatic(1)
     record = some_of(case.clean, 4000)
     assert record.torque is not None
@@ -46,7 +46,7 @@ def plain() -> tuple[Case, SpringComparison]:
 
 
 @pytest.mark.slow
-def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple[Case, SpringComparison]) -> None:
+def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple[Case, LawComparison]) -> None:
     case, found = gapped
     assert found.shown.name == "backlash"
     for name in ("stiffness", "gap"):
@@ -59,14 +59,14 @@ def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple
 
 
 @pytest.mark.slow
-def test_a_linear_spring_is_told_as_that(plain: tuple[Case, SpringComparison]) -> None:
+def test_a_linear_spring_is_told_as_that(plain: tuple[Case, LawComparison]) -> None:
     case, found = plain
     assert found.shown.name == "linear"
     assert found.answer.code == "as_declared"
     assert abs(found.shown.values["stiffness"] - case.truth["stiffness"]) < 3 * found.shown.std["stiffness"]
 
 
-def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, SpringComparison]) -> None:
+def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, LawComparison]) -> None:
     _, found = plain
     assert all(one.kept > one.fitted for one in found.laws)
     more = {one.name: one.kept - one.fitted for one in found.laws}
@@ -99,13 +99,13 @@ def one(name: str, parameters: int, worse: float, error: float) -> JudgedLaw:
 
 def test_the_simplest_of_those_that_predict_alike_is_shown() -> None:
     laws = (one("linear", 2, 0.5, 0.1), one("backlash", 3, 0.25, 0.1), one("two-piece", 4, 0.0, 0.0))
-    assert SpringComparison("record", laws, "linear").shown.name == "backlash"
+    assert LawComparison("spring", "record", laws, "linear").shown.name == "backlash"
     laws = (replace(laws[0], worse=0.29), *laws[1:])
-    assert SpringComparison("record", laws, "linear").shown.name == "linear"
+    assert LawComparison("spring", "record", laws, "linear").shown.name == "linear"
 
 
 def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
-    plain: tuple[Case, SpringComparison], monkeypatch: pytest.MonkeyPatch
+    plain: tuple[Case, LawComparison], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise MethodError("The loop runs away.")
@@ -119,7 +119,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
 
 
 def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
-    plain: tuple[Case, SpringComparison], monkeypatch: pytest.MonkeyPatch
+    plain: tuple[Case, LawComparison], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judging(monkeypatch, "linear", "two-piece")
     case, _ = plain
@@ -145,7 +145,7 @@ def test_the_spring_of_another_simulator_is_shown(fault: str, spring: str) -> No
     assert compare_springs(made.record, made.axis.loop).shown.name == spring
 
 
-def test_what_cannot_be_compared_is_refused(plain: tuple[Case, SpringComparison]) -> None:
+def test_what_cannot_be_compared_is_refused(plain: tuple[Case, LawComparison]) -> None:
     case, _ = plain
     arm = ji.FlexibleJoint("revolute", gravity=ji.Gravity("link"))
     for record, loop, asked in (

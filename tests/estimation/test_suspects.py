@@ -7,21 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.check_loop import search_faults
+from jointid.diagnostics.check_loop import compute_signatures, search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
-from jointid.diagnostics.fault_tests import compute_signatures, fit_whitener, rank_tests, score_signatures
 from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
 from jointid.diagnostics.model_free import LawOnPosition
+from jointid.diagnostics.score import fit_whitener, rank_tests, score
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.didim import DIDIM
@@ -67,6 +66,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
     first = check.findings[0]
     assert first.test.name == fault
     assert not check.as_declared
+    assert check.suspected is None  # what is tested before the last correction says nothing of it
     if fault in SIZES:
         assert first.test.size == pytest.approx(SIZES[fault], abs=3 * first.test.std)
     if fault == "limit":
@@ -170,37 +170,9 @@ def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
         left = noise - own @ np.linalg.lstsq(own, noise, rcond=None)[0]
         faults = [FaultSignature(number_fault(n), column) for n, column in zip("abc", columns[:, 9:].T, strict=True)]
         motion = cells(*lines[:, [0, 9]].T)
-        tests = score_signatures(left, own, faults, {one.fault: 0.0 for one in faults}, lambda motion=motion: motion)
+        tests = score(left, own, faults, {one.fault: 0.0 for one in faults}, lambda motion=motion: motion)
         found += [one.statistic for one in tests]
     assert np.std(found) < 1.2
-
-
-def test_faults_of_blocks_are_tested_as_among_all_rows() -> None:
-    """Whitening carries a column over the end of its block, and of two shapes the one that explains more is taken."""
-    rng, rows = np.random.default_rng(5), 600
-    noise, own = lfilter([1.0], [1.0, -0.9], rng.standard_normal(rows)), rng.standard_normal((rows, 3))
-    blocks, signatures = [slice(k, k + 200) for k in range(0, rows, 200)], list[FaultSignature]()
-    for k, block in enumerate(blocks):
-        for name in "ab":
-            for shape in (1.0, 2.0):
-                column = np.zeros(rows)
-                column[block] = np.sin(shape * (k + 2) * 0.05 * np.arange(200) + (name == "b"))
-                signatures.append(FaultSignature(number_fault(f"{name}{k}"), column, shape))
-        signatures.append(replace(signatures[-1], fault=number_fault(f"same{k}")))
-    residual = noise + 2.0 * signatures[1].column
-    residual -= own @ np.linalg.lstsq(own, residual, rcond=None)[0]
-    faults = dict.fromkeys((one.fault for one in signatures), 0.0)
-    found = [
-        score_signatures(residual, own, signatures, faults, lambda: cells(own[:, 0], own[:, 1]), blocks=each)
-        for each in (blocks, ())
-    ]
-    for one, other in zip(*found, strict=True):
-        assert (one.fault, one.alike, one.shape) == (other.fault, other.alike, other.shape)
-        assert (one.size, one.std) == pytest.approx((other.size, other.std), rel=1e-9)
-    assert (found[0][0].name, found[0][0].shape) == ("a0", 2.0)
-    assert found[0][0].size == pytest.approx(2.0, abs=3 * found[0][0].std)
-    twice = {test.name: [one.name for one in test.alike] for test in found[0] if test.shape == 2.0}
-    assert twice["b2"] == ["same2"]
 
 
 def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate]) -> None:
@@ -208,12 +180,6 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
     record = axis.record.without("motor_position", "load_position")
     estimate = identified("L19", DIDIM(frequency=30.0), noise="white")
     assert faults_of(estimate, record).as_declared
-    only = faults_of(estimate, record, LoopTests(faults=("position_gain", "delay")))
-    assert {s.name for s in only.tests} == {"position_gain", "delay"}
-    with pytest.raises(
-        MethodError, match="No fault called derivative_gain can be tested in this record; choose from gain"
-    ):
-        faults_of(estimate, record, LoopTests(faults=("derivative_gain",)))
     with pytest.raises(MethodError, match="has another torque"):
         faults_of(estimate, twin(noise="white", seed=2).record)
     with pytest.raises(MethodError, match="DIDIM"):
@@ -240,11 +206,11 @@ def _check(name: str, size: float, std: float, declared: float = 0.0, **more: ob
 
 def _diagnosis(faults: AxisFaults) -> Diagnosis:
     """Return the diagnosis of a joint with these faults, without a residual."""
-    axis = AxisDiagnosis("", 0.0, None, None, 1.0, 1.0, 1.0, "m", "N", (), None, faults)
+    axis = AxisDiagnosis("", 0.0, None, None, 1.0, "m", "N", (), None, faults)
     none = np.zeros((1, 0))
     own = np.zeros((1, 0, 0))
     torques = AxisTorques(
-        ("",), none[0], 1e-3, 60.0, none, none, None, none.astype(bool), none, none, own, False, ((),)
+        ("",), none[0], 1e-3, 60.0, none, none, none.astype(bool), none, none, own, False, ((),)
     )  # fmt: skip
     return Diagnosis("run", "didim", (axis,), torques)
 
@@ -353,13 +319,10 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
 
 
 @pytest.mark.slow
-def test_what_forces_in_the_loop_show_by_themselves_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is wrong with this drive; a white force on it looks like less friction near standstill, at p < 1e-4."""
+def test_what_forces_in_the_loop_show_by_themselves_is_no_fault() -> None:
+    """Nothing is wrong with this drive; a white force on it looks like less friction near standstill."""
     axis = drive(147, longest=12.0)
-    estimate = identify(axis.record, axis.loop)
-    assert faults_of(estimate, axis.record).as_declared
-    monkeypatch.setattr("jointid.diagnostics.search_state.find_force", lambda *_: None)
-    assert faults_of(estimate, axis.record).findings[0].test.p_value < 1e-3
+    assert faults_of(identify(axis.record, axis.loop), axis.record).as_declared
 
 
 @pytest.mark.slow
@@ -377,12 +340,12 @@ def test_a_wave_of_any_phase_is_tested_as_two_numbers() -> None:
     rng, rows, found = np.random.default_rng(3), 200, []
     waves = np.column_stack([turn(0.4 * np.arange(rows)) for turn in (np.cos, np.sin)])
     own = rng.standard_normal((rows, 2))
-    fault = replace(number_fault("position_gain"), one_sided=True)
+    fault = replace(number_fault("position_gain"), one_sided=True, parts=2)
     for residual in rng.standard_normal((300, rows)):
         parts = np.linalg.lstsq(np.column_stack([waves, own]), residual, rcond=None)[0][:2]
         column = waves @ parts / np.linalg.norm(parts)
-        signature = FaultSignature(fault, column, parts=parts.size)
-        (test,) = score_signatures(residual, own, [signature], {fault: 0.0}, lambda: cells(waves[:, 0], waves[:, 1]))
+        signature = FaultSignature(fault, column)
+        (test,) = score(residual, own, [signature], {fault: 0.0}, lambda: cells(waves[:, 0], waves[:, 1]))
         found.append(test.p_value)
     assert 0.02 < np.mean(np.array(found) < 0.05) < 0.1
 
@@ -395,7 +358,7 @@ def test_a_deviation_is_widened_for_a_residual_that_repeats_although_the_test_is
     column -= repeats * (column @ repeats) / (repeats @ repeats)  # nothing of the residual is of the fault
 
     def test(widened: float) -> FaultTest:
-        return score_signatures(
+        return score(
             repeats, np.cos(way)[:, np.newaxis], [FaultSignature(fault, column)], {fault: 0.0},
             lambda: cells(np.sin(way), np.cos(way)), widened=widened,
         )[0]  # fmt: skip

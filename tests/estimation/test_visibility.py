@@ -109,7 +109,6 @@ def test_the_loop_of_a_refused_spring_is_checked_with_its_identified_delay(
     monkeypatch.setattr(checks, "assemble", lambda _: None)
     monkeypatch.setattr(checks, "find_gross_cause", lambda *_: None)
     monkeypatch.setattr(checks, "explain_misfit", lambda *_: None)
-    monkeypatch.setattr(checks, "compare_with_delay", lambda *_: ([], {}))
 
     def judge(_: Record, loop: ClosedLoop) -> Verdict:
         judged.append(loop)

@@ -1,4 +1,4 @@
-"""A found joint or robot is kept in a file, and gives the torque of a motion."""
+"""A found joint or robot is kept in a file, comes back, and gives the torque of a motion."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.fields import dumps
+from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.output.json import read_report
 from jointid.records.signals.filtering import window_torque
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -32,21 +35,26 @@ VALUES = {
 
 
 @cache
+def logged(seed: int) -> tuple[RobotLoop, tuple[ji.Record, ...]]:
+    """Return a robot under its controllers, and a record of each of its joints."""
+    loop = two().loop()
+    return loop, tuple(recorded(loop, two().records(4.0 + seed), 0.01)[0])
+
+
+@cache
 def found(kind: str) -> ji.Estimate:
-    """Return the estimate of a joint, or of a robot by a method."""
+    """Return the estimate of a joint, or of a robot by a method, also with its delays."""
     if kind == "joint":
         law = ji.controller.PD(position_gain=900.0, derivative_gain=60.0)
         loop = ji.ClosedLoop(JOINT, law)
         reference = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, sample_time=1e-3, rest=0.2, duration=4.0)
         return ji.identify(ji.simulated_record(loop, reference, VALUES, sample_time=1e-3), loop, checks=False)
-    loop = two().loop()
-    return ji.identify(
-        recorded(loop, two().records(4.0), 0.01)[0], loop if kind == "didim" else loop.robot, checks=False
-    )
+    free = ji.DIDIM(free=("delay",)) if kind == "delays" else None
+    return ji.identify(logged(0)[1], setup_of(kind), free, checks=False)
 
 
-def setup_of(kind: str) -> object:
-    loop = found(kind).settings.loop if kind == "joint" else two().loop()
+def setup_of(kind: str) -> Any:
+    loop = found(kind).settings.loop if kind == "joint" else logged(0)[0]
     return loop.robot if kind == "idim" else loop  # type: ignore[union-attr]
 
 
@@ -68,7 +76,7 @@ def torque_of(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.n
 @pytest.mark.parametrize("kind", ["joint", "idim", "didim"])
 def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path) -> None:
     estimate = found(kind)
-    back = ji.load_estimate(estimate.save(tmp_path / "out.json"), setup_of(kind))  # type: ignore[arg-type]
+    back = ji.load_estimate(estimate.save(tmp_path / "out.json"), setup_of(kind))
     q, v, a = motion(0 if kind == "joint" else 2)
     torque = back.torque(q, v, a)
     np.testing.assert_allclose(torque, estimate.torque(q, v, a), rtol=1e-12)
@@ -95,7 +103,7 @@ def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path)
 def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> None:
     stored = json.loads(Path(__file__).with_name("estimates_of_0_3.json").read_text("utf-8"))[kind]
     (tmp_path / "old.json").write_text(json.dumps(stored), "utf-8")
-    back, now = ji.load_estimate(tmp_path / "old.json", setup_of(kind)), found(kind)  # type: ignore[arg-type]
+    back, now = ji.load_estimate(tmp_path / "old.json", setup_of(kind)), found(kind)
     assert back.values == pytest.approx(now.values, rel=1e-6)
     assert [row.stderr for row in back.params.rows] == [row["std"] for row in stored["parameters"].values()]
     # The joint's record has no noise: its deviations are rounding, which differs from machine to machine.
@@ -154,7 +162,7 @@ def test_a_damaged_estimate_is_used_or_refused_in_a_sentence(kind: str, every: i
         path.write_text(json.dumps(changed), "utf-8")
         tried += 1
         try:
-            back = ji.load_estimate(path, setup_of(kind))  # type: ignore[arg-type]
+            back = ji.load_estimate(path, setup_of(kind))
             assert back.sentence and back.summary(details=True)
             back.torque(*parts)
             ji.export(back, "urdf")
@@ -168,12 +176,12 @@ def test_an_error_that_is_not_known_is_not_relied_on(tmp_path: Path) -> None:
     path, document = tmp_path / "out.json", found("joint").to_dict()
     unknown = document["fit"] | {"filtered_error": None, "relative_error": None}
     path.write_text(dumps(document | {"fit": unknown}), "utf-8")
-    assert "Do not rely on it yet" in ji.load_estimate(path, setup_of("joint")).sentence  # type: ignore[arg-type]
+    assert "Do not rely on it yet" in ji.load_estimate(path, setup_of("joint")).sentence
     for part, key in (("fit", "converged"), ("checks", "verdicts"), ("checks", "warnings"), ("fit", "filtered_error")):
         lacking = {name: value for name, value in document[part].items() if name != key}
         path.write_text(dumps(document | {part: lacking}), "utf-8")
         with pytest.raises(RecordError):
-            ji.load_estimate(path, setup_of("joint"))  # type: ignore[arg-type]
+            ji.load_estimate(path, setup_of("joint"))
 
 
 def test_a_delay_that_is_longer_than_the_record_is_refused() -> None:
@@ -181,3 +189,57 @@ def test_a_delay_that_is_longer_than_the_record_is_refused() -> None:
     for delay in (1e300, 1e6, -0.2, float("nan")):
         with pytest.raises(RecordError):
             window_torque(torque, delay)
+
+
+@pytest.mark.parametrize("method", ["idim", pytest.param("didim", marks=pytest.mark.slow), "delays"])
+def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> None:
+    estimate, system = found(method), setup_of(method)
+    path = estimate.save(tmp_path / "out.json")
+    back = ji.load_estimate(path, system)
+    assert back.to_dict() == estimate.to_dict()
+    assert back.summary(details=True) == estimate.summary(details=True)
+    np.testing.assert_allclose(back.covariance, estimate.covariance, rtol=1e-12)
+    assert (
+        back.data.fingerprints == estimate.data.fingerprints and back.settings.filtering == estimate.settings.filtering
+    )
+    unseen = logged(1)[1]
+    one, other = (ji.validate(each, unseen) for each in (back, estimate))
+    np.testing.assert_allclose(*([a.filtered_error for a in check.axes] for check in (one, other)), rtol=1e-9)
+    assert one.nominal_error == pytest.approx(other.nominal_error, rel=1e-9)
+    assert ji.validate(back, logged(0)[1]).test == "direct"
+    xml = [ji.export(each, "urdf").text for each in (back, estimate)]
+    assert xml[0] == xml[1]
+    read, fresh = (each.require_robot().robot().of_joints("viscous") for each in (back, estimate))
+    np.testing.assert_allclose(read, fresh, rtol=1e-12)
+    said = ji.Report.of(back, logged(0)[1])
+    assert json.loads(said.answer())["estimate"]["parameters"] == estimate.to_dict()["parameters"]
+
+
+def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:
+    loop, _ = logged(0)
+    path = found("idim").save(tmp_path / "out.json")
+    first, second = loop.robot.links
+    longer = replace(loop.robot, links=(first, replace(second, origin=1.2 * second.origin)))
+    with pytest.raises(RecordError):
+        ji.load_estimate(path, longer)
+    renamed = replace(loop.robot, joints=tuple(replace(one, name=f"j{k}") for k, one in enumerate(loop.robot.joints)))
+    with pytest.raises(RecordError):
+        ji.load_estimate(path, renamed)
+    with pytest.raises(RecordError):
+        ji.load_estimate(found("didim").save(tmp_path / "loop.json"), loop.robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["didim", "drive_side"])
+def test_a_saved_estimate_of_a_flexible_robot_comes_back(method: str, tmp_path: Path) -> None:
+    twin = two((12.0, 15.0))
+    loop = twin.loop()
+    records = tuple(recorded(loop, twin.records(6.0, multisine=0.004), 0.003)[0])
+    system = loop if method == "didim" else RobotDriveSide(loop.robot)
+    estimate = ji.identify(records, system, checks=False)
+    back = ji.load_estimate(estimate.save(tmp_path / "out.json"), system)
+    assert back.to_dict() == estimate.to_dict()
+    one, other = back.require_robot(), estimate.require_robot()
+    assert isinstance(one, SimulatedRobot) and isinstance(other, SimulatedRobot)
+    for mine, own in zip(one.numbers().arrays, other.numbers().arrays, strict=True):
+        np.testing.assert_allclose(mine, own, rtol=1e-12)

@@ -151,7 +151,7 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(columns["demand"], np.degrees(20.0 * reference.values), atol=1e-9)
     peak = found.axes[0].reached["torque"]
     assert found.peaks == (f"{number(peak / 10.0, 3)} A of the motor ({number(peak, 3)} N m)",)
-    again = file.driving(tmp_path / "test.csv").reference
+    again = file.record(tmp_path / "test.csv", driving=True).reference
     assert again is not None
     np.testing.assert_allclose(again.values, reference.values, atol=1e-12)
     both = lay_out(file, design(file.loop, search_time=1.0, **asked))  # type: ignore[arg-type]

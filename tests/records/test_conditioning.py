@@ -166,20 +166,15 @@ def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) ->
 
 
 def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
-    path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1))
-    record = read(
-        path, {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}, kind="prismatic"
-    )
+    columns = {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}
+    record = read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1)), columns, kind="prismatic")
     assert record.torque is not None
     assert record.reference is not None
     np.testing.assert_allclose(record.torque.values, TORQUE[3::4])
     np.testing.assert_allclose(record.reference.values, TORQUE[3::2])
     assert record.begin == pytest.approx(3 * T)
-    path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0))
-    record = read(
-        path, {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}, kind="prismatic"
-    )
-    assert record.resampled is not None and record.resampled.sample_time == pytest.approx(2 * T)
+    other = read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0)), columns, kind="prismatic")
+    assert other.resampled is not None and other.resampled.sample_time == pytest.approx(2 * T)
 
 
 def test_another_rhythm_than_the_stated_one_is_refused(tmp_path: Path) -> None:

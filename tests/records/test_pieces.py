@@ -125,9 +125,7 @@ def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
     columns["t"] = np.where(np.arange(2000) < 1555, columns["t"], columns["t"] + 3.0)
     made = tmp_path / "day.npy"
     write_table(made, Table(columns))
-    with pytest.raises(
-        RecordError, match=r'day.npy, rows from 1501 on: The time column "t" jumps 1 time, .*\(t = 15.54 s\)'
-    ):
+    with pytest.raises(RecordError, match=r"rows from 1501 on: .*\(t = 15.54 s;"):
         list(Log(made, CHANNELS).chunks(100, 4))
 
 

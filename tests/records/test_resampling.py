@@ -44,14 +44,6 @@ def values(record: ji.Record, name: str = "motor_position") -> np.ndarray:
     return dict(record.items())[name].values
 
 
-def refused(path: Path, how: Resampling | None, **channels: Any) -> str:
-    with pytest.raises(RecordError) as error:
-        read(path, how, **channels)
-    (said,) = error.value.faults
-    assert said.endswith(".")
-    return said
-
-
 # What the stamps are
 
 
@@ -162,7 +154,8 @@ REFUSED: dict[str, tuple[np.ndarray, dict[str, Any]]] = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_made_up_is_refused(saved: Saved, name: str) -> None:
     stamps, how = REFUSED[name]
-    refused(saved(t=stamps, q=np.arange(stamps.size)), Resampling(**{"sample_time": T, "method": "cubic", **how}))
+    with pytest.raises(RecordError):
+        read(saved(t=stamps, q=np.arange(stamps.size)), Resampling(**{"sample_time": T, "method": "cubic", **how}))
 
 
 def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:

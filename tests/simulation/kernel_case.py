@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from jointid.models.smooth import SmoothFriction, SmoothSpring
+from jointid.models.friction import SmoothFriction
+from jointid.models.springs import SmoothSpring
 from jointid.simulation.kernels import drive as kernels
 from jointid.simulation.kernels import engine
 from jointid.simulation.plant import assemble, motion_of

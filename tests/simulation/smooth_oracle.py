@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jointid.models.smooth import SmoothFriction, SmoothSpring
+from jointid.models.friction import SmoothFriction
+from jointid.models.springs import SmoothSpring
 from tests.simulation.oracle import Law, Plant, split_delay
 
 

@@ -15,10 +15,9 @@ from jointid.common.errors import MethodError
 from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, simulate
+from jointid.simulation.closed_loop import Initial, Outcome, require_success, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3

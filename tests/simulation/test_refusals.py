@@ -11,18 +11,17 @@ import pytest
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import FRICTIONS
+from jointid.models.friction import FRICTIONS, DriftingFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from jointid.models.springs import SPRINGS, Backlash
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.simulation.closed_loop import Outcome, simulate_torque
+from jointid.simulation.closed_loop import Outcome, require_success, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.sensitivities import simulate_sensitivities
-from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.plants import prismatic
 from tests.robots_plants import two
@@ -155,8 +154,9 @@ def test_numbers_that_no_joint_has_are_not_simulated(friction: str, spring: str,
 
 
 def test_friction_that_drifts_below_zero_is_not_simulated() -> None:
-    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute")))
+    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute", DriftingFriction())))
     masses = numbers.masses.copy()
-    masses[0, [MassNumbers.COULOMB, MassNumbers.COULOMB_DRIFT]] = 1.0, -0.1
+    masses[:, MassNumbers.COULOMB_DRIFT] = -0.1, 0.0
+    masses[0, MassNumbers.COULOMB] = 1.0
     fading = replace(numbers, masses=masses)
     assert fading.possible(9.0) and not fading.possible(11.0)

@@ -11,6 +11,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.rest import moving_weights, turning_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.plant import motion_of
 from jointid.simulation.robot_drive_side import (
     MotorMotion,
@@ -21,7 +22,7 @@ from jointid.simulation.robot_drive_side import (
 )
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
 from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import RobotOutcome, RobotSimulation
+from jointid.simulation.robots import RobotSimulation
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, six, two
 from tests.simulation.test_robots import COUPLED, changed
@@ -67,7 +68,7 @@ def test_the_torque_is_that_of_the_loop_that_moved_the_motors(twin: Twin) -> Non
     run = played(twin)
     numbers = RobotNumbers.of(twin.robot)
     found = run_drive_side(prescribed(twin.robot, run), numbers)
-    assert found.outcome is RobotOutcome.FINISHED
+    assert found.outcome is Outcome.FINISHED
     # What a link that begins to stick does to the motor of a rigid joint is a jump within a sample.
     bounds = np.where(numbers.flexible, 2e-4, 1e-3)
     assert np.all(error(found, run) < bounds)
@@ -149,10 +150,9 @@ def test_what_cannot_be_simulated_is_said() -> None:
     twin = two((12.0, 18.0))
     motion, numbers = prescribed(twin.robot, played(twin, 1.0)), RobotNumbers.of(twin.robot)
     for other, outcome in (
-        (replace(numbers, springs=-numbers.springs), RobotOutcome.INVALID),
-        (replace(numbers, springs=1e8 * numbers.springs), RobotOutcome.TOO_STIFF),
-        (replace(numbers, inertials=-numbers.inertials), RobotOutcome.NOT_POSITIVE),
-        (replace(numbers, masses=numbers.masses + np.eye(12)[6]), RobotOutcome.INVALID),
+        (replace(numbers, springs=-numbers.springs), Outcome.INVALID),
+        (replace(numbers, springs=1e8 * numbers.springs), Outcome.TOO_STIFF),
+        (replace(numbers, inertials=-numbers.inertials), Outcome.NOT_POSITIVE),
     ):
         found = run_drive_side(motion, other)
         assert found.outcome is outcome

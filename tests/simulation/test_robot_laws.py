@@ -13,7 +13,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial
+from jointid.simulation.closed_loop import Initial, Outcome
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,
@@ -25,7 +25,7 @@ from jointid.simulation.robot_numbers import (
     with_values,
 )
 from jointid.simulation.robot_sensitivities import differentiate_torques
-from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot
+from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
 from jointid.simulation.synthesis import simulate
 
 LAW = PD(position_gain=900.0, derivative_gain=30.0)
@@ -95,7 +95,7 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     exact = simulate(alone, prepare(alone, record), values_of(joint), begun)
     peak = float(np.max(np.abs(exact.torque)))
     errors = {steps: float(np.max(np.abs(run.torque[:, 0] - exact.torque))) / peak for steps, run in runs.items()}
-    assert all(run.outcome is RobotOutcome.FINISHED for run in runs.values())
+    assert all(run.outcome is Outcome.FINISHED for run in runs.values())
     assert errors[8] < (1e-5 if not joint.straight else 2e-9)
     assert not joint.straight or errors[8] < errors[4] / 10.0 + 3e-11
     assert not joint.straight or runs[8].events == exact.events

@@ -15,7 +15,7 @@ from jointid.models.controllers import PD, PID, Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, Tree
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial
+from jointid.simulation.closed_loop import Initial, Outcome
 from jointid.simulation.kernels.engine import (
     COULOMB,
     COULOMB_BACK,
@@ -29,16 +29,7 @@ from jointid.simulation.kernels.engine import (
 )
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robot_start import begin
-from jointid.simulation.robots import (
-    RobotLoop,
-    RobotOutcome,
-    RobotRun,
-    add_feed_forward,
-    motion_at,
-    prepare_robot,
-    run_robot,
-)
+from jointid.simulation.robots import RobotLoop, RobotRun, add_feed_forward, begin, motion_at, prepare_robot, run_robot
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
@@ -138,7 +129,7 @@ def test_a_robot_of_one_joint_is_that_joint(name: str, flexible: bool) -> None:
     begun = Initial(float(found.motor_position[0, 0]), 0.0, 0.0)
     exact = simulate(loop, prepare(loop, record), values, begun)
     peak = float(np.max(np.abs(exact.torque)))
-    assert found.outcome is RobotOutcome.FINISHED
+    assert found.outcome is Outcome.FINISHED
     assert np.max(np.abs(found.torque[:, 0] - exact.torque)) < 2e-8 * peak
     assert np.max(np.abs(found.motor_position[:, 0] - exact.motor_position)) < 1e-9
     assert found.events == exact.events
@@ -159,7 +150,7 @@ def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
     masses = numbers.masses.copy()
     masses[[1, 4], 2] = 80.0
     run = simulate(loop, records, replace(numbers, masses=masses))
-    assert run.outcome is RobotOutcome.FINISHED
+    assert run.outcome is Outcome.FINISHED
     assert np.all(run.link_position[:, [1, 4]] == run.link_position[0, [1, 4]])
     assert np.all(run.motion.direction[:, [1, 4]] == 0)
     assert np.ptp(run.link_position[:, [0, 2, 3, 5]], axis=0).min() > 0.2
@@ -170,7 +161,7 @@ def test_no_mass_slides_against_its_friction() -> None:
     twin = six(True)
     records = twin.records(10.0, sample_time=5e-3, multisine=0.003)
     run = run_robot(prepare_robot(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
-    assert run.outcome is RobotOutcome.FINISHED
+    assert run.outcome is Outcome.FINISHED
     assert run.events > 500
     n = len(run.start)
     speeds, modes = (run.tape[:, STATE + i * n : STATE + (i + 1) * n] for i in (1, 4))
@@ -188,7 +179,7 @@ def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], wor
         began.speeds, tuple(clock.every.tolist()), tuple(each.law.delay for each in experiment.experiments),
     )  # fmt: skip
     run = run_robot(experiment, numbers, steps=1, keep=True)
-    assert run.outcome is RobotOutcome.FINISHED
+    assert run.outcome is Outcome.FINISHED
     assert np.max(np.abs(run.command.T - exact) / np.max(np.abs(exact), axis=0)) < worst
     return run
 
@@ -266,13 +257,13 @@ def settled(
     """Fill the accelerations of links that stand still, as the engine does."""
     n = len(M)
     mass, spring, none, still = np.zeros((n, HIGH + 1)), np.zeros((0, SPRING)), np.zeros((0, 5)), np.zeros(n)
-    pairs, carriers, order = np.zeros((0, 2), dtype=np.uint64), np.full(n, -1), np.zeros((2, n), dtype=np.int64)
+    pairs, carriers = np.zeros((0, 2), dtype=np.uint64), np.full(n, -1)
     held, grip, L = np.zeros(n), np.zeros(n), np.zeros((n, n))
     mass[:, COULOMB] = coulomb
     mass[:, COULOMB_BACK] = coulomb
     for _ in range(1000):
         accelerate(
-            mass, spring, none, pairs, carriers, tree, M, L, order, still, still, modes, force, 0.0, still, still,
+            mass, spring, none, pairs, carriers, tree, M, L, still, still, modes, force, 0.0, still, still,
             still, a, held, grip, still[:0],
         )  # fmt: skip
         if not settle(mass, modes, still, a, held, grip, True):
@@ -330,21 +321,21 @@ def test_outcomes() -> None:
     loop, records = twin.loop(), twin.records(1.0)
     numbers = RobotNumbers.of(loop.robot)
 
-    def outcome(loop: RobotLoop, numbers: RobotNumbers | None = None) -> RobotOutcome:
+    def outcome(loop: RobotLoop, numbers: RobotNumbers | None = None) -> Outcome:
         return simulate(loop, records, numbers).outcome
 
-    assert outcome(loop) is RobotOutcome.FINISHED
+    assert outcome(loop) is Outcome.FINISHED
     negative = numbers.inertials.copy()
     negative[1, 7] = -3.0
-    assert outcome(loop, replace(numbers, inertials=negative)) is RobotOutcome.NOT_POSITIVE
+    assert outcome(loop, replace(numbers, inertials=negative)) is Outcome.NOT_POSITIVE
     for column, value in ((1, -0.1), (2, -0.1), (0, np.nan)):
         masses = numbers.masses.copy()
         masses[1, column] = value
-        assert outcome(loop, replace(numbers, masses=masses)) is RobotOutcome.INVALID
+        assert outcome(loop, replace(numbers, masses=masses)) is Outcome.INVALID
     wild = RobotLoop(twin.robot, tuple(PD(position_gain=1e6, derivative_gain=0.0) for _ in range(2)))
     run = simulate(wild, records)
-    assert run.outcome is RobotOutcome.DIVERGED
+    assert run.outcome is Outcome.DIVERGED
     assert np.all(np.isfinite(run.torque))
-    assert simulate(loop, records, steps=65).outcome is RobotOutcome.FINISHED  # as many as are asked for
+    assert simulate(loop, records, steps=65).outcome is Outcome.FINISHED  # as many as are asked for
     stiff = RobotNumbers.of(two((None, 16.0)).robot)
-    assert outcome(loop, replace(stiff, springs=1e8 * stiff.springs)) is RobotOutcome.TOO_STIFF
+    assert outcome(loop, replace(stiff, springs=1e8 * stiff.springs)) is Outcome.TOO_STIFF

@@ -98,7 +98,10 @@ def test_agree_for_the_loop_and_the_start(controller: Cascade, names: tuple[str,
             or {"initial_position": 0.1, "initial_velocity": 0.1, "offset": 10.0, "delay": 1e-3}.get(name)
             or float(getattr(controller, name))
         )
-        columns, step = (found.torque[:, j], found.motor_position[:, j]), (1e-5 if name == "delay" else 1e-6) * size
+        columns, step = (
+            (found.torque[:, j], found.motor_position[:, j]),
+            (1e-5 if name in ("delay", "damping") else 1e-6) * size,
+        )
         back = 0.0 if name == "delay" else 1.0  # a delay of 0 is the shortest
         error = error_beside_differences(columns, loop, record, VALUES, name, (step,), start, back=back)
         assert error < (3e-4 if name == "damping" else 2e-4), name

@@ -2,12 +2,11 @@
 
 from jointid.config.axis import Axis
 from jointid.config.file import File
-from jointid.config.loading import dumps, load, loads
-from jointid.config.serialise import controller_text, save_with_controller
+from jointid.config.loading import controller_text, dumps, load, loads, save_with_controller
 from jointid.config.source import Run, Source
-from jointid.config.toml import edit, move_paths, name_record, replace_table
+from jointid.config.toml import edit, move_paths, replace_table
 
 __all__ = [
-    "Axis", "File", "Run", "Source", "controller_text", "dumps", "edit", "load", "loads", "move_paths", "name_record",
+    "Axis", "File", "Run", "Source", "controller_text", "dumps", "edit", "load", "loads", "move_paths",
     "replace_table", "save_with_controller",
 ]  # fmt: skip

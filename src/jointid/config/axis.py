@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -10,12 +10,11 @@ from typing import Any
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.transmission import Transmission
-from jointid.common.units import Kind
+from jointid.common.units import Kind, UnitError
 from jointid.config.axis_units import AxisUnits
-from jointid.config.declaration import Place, fault_at, locate
-from jointid.config.rules import find_faults
+from jointid.config.declaration import Place, fault_at, locate, to_si
 from jointid.config.source import Source
 from jointid.config.tables import AxisTable, FileTable, ParameterTable, make_method
 from jointid.estimation.methods.registry import Method, methods
@@ -91,7 +90,7 @@ class Axis:
         return () if law is None else self.units.numbers(law, self.controller)
 
     def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
-        """Return the record of this axis from a table of columns; see `File.record` and `File.driving`.
+        """Return the record of this axis from a table of columns; see `File.record`.
 
         Args:
             table: as the file of the record has it.
@@ -227,7 +226,7 @@ def build_axis(
         needed=method.channels(str(own.model), controller),
         units=units,
     )
-    if faults := list(find_faults(file, number, axis)):
+    if faults := list(_find_faults(file, number, axis)):
         raise JointFileError(faults)
     return axis, method
 
@@ -296,3 +295,55 @@ def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable], place
     if faults:
         raise JointFileError(faults)
     return changed
+
+
+def _find_faults(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
+    """Yield what the tables of an axis do not agree on."""
+    yield from _check_units(file, number, axis)
+    yield from _check_torque(file, number, axis)
+    parameters = {parameter.name for parameter in axis.joint.parameters}
+    for at, run in enumerate(file.records):
+        if unknown := set(run.own) - parameters:
+            rest = f" has {', '.join(sorted(unknown))}; expected some of {', '.join(sorted(parameters))}: correct it."
+            yield fault_at(("records", at, "own"), rest, "unknown")
+
+
+def _check_units(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
+    """Yield numbers in units of another motion."""
+    units, joint = axis.units, axis.joint
+    constant, limits = file.place(number, "joint", "torque_constant"), file.place(number, "limits")
+    kinds = {file.place(number, "controller"): units.kind_of(units.side), limits: joint.kind}
+    for place, (text, declared) in file.texts.items():
+        table = next((table for table in kinds if place[: len(table)] == table), None)
+        kind = None if table is None else kinds[table]
+        expected = declared
+        if place == constant:
+            expected = "N/A or N/V" if units.kind_of("motor") == "prismatic" else "N m/A or N m/V"
+        elif kind is None:
+            continue
+        elif table == limits and "torque" in str(place[-1]):
+            expected = units.torque or TORQUE_UNIT[kind]
+        try:
+            to_si(text, expected, kind)
+        except UnitError as error:
+            yield fault_at(place, str(error), "unit")
+
+
+def _check_torque(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
+    """Yield a torque, or an injected signal, in a unit that the other tables contradict."""
+    units, channels = axis.units, ("record", "channels")
+    for name, column in axis.columns.items():
+        known = known_units(name, units.kind_of(axis.drive.side(name, column)))
+        if named := column.doubled_unit(known):
+            rest = f' is "{column.unit}", but its column names "{named}": leave unit out, or rename the column.'
+            yield fault_at((*channels, name, "unit"), rest, "unit")
+        other = units.find_torque_unit(column)
+        if name == "injected" and column.stated_unit(known) and other != units.torque:
+            rest = f" is {other or 'a torque'}, but the torque's {units.torque or 'one'}; give both in one unit."
+            yield fault_at((*channels, name, "unit"), rest, "unit")
+    if "torque" in axis.columns and axis.source.torque == "from_controller":
+        yield fault_at(("record", "torque"), ' is "from_controller" beside a torque channel; keep one of them.')
+    per = "A" if axis.drive.torque_constant is not None else "V"
+    if units.constant is not None and units.torque not in (None, per):
+        rest = f" is in {units.torque}, but joint.torque_constant is per {per}; give the constant of what is logged."
+        yield fault_at((*channels, "torque"), rest, "unit")

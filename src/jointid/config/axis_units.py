@@ -15,8 +15,7 @@ from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import join
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind, UnitError
-from jointid.config.declaration import fault_at
-from jointid.config.quantities import OUTPUTS, in_controller_units, list_units, output_of
+from jointid.config.declaration import OUTPUTS, fault_at, in_controller_units, list_units, output_of
 from jointid.config.tables import INVERSES
 from jointid.models.controllers import Controller, ServoController, declared_unit, numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber

@@ -2,6 +2,9 @@
 
 A setting (`jointid.common.settings`) declares type, unit, bounds, default and words. `jointid.config.tables` says which
 tables there are. A fault is a sentence with place and code.
+
+A number is SI, or in the controller's units; a text is a number with a unit that measures what the setting's
+declaration says. The value is taken to SI where it is read, and its words are kept for a file that is written.
 """
 
 from __future__ import annotations
@@ -9,14 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, TypeAlias, get_args, get_origin
 
-from jointid.common import messages
+from jointid.common import messages, units
 from jointid.common.errors import Fault, JointFileError, JointidError
 from jointid.common.settings import Setting, settings_of
-from jointid.common.units import UnitError
-from jointid.config.quantities import is_quantity, list_units, to_si
+from jointid.common.units import Kind, UnitError
+from jointid.models.controllers import CONTROLLER_UNITS
 
 Place: TypeAlias = tuple[int | str, ...]
 """Keys and indices that lead to a value."""
@@ -27,6 +30,9 @@ CONTRADICTION = "contradiction"
 _MOST = 10**9  # of what is counted
 _MOST_KEYS = 1000  # of a table, or tables of a list: each of more would be a sentence
 _WRONG: Any = object()  # stands for a value that has a fault
+
+OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
+"""Output units of a controller, by the motion of its side."""
 
 
 def fault_at(place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
@@ -284,3 +290,70 @@ def list_keys(owner: Table, place: str = "", kind: str = "") -> Iterator[FileKey
                 yield FileKey(at, replace(one, name="<name>", type=get_args(one.type)[1], default=None), word)
             if below is not None:
                 yield from list_keys(below, f"{at}.", word)
+
+
+# Numbers with a unit
+
+
+@lru_cache(maxsize=256)
+def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
+    """List the units of a declaration; "N m s/rad" and others for controller units per rad/s.
+
+    Args:
+        declared: of the setting: "1/s", "m/s or rad/s", "controller units per m/s or rad/s".
+        kind: how the side moves; None for both.
+    """
+    if in_controller_units(declared):
+        kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
+        below = declared.removeprefix(CONTROLLER_UNITS).removeprefix(" per ").split(" or ")
+        found = (units.per(output, below[-(one == "revolute")]) for one in kinds for output in OUTPUTS[one])
+        return tuple(dict.fromkeys(found))
+    choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
+    if len(choices) == 2 and kind is not None:  # straight, then turning
+        choices = [choices[kind == "revolute"]]
+    return tuple(filter(_is_unit, choices))
+
+
+def _is_unit(unit: str) -> bool:
+    try:
+        units.parse_unit(unit)
+    except UnitError:
+        return False
+    return True
+
+
+def output_of(text: str, declared: str, kind: Kind) -> str | None:
+    """Return the controller's output unit (N, N m, A, V or %) in a text; None without one."""
+    if not in_controller_units(declared):
+        return None
+    stated = units.parse_quantity(text)
+    known = zip(OUTPUTS[kind], list_units(declared, kind), strict=True)
+    return next((output for output, unit in known if units.convert(*stated, unit) is not None), None)
+
+
+def in_controller_units(declared: str) -> bool:
+    """Return True for a declaration in controller units, possibly per another unit."""
+    return declared.startswith(CONTROLLER_UNITS)
+
+
+def is_quantity(text: str) -> bool:
+    """Return True for a number followed by a unit, known or not."""
+    stated = units.QUANTITY.fullmatch(text)
+    return stated is not None and stated["unit"].strip() != ""
+
+
+def to_si(text: str, declared: str, kind: Kind | None = None) -> float:
+    """Return the SI value of a number with a unit of its declaration; arguments as of `list_units`.
+
+    Raises:
+        UnitError: it has another unit; the message is the rest of a sentence.
+    """
+    known = list_units(declared, kind)
+    try:
+        stated = units.parse_quantity(text)
+    except UnitError as error:
+        raise UnitError(f" is {messages.format_value(text)}; {error}.") from None
+    values = [value for unit in known if (value := units.convert(*stated, unit)) is not None]
+    if not values:
+        raise UnitError(f" is {messages.format_value(text)}; expected a number in {' or '.join(known)}: correct it.")
+    return float(values[0])

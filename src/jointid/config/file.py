@@ -6,13 +6,13 @@ A joint file has one axis and no robot, a robot file an axis for each joint.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import Fault, JointidError, MethodError, RecordError
+from jointid.common.errors import Fault, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.config.axis import Axis
@@ -20,7 +20,6 @@ from jointid.config.source import Run, Source
 from jointid.config.tables import FeedForward, FileTable
 from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.several_records import SeveralRecords
@@ -34,9 +33,6 @@ from jointid.records.chunks import Log, begin_together
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
-
-if TYPE_CHECKING:
-    from jointid.controller_id.learned_controller import LearnedController
 
 Paths = Sequence[str | os.PathLike[str]]
 
@@ -166,17 +162,7 @@ class File:
         """Whether the method simulates the motion under the controllers."""
         return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
 
-    @property
-    def design_settings(self) -> dict[str, Any]:
-        """Arguments of `design` for an estimate by this file."""
-        loop = None if isinstance(self.method, IDIM) else self.loop
-        return {"limits": self.limits, "filtering": self.filtering, "loop": loop}
-
-    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read the record of every axis, from one reading of the file; see `record`."""
-        return self._read(path)
-
-    def record(self, path: str | os.PathLike[str] | None = None) -> Any:
+    def record(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> Any:
         """Read the record for `identify`: a `Record`, of a robot a tuple with one for each joint.
 
         A channel that the method does not need may be absent, except an injected signal: without it the torque
@@ -185,6 +171,7 @@ class File:
 
         Args:
             path: of the record, instead of the one that the file names.
+            driving: whether it is to drive a simulation, for which reference and injection are enough.
 
         Raises:
             RecordError: there is no such file, or it does not hold what the file says; `faults` has a
@@ -192,29 +179,16 @@ class File:
                 torque at the controller's limit; each names its joint of a robot.
             MethodError: the feed-forward needs references of one rate.
         """
-        found = self.records(path)
+        found = self.records(path, driving=driving)
         whole = None not in self.controllers and all(one.reference is not None for one in found)
-        if whole or self._simulates or any(axis.computes_torque for axis in self.axes):
+        if driving or whole or self._simulates or any(axis.computes_torque for axis in self.axes):
             found = self._fed_forward(found)
-        return self._of_axes(tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True)))
+        if not driving:
+            found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
+        return found[0] if self.robot is None else found
 
-    def driving(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Read the signals that drive a simulation: reference and injection, others if present.
-
-        Args:
-            path: of the record, instead of the one that the file names.
-
-        Raises:
-            RecordError: there is no such file, or it has no reference.
-            MethodError: the feed-forward needs references of one rate.
-        """
-        return self._of_axes(self._fed_forward(self._read(path, driving=True)))
-
-    def _of_axes(self, records: tuple[Record, ...]) -> Any:
-        return records[0] if self.robot is None else records
-
-    def _read(self, path: str | os.PathLike[str] | None, *, driving: bool = False) -> tuple[Record, ...]:
-        """Read a table once, and make the record of each axis from it; all begin at one instant."""
+    def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
+        """Read the record of every axis, from one reading of the file; all begin at one instant, see `record`."""
         path = self.record_path(path)
         table = self.source.read(path, self.path.parent)
         found, faults = list[Record](), dict[Fault, list[str]]()
@@ -245,23 +219,13 @@ class File:
 
         return add_feed_forward(self.loop, found, mode)
 
-    def identify(
-        self,
-        record: Any,
-        progress: Progress = ignore_progress,
-        *,
-        checks: bool = True,
-        unchecked: Callable[[Estimate], None] | None = None,
-        **asked: Any,
-    ) -> Estimate:
+    def identify(self, record: Any, progress: Progress = ignore_progress, **asked: Any) -> Estimate:
         """Identify the joint or the robot as the file says; see `jointid.identify`.
 
         Args:
             record: what `record` gave; or those of several logs of a robot, identified in one fit.
             progress: is called with each step.
-            checks: whether to check the estimate.
-            unchecked: is called with the estimate before its checks.
-            asked: further arguments of `jointid.identify`.
+            asked: further arguments of `jointid.identify`, as checks.
 
         Raises:
             JointidError: see `jointid.identify`.
@@ -270,18 +234,9 @@ class File:
         from jointid.diagnostics.identify import identify
 
         return identify(
-            record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, checks=checks,
-            unchecked=unchecked, progress=progress, **{"shown": self.declared_numbers} | asked,
+            record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress,
+            **{"shown": self.declared_numbers} | asked,
         )  # fmt: skip
-
-    def explain(self, error: JointidError, record: Any, progress: Progress = ignore_progress) -> JointidError:
-        """Return the error of a failed identification, of a joint with its cause before it or in its place."""
-        if self.robot is not None:
-            return error
-        from jointid.diagnostics.find_causes import explain_failure
-
-        free = getattr(self.method, "free", ())
-        return explain_failure(error, record, self.loop, progress, self.declared_numbers, free)
 
     def identify_together(self, paths: Paths = (), progress: Progress = ignore_progress) -> Estimate:
         """Identify from several records in one fit, of a joint each with the load that the file lists for it.
@@ -302,24 +257,13 @@ class File:
         several = SeveralRecords(added_inertia=added, own=[run.own for run in runs], free=self.together)
         return self.identify(each, progress, several=several)
 
-    def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
-        """Learn the controller of a joint, in its own units, which the torque constant or its gain says.
-
-        Args:
-            record: what `record` gave.
-            progress: is called with each step.
-
-        Raises:
-            JointidError: see `jointid.learn_controller`.
-        """
-        from jointid.controller_id.learn import learn_controller
-
+    @property
+    def learn_settings(self) -> dict[str, Any]:
+        """Arguments of `jointid.learn_controller`; its units are those that the torque constant or its gain says."""
         gain: float = getattr(self.controller, "gain", 1.0)
         if gain != 1.0:  # of the motor's torque; the record's is the joint's
             gain *= abs(getattr(self.controller, "ratio", 1.0))
-        return learn_controller(
-            record, gain=gain, transmission=self.joint.transmission, declared=self.controller, progress=progress
-        )
+        return {"gain": gain, "transmission": self.joint.transmission, "declared": self.controller}
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
         """Return the record of a joint as one that is read in chunks, and identified in windows; see `record`.

@@ -1,19 +1,33 @@
-"""From TOML to a joint file and back."""
+"""From TOML to a joint file and back; a controller and a parameter as text, without what is at its default."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
-from jointid.common.errors import MethodError
-from jointid.config.axis import build_axis
+import numpy as np
+import tomlkit
+
+from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.files import write_whole
+from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.common.transmission import SIDES
+from jointid.config import toml
+from jointid.config.axis import Axis, build_axis
 from jointid.config.file import File, file_of_axis
 from jointid.config.tables import read_tables
-from jointid.config.toml import edit, parse_change, parse_toml, read_text
+from jointid.config.toml import Tables, edit, move_paths, parse_change, parse_toml, relocate_path, replace_table
+from jointid.models.controllers import FILTERS, LAWS, Controller, numbers_of, unit_of_number
+
+_WORDS: Mapping[type, dict[str, str]] = {
+    **{made: {"kind": kind} for kind, made in FILTERS.items()},
+    **{made: {"law": law} for law, made in LAWS.items()},
+}
+"""What says of a table of which class it is."""
 
 _OF_AXIS = re.compile(r"^(\s*joint\.|(?=\s*method[.=]))")
 """Begins a change that is of a joint alone, where one is taken from a robot file."""
@@ -37,27 +51,19 @@ def load(
         MethodError: the robot has no such joint.
         ExtraError: MuJoCo, which reads the model of a robot, is not installed.
     """
-    return _load(read_text(Path(path)), Path(path), changes, axis, learn)
+    return _load(toml.read_text(Path(path)), Path(path), changes, axis=axis, learn=learn)
 
 
-def loads(
-    text: str,
-    folder: str | os.PathLike[str] = ".",
-    changes: Iterable[str] = (),
-    *,
-    axis: str | None = None,
-    learn: bool = False,
-) -> File:
+def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: Any) -> File:
     """Load a joint file, or a robot file, from its text; see `load`.
 
     Args:
         text: TOML.
         folder: from which the paths of the record and of a robot's model are taken.
         changes: as of `load`.
-        axis: as of `load`.
-        learn: as of `load`.
+        choices: further arguments of `load`.
     """
-    return _load(text, Path(folder) / "joint.toml", changes, axis, learn)
+    return _load(text, Path(folder) / "joint.toml", changes, **choices)
 
 
 def dumps(file: File) -> str:
@@ -65,7 +71,7 @@ def dumps(file: File) -> str:
     return edit(file.text, *file.changes)
 
 
-def _load(text: str, path: Path, changes: Iterable[str], axis: str | None, learn: bool) -> File:
+def _load(text: str, path: Path, changes: Iterable[str] = (), *, axis: str | None = None, learn: bool = False) -> File:
     raw = parse_toml(text)
     made = tuple(parse_change(_name_axis(change, raw, axis)) for change in changes)
     for change in made:
@@ -91,3 +97,95 @@ def _name_axis(change: str, raw: Mapping[str, Any], axis: str | None) -> str:
     joints = raw.get("joints")
     names = [one.get("name") for one in joints if isinstance(one, dict)] if isinstance(joints, list) else []
     return _OF_AXIS.sub(f"joints.{names.index(axis) + 1}.", change, count=1) if axis in names else change
+
+
+def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:
+    """Return [parameters.name] for a parameter that is `model`'s, changed; a bare number where that is all."""
+    bounds = {key: getattr(parameter, key) for key in ("lower", "upper")}
+    table = {key: float(value) for key, value in bounds.items() if value != getattr(model, key)}
+    if parameter.free:
+        return table if parameter.start is None else {"start": float(parameter.start), **table}
+    value = float(parameter.start or 0.0)
+    return {"value": value, **table} if table else value
+
+
+def save_with_controller(
+    file: File, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
+) -> None:
+    """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
+
+    But for the paths of records: in another folder they lead to the same files from there.
+
+    Args:
+        file: the joint file.
+        controller: what takes the place of the one there.
+        path: to write to; a file that is there is replaced.
+        record: the record that the file is to name, instead of the one it names.
+
+    Raises:
+        JointFileError: the file cannot be written.
+    """
+
+    def name(tables: Tables) -> None:
+        if record is not None and not file.runs:
+            table = tables.setdefault("record", {})
+            for other in ("files", "offsets"):
+                table.pop(other, None)
+            table["file"] = relocate_path(os.fspath(record), Path.cwd(), path.parent)
+
+    changes = replace_table(controller_text(controller, file.axis)), move_paths(file.path.parent, path.parent), name
+    try:
+        write_whole(path, edit(file.text, *changes))
+    except RecordError as error:
+        raise JointFileError(error.faults) from error
+
+
+def controller_text(controller: Controller, axis: Axis | None = None) -> str:
+    """Return the table [controller] of a joint file as TOML.
+
+    Args:
+        controller: any of the laws there are.
+        axis: of the file, whose transmission and torque constant the law need not say again, and in whose units its
+            numbers are: these stand beside them as comments.
+
+    Raises:
+        JointFileError: a joint file has no word for the controller, or for its side of the transmission.
+    """
+    gear = None if axis is None else axis.joint.transmission
+    seen = {"motor": 1.0} if gear is None else {side: gear.torque(side) for side in SIDES}
+    ratio = getattr(controller, "ratio", 1.0)
+    side = next((side for side, through in seen.items() if through == ratio), None)
+    if "law" not in _WORDS.get(type(controller), {}) or side is None:
+        raise JointFileError(
+            f"A joint file has no word for the controller {type(controller).__name__} behind a ratio of {ratio:g}; "
+            f"give a cascade, a PD or a PID, of one of the ratios {', '.join(f'{one:g}' for one in seen.values())}."
+        )
+    table = {key: value for key, value in _plain(controller).items() if key not in ("ratio", "gain")}
+    through = 1.0 if gear is None or side == "motor" else abs(gear.motor_per_load)
+    constant = None if axis is None else axis.units.constant
+    if (gain := getattr(controller, "gain", 1.0)) != (1.0 if constant is None else constant * through):
+        table["gain"] = gain
+    if side != "motor":
+        table["side"] = side
+    text = tomlkit.dumps({"controller": table})
+    if axis is None:
+        return text
+    force, position = axis.joint.force_unit, POSITION_UNIT[axis.joint.kind]
+    names = {f"{name.rpartition('.')[2]} = {value!r}": name for name, value in numbers_of(controller).items()}
+    units = {line: unit_of_number(controller, name, position, force) for line, name in names.items()}
+    return "".join(f"{line}  # {unit}\n" if (unit := units.get(line)) else f"{line}\n" for line in text.splitlines())
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TOML has it; of a filter or a controller what is not at its default."""
+    if type(value) in _WORDS:
+        found: dict[str, Any] = {**_WORDS[type(value)]}
+        for field in fields(value):
+            default = field.default if field.default_factory is MISSING else field.default_factory()
+            plain = _plain(getattr(value, field.name))
+            if plain is not None and (default is MISSING or plain != _plain(default)):
+                found[field.name] = plain
+        return found
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value

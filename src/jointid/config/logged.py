@@ -13,19 +13,12 @@ from jointid.records.inspection import InspectedChannel, Inspection
 from jointid.records.recognition import LoggedAxis, Recognised
 
 _MODEL = "robot.urdf"
-_PLACES = (("", ""), (", below each [[joints]]", "joints."))
 _ASKED = """
-# The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive{0}.
-# [{1}controller]
-# law = "{2}"
+# The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive.
+# [{0}controller]
+# law = "{1}"
 # position_gain = "? N m/rad"
 # derivative_gain = "? N m s/rad"
-"""
-
-_UNKNOWN = """\
-# No profile of a drive knows these columns: {0}.
-# Name those of the channels below, with their units.
-
 """
 _CHANNELS = """
 [record.channels]
@@ -52,7 +45,7 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
     if log is None:
         names = ", ".join(show(channel.name) for channel in found.channels)
         text = tomlkit.dumps({"joint": {"kind": "revolute"}, "record": {"file": file}})
-        return _UNKNOWN.format(names) + text + _CHANNELS + _ASKED.format("", "", "pd")
+        return f"# No profile of a drive knows these columns: {names}.\n\n{text}{_CHANNELS}{_ASKED.format('', 'pd')}"
     axes = {axis.name: axis for axis in log.axes}
     axes |= {str(one.place["axis"]): one for one in log.axes if "axis" in one.place}
     if axis is not None and axis not in axes:
@@ -65,10 +58,7 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
     used = every if chosen is None else (chosen,)
     alone = all("torque" not in one.channels for one in used)
     record = {"file": file, **({"torque": "from_controller"} if alone else {}), **_clock(columns, used)}
-    said = [
-        f"# {log.sentence}",
-        *(f"# {text}" for text in log.profile.assumed),
-    ]
+    said = [f"# {text}" for text in (log.sentence, *log.profile.assumed)]
     drive: dict[str, Any] = {"profile": log.profile.name}
     if chosen is not None:
         drive |= {key: value for key, value in chosen.place.items() if key != "index"}
@@ -79,7 +69,7 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         tables = {"robot": {"model": _MODEL}, "record": record, "drive": drive, "joints": joints}
     text = "\n".join(said) + "\n\n" + tomlkit.dumps(tables)
     known = all("controller" in table for table in (tables.get("joints") or [tables]))
-    return text if known else text + _ASKED.format(*_PLACES[chosen is None], log.profile.law or "pd")
+    return text if known else text + _ASKED.format("joints." if chosen is None else "", log.profile.law or "pd")
 
 
 def _moves(channel: InspectedChannel) -> bool:

@@ -6,6 +6,7 @@ Each of [[joints]] is the table of a joint, with the further tables of a joint f
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -193,7 +194,6 @@ def _find_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
             f"The torque of {join(list(units))} is in {join(list(dict.fromkeys(units.values())))}; the joints of a "
             "robot share inertias, so expected N m or N: give each torque_constant (1.0 for parameters per A)."
         )
-    columns: dict[tuple[str, str], list[str]] = {}
     for number, axis in enumerate(axes):
         gear, place = axis.joint.transmission, ("joints", number)
         if axis.joint.gravity is not None or axis.joint.ripple is not None:
@@ -203,14 +203,11 @@ def _find_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
         if gear is not None and gear.side == "motor":
             rest = ' is "motor"; all numbers of a robot are behind its gears: leave it out.'
             yield fault_at((*place, "transmission", "side"), rest)
-        for channel, column in axis.columns.items():
-            if column.column and axis.drive.traces is None:
-                columns.setdefault((channel, column.column), []).append(str(axis.name))
-    for (channel, shared), joints in columns.items():
-        if len(joints) > 1:
-            yield Fault(
-                f'{join(joints)} share the column "{shared}" as {channel}; give each its own, as with {{axis}}.'
-            )
+    named = [axis.columns.items() for axis in axes if axis.drive.traces is None]
+    uses = Counter((channel, column.column) for columns in named for channel, column in columns if column.column)
+    for (channel, name), count in uses.items():
+        if count > 1:
+            yield Fault(f'{count} joints share the column "{name}" as {channel}; give each its own, as with {{axis}}.')
 
 
 def _keep_parameters(axes: Sequence[Axis]) -> dict[str, Parameter]:

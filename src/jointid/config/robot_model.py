@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, extra
-from jointid.common.files import open_file
 from jointid.common.units import Kind
+from jointid.config.toml import read_text
 from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 
@@ -89,12 +89,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
         JointFileError: the file cannot be read, or is no tree of joints that turn or slide on their own.
         ExtraError: MuJoCo is not installed.
     """
-    path = Path(path)
-    try:
-        text = read_model(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return read_robot(text, path.name, locked)
+    return read_robot(read_model(path), Path(path).name, locked)
 
 
 def read_robot(
@@ -115,22 +110,9 @@ def carried_bodies(text: str, called: str, locked: Mapping[str, float] = Mapping
     return _read_tree(text, called, locked)[1]
 
 
-def read_model(path: str | os.PathLike[str]) -> bytes:
-    """Return the bytes of a model's file.
-
-    Raises:
-        JointFileError: it cannot be opened, or is larger than a model is.
-    """
-    path = Path(path)
-    try:
-        with open_file(path) as file:
-            raw = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise JointFileError(f"{path} cannot be opened ({reason}); check the path.") from error
-    if len(raw) > _LARGEST:
-        raise JointFileError(f"{path} has more than {_LARGEST} bytes; expected a URDF or MJCF file: is it a mesh?")
-    return raw
+def read_model(path: str | os.PathLike[str]) -> str:
+    """Return the text of a model's file; see `jointid.config.toml.read_text`."""
+    return read_text(Path(path), _LARGEST)
 
 
 def _read_tree(text: str, called: str, locked: Mapping[str, float]) -> tuple[Robot, Mapping[str, Carried]]:
@@ -226,7 +208,7 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
         inertial = one.find("inertial")
         if inertial is not None and not _is_possible(inertial):
             stated = {value for part in inertial for value in part.attrib.values() if part.tag != "origin"}
-            if not stated or any(float(value) for value in stated):
+            if not stated or any(value.strip("+-0.eE ") for value in stated):
                 yield f"link {one.get('name')} has a mass or an inertia as no body can; both are taken as unknown"
             one.remove(inertial)
 
@@ -375,16 +357,12 @@ def _matrix(quaternion: FloatArray) -> FloatArray:
 def reorder_joints(robot: Robot, names: Sequence[str]) -> Robot:
     """Return a robot with its joints in the given order, parents before children."""
     rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
-    chosen = list(_sort_links(robot, [rank.get(name, len(rank)) for name in robot.names]))
-    place = {-1: -1} | {old: new for new, old in enumerate(chosen)}
+    left = sorted(range(len(robot)), key=lambda i: rank.get(robot.names[i], len(rank)))
+    place = {-1: -1}
+    while left:
+        following = next(i for i in left if robot.links[i].parent in place)
+        left.remove(following)
+        place[following] = len(place) - 1
+    chosen = [old for old in place if old >= 0]
     links = tuple(replace(robot.links[old], parent=place[robot.links[old].parent]) for old in chosen)
     return replace(robot, links=links, joints=tuple(robot.joints[old] for old in chosen))
-
-
-def _sort_links(robot: Robot, ranks: list[int]) -> Iterator[int]:
-    left, there = sorted(range(len(robot)), key=lambda i: ranks[i]), {-1}
-    while left:
-        following = next(i for i in left if robot.links[i].parent in there)
-        left.remove(following)
-        there.add(following)
-        yield following

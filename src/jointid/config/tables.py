@@ -228,8 +228,6 @@ def _make_filter(_: object, kind: str = "digital", **given: Any) -> Filter:
 
 def _make_law(stated: frozenset[str], law: str = "cascade", side: Side = "motor", **given: Any) -> StatedController:
     """Return a controller on its own side, checked at its period where there is one."""
-    if len({len(row) for row in given.get("A", ())}) > 1:
-        raise key_error("A", " has rows of several lengths; expected n rows of n numbers: complete them.")
     made: Any = LAWS[law](**given)
     if made.period is not None:
         made.law(made.period)
@@ -243,23 +241,10 @@ _LAW = (
     key("law", str, "the controller's law", "cascade", choices=tuple(LAWS))
     | key("side", Side, "of the transmission, in whose positions and torque the law's numbers are", "motor")
 )  # fmt: skip
-_INPUTS = "reference, reference_velocity, position"
-_STATES = (
-    key("A", tuple[tuple[float, ...], ...], "how the states go on: n rows of n numbers", MISSING)
-    | key("B", Mapping[str, tuple[float, ...]],
-          f"how each input moves the states: n numbers for {_INPUTS} and excess, which is what the limit cut off; one "
-          "that is left out is 0", MISSING)
-    | key("C", tuple[float, ...], "output row: n numbers", MISSING)
-    | key("D", Mapping[str, float],
-          f"direct gain of each input: a number for {_INPUTS}, usually negative; one that is left out is 0", MISSING)
-)  # fmt: skip
 
 
 def _law_table(law: str) -> Table:
     keys = _LAW | keys_of(LAWS[law], without=("ratio",))
-    if law == "state_space":
-        del keys["reference_delay"]
-        return _variant(law, keys | _STATES, _make_law)
     keys["velocity_filter"] = replace(keys["velocity_filter"], type=_FILTER)
     keys["torque_filters"] = replace(keys["torque_filters"], type=tuple[_FILTER, ...])  # type: ignore[valid-type]
     return _variant(law, keys, _make_law)

@@ -29,17 +29,17 @@ Change: TypeAlias = Callable[[Tables], None]
 """Changes tables in their place, plain ones and those of a document with comments."""
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a joint file, or of another file of the user's in TOML.
+def read_text(path: Path, most: int = _LARGEST) -> str:
+    """Return the text of a joint file, or of another file of the user's, of so many bytes at most.
 
     Raises:
         JointFileError: it cannot be read, is too long, or is no text.
     """
     try:
         with open_file(path) as file:
-            raw = file.read(_LARGEST + 1)
-        if len(raw) > _LARGEST:
-            raise JointFileError(f"{path} has more than {_LARGEST} bytes; expected a joint file: is it a record?")
+            raw = file.read(most + 1)
+        if len(raw) > most:
+            raise JointFileError(f"{path} has more than {most} bytes; expected a text written by hand: is it a record?")
         return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
@@ -55,7 +55,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         JointFileError: it is no TOML, or nests too deeply.
     """
     try:
-        if deepest_key(text) > _DEEPEST:
+        if _count_points(text) > _DEEPEST:
             raise RecursionError
         return tomllib.loads(text)
     except RecursionError:
@@ -66,14 +66,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         ) from error
 
 
-def deepest_key(text: str) -> int:
-    """Return the largest number of dots in a key of a TOML text, or in what could be one.
-
-    Example:
-        >>> from jointid.config.toml import deepest_key
-        >>> deepest_key('[a.b.c]\\nd = [1.5, 2.5]')
-        2
-    """
+def _count_points(text: str) -> int:
+    """Return the largest number of points in a key of a TOML text, or in what could be one."""
     return max(part.count(".") for part in _BETWEEN_KEYS.split(text))
 
 
@@ -103,7 +97,7 @@ def parse_change(change: str) -> Change:
     name, equals, text = change.partition("=")
     text = text.strip()
     try:
-        if not equals or deepest_key(change) > _DEEPEST:
+        if not equals or _count_points(change) > _DEEPEST:
             raise ValueError
         path = list(_path(tomllib.loads(f"{name} = 0")))
         word = _WORD.fullmatch(text) is not None and text not in _CONSTANTS
@@ -199,17 +193,6 @@ def move_paths(before: Path, after: Path) -> Change:
                 table[name] = moved(table[name])
 
     return (lambda _: None) if before.resolve() == after.resolve() else change
-
-
-def name_record(file: str) -> Change:
-    """Return a change by which a joint file names another record, by its path from the file's folder."""
-
-    def change(tables: Tables) -> None:
-        for name in ("files", "offsets"):
-            tables.setdefault("record", {}).pop(name, None)
-        tables["record"]["file"] = file
-
-    return change
 
 
 def relocate_path(path: str, before: Path, after: Path) -> str:

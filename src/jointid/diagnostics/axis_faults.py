@@ -3,41 +3,35 @@
 A fault of one joint's friction adds to that joint's torque alone, and a wrong scale or a delay of one log changes that
 joint's torque alone. The other joints show that: they share the inertias of the links. So the rows of all joints are
 regressed on the columns of the free parameters and of a fault, each joint by the size of its error. The tests are those
-of a joint's loop (`fault_tests`). The most significant fault is taken, and the rest is tested again.
+of a joint's loop (`score`). The most significant fault is taken, and the rest is tested again.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import combinations
-from typing import TypeAlias
+from dataclasses import replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.parallel import in_threads
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
-from jointid.diagnostics.fault_tests import score_signatures
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.faults.other_laws import OTHER_LAWS
-from jointid.diagnostics.faults.record import SWAPPED_CHANNELS, TORQUE_SIGN
 from jointid.diagnostics.faults.springs import COMPLIANCE
+from jointid.diagnostics.score import score
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.residual_tests import Coupling, coupling
-from jointid.uncertainty.verdict import POOR_FIT
 
 _MOST = 3  # faults of one axis
 _FEWEST = 4  # rows to a column
 _FEWEST_ROWS = 100
-_GAINS = (-10.0, -3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 10.0)
-_FINER = (1.2, 1.1, 1.05, 1.02, 1.01, 1.005, 1.002, 1.001)  # times: steps of the search
-_CLEARLY = 0.5  # of what is left of one axis: a gain is the cause if it lowers the squares by more
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
+_TWO = 2  # axes: of one alone no other tells its sign
 _DRIVES = 5.0  # times the error, along the velocity
 _RANK = 1e-9  # of the largest singular value
 
@@ -46,19 +40,13 @@ Follows: TypeAlias = tuple[str, Coupling] | None
 """What a residual correlates with most, in words."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shape:
+class _Shape(NamedTuple):
     """A fault of one axis, and its column among the rows of all axes, (rows,)."""
 
     axis: int
     fault: Fault
     shape: float | None
     column: FloatArray
-
-    @property
-    def key(self) -> Fault:
-        """The fault of this axis alone."""
-        return replace(self.fault, name=f"{self.axis}.{self.fault.name}")
 
 
 def find_axis_faults(
@@ -102,27 +90,10 @@ def find_axis_faults(
     before = residual - basis @ (basis.T @ residual)
     of_axes = [[one for one in simple if one.axis == k and one.fault != LOG_GAIN] for k in range(n)]
     follows = tuple(in_threads(lambda k: _strongest_coupling(residual, basis, of_axes[k], rows[k]), range(n)))
-    if torques.friction is not None and (swapped := _find_swap(torques)):
-        for axis, other in (swapped, swapped[::-1]):
-            fault = replace(SWAPPED_CHANNELS, describe=partial(_describe_swap, torques.names[other]))
-            test = FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0, 0.0)
-            found[axis].append(Finding(test, None, (), {}))
-        open_ones = []
-    elif (
-        torques.friction is not None
-        and n > 1
-        and (scaled := _find_scale(own, stack(torques.measured), rows, shapes, where, speed, _find_driving(torques)))
-    ):
-        axis, test, residual = scaled
-        found[axis].append(Finding(test, test.declared + test.size, (), {}))
-        first.append((axis, test))
-        open_ones = [one for one in shapes if (one.axis, one.fault) != (axis, LOG_GAIN)]
     while np.any(residual) and _has_enough_rows(residual, own, open_ones):
-        keys = {one.key: (one.axis, one.fault) for one in open_ones}
-        signatures = [FaultSignature(one.key, one.column, one.shape) for one in open_ones]
-        tested = score_signatures(
-            residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed), blocks=rows
-        )
+        keys = {_key_of(one): (one.axis, one.fault) for one in open_ones}
+        signatures = [FaultSignature(_key_of(one), one.column, one.shape) for one in open_ones]
+        tested = score(residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed), blocks=rows)
         tests = [_of_axis(one, keys) for one in tested]
         first = [*first, *tests] if len(first) < n else first
         rest = residual - basis @ (basis.T @ residual)
@@ -158,6 +129,11 @@ def find_axis_faults(
         for k in range(n)
     )  # fmt: skip
     return faults, follows, explained
+
+
+def _key_of(shape: _Shape) -> Fault:
+    """Return the fault of one axis alone."""
+    return replace(shape.fault, name=f"{shape.axis}.{shape.fault.name}")
 
 
 def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
@@ -201,78 +177,20 @@ def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[_Sh
     return bool(tried) and residual.size > _FEWEST * (own.shape[1] + len(tried))
 
 
-def _find_scale(
-    own: FloatArray,
-    torque: FloatArray,
-    rows: Sequence[slice],
-    shapes: Sequence[_Shape],
-    where: FloatArray,
-    speed: FloatArray,
-    driving: Sequence[int],
-) -> tuple[int, FaultTest, FloatArray] | None:
-    """Return the axis with a wrong scale, its test, and the residual without it.
-
-    With the rows of an axis g times as large as its equations say, the rest is least at the log's gain. The gain is
-    searched for, as it may be far from 1. It is the fault if no other fault of one axis leaves less. Friction that
-    drives its axis tells a wrong sign, however weak the couplings are that tell a scale.
-    """
-    own = own / column_norms(own)
-    products = [own[one].T @ own[one] for one in rows]
-    projected = [own[one].T @ torque[one] for one in rows]
-    square, whole, target = float(torque @ torque), sum(products), sum(projected)
-
-    def left(axis: int, gain: float) -> float:
-        normal = whole + (gain**2 - 1.0) * products[axis]
-        right = target + (gain - 1.0) * projected[axis]
-        return square - float(right @ np.linalg.lstsq(normal, right, rcond=None)[0])
-
-    before = left(0, 1.0)
-    tried = itertools.product(driving or range(len(rows)), (g for g in _GAINS if g < 0.0 or not driving))
-    axis, gain = min(tried, key=lambda pair: left(*pair))
-    for step in _FINER:
-        gain = min((gain * one for one in (1.0 / step, 1.0, step)), key=partial(left, axis))
-    basis = orthonormal_basis(own, _RANK)
-    rest = torque - basis @ (basis.T @ torque)
-    most = max((_gain_of(one.column, basis, rest) for one in shapes if one.fault != LOG_GAIN), default=0.0)
-    if not driving and before - left(axis, gain) < max(_CLEARLY * before / len(rows), most):
-        return None
-    scaled = own.copy()
-    scaled[rows[axis]] *= gain
-    values = np.linalg.lstsq(scaled, torque, rcond=None)[0]
-    column = np.zeros(torque.size)
-    column[rows[axis]] = own[rows[axis]] @ values
-    fault = TORQUE_SIGN if gain < 0.0 else LOG_GAIN
-    signature = FaultSignature(fault, column)
-    (test,) = score_signatures(torque - scaled @ values, scaled, [signature], {fault: 1.0}, lambda: cells(where, speed))
-    size = gain - 1.0
-    corrected = torque.copy()
-    corrected[rows[axis]] /= gain
-    return (
-        axis,
-        replace(test, size=size, statistic=size / test.std, p_value=0.0),
-        corrected - basis @ (basis.T @ corrected),
-    )
-
-
-def _find_driving(torques: AxisTorques) -> list[int]:
+def find_driving_axes(torques: AxisTorques) -> list[int]:
     """Return the axes that their friction drives: its torque along the velocity is clearly negative."""
-    assert torques.friction is not None
+    if torques.friction is None or len(torques.names) < _TWO:
+        return []
     along = np.sum(torques.friction * torques.velocity * torques.seen, axis=1)
     noise = np.sqrt(np.sum(torques.velocity**2 * torques.seen, axis=1) * np.mean(torques.error**2, axis=1))
     return [int(k) for k in np.flatnonzero(along < -_DRIVES * noise)]
 
 
-def _describe_swap(other: str, *_: object) -> str:
-    return f"this is the torque of {other}, and that is of this joint: exchange the columns"
-
-
 def _of_axis(test: FaultTest, keys: dict[Fault, tuple[int, Fault]]) -> tuple[int, FaultTest]:
     """Return the axis of a test, and the test of its fault there."""
     axis, fault = keys[test.fault]
-    alike, opposite = (
-        tuple(other for at, other in map(keys.__getitem__, each) if at == axis) for each in (test.alike, test.opposite)
-    )
-    return axis, replace(test, fault=fault, alike=alike, opposite=opposite, declared=1.0 if fault == LOG_GAIN else 0.0)
+    alike = tuple(other for at, other in map(keys.__getitem__, test.alike) if at == axis)
+    return axis, replace(test, fault=fault, alike=alike, declared=1.0 if fault == LOG_GAIN else 0.0)
 
 
 def find_follower(torques: AxisTorques) -> Follows:
@@ -299,23 +217,6 @@ def _strongest_coupling(residual: FloatArray, basis: FloatArray, shapes: Sequenc
     # Beyond chance, not in all: a fault of eight columns explains more of anything than one of one.
     phrase = max(seen, key=lambda one: seen[one].explained - seen[one].by_chance)
     return phrase, seen[phrase]
-
-
-def _find_swap(torques: AxisTorques) -> tuple[int, int] | None:
-    """Return the two axes whose torques are exchanged: with them the other way round far less is left."""
-    n, both = len(torques.measured), np.all(torques.seen, axis=0)
-    basis = orthonormal_basis(_drop_idle(np.concatenate(torques.own[:, both])), _RANK)
-
-    def left(order: Sequence[int]) -> float:
-        torque = np.concatenate(torques.measured[list(order)][:, both])
-        return float(np.linalg.norm(torque - basis @ (basis.T @ torque)) / np.linalg.norm(torque))
-
-    before = left(range(n))
-    if before < POOR_FIT or np.count_nonzero(both) < _FEWEST_ROWS:
-        return None
-    pairs = {(i, j): [j if k == i else i if k == j else k for k in range(n)] for i, j in combinations(range(n), 2)}
-    best = min(pairs, key=lambda pair: left(pairs[pair]), default=None)
-    return best if best is not None and left(pairs[best]) < _CLEARLY * before else None
 
 
 def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:

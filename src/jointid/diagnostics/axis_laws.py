@@ -41,8 +41,9 @@ from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import LoopInput
-from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.position_dependent_error import cells
 
 _WAY = "interpolation", "reference_delay", "reference_average"  # numbers of a controller
@@ -172,7 +173,7 @@ def screen_laws(axes: Sequence[AxisProblem], x: FloatArray, torques: AxisTorques
         with contextlib.suppress(JointidError):  # a log that such a controller cannot have
             problem = _pose(replace(axes[0].setup, controllers=tuple(controllers)), axes[0].records, axes[0].whole)
             run = problem.run(x, keep=False)
-            if run.outcome is RobotOutcome.FINISHED:
+            if run.outcome is Outcome.FINISHED:
                 columns = problem.by_joint(problem.decimate(problem.predict(run))) - torques.predicted
                 for k, one in enumerate(ways):
                     shapes[k] = (*shapes[k], *[FaultSignature(fault, columns[k])] * (fault in one))

@@ -1,6 +1,6 @@
 """The torques of a record beside those of an estimate, axis by axis, on the rows that were compared.
 
-Beside them stand the columns of the free parameters, and of the faults that a motion shows (`Fault.along`). All go
+Beside them stand the columns of the free parameters, and of the faults that a motion shows (`Fault.columns`). All go
 through the filter of the torques.
 """
 
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults.fault import AxisMotion, FaultSignature
-from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.fault import FaultSignature
+from jointid.diagnostics.faults.registry import list_signatures
+from jointid.diagnostics.seen import Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimateParts
@@ -51,7 +52,6 @@ class AxisTorques:
         time: (rows,) of them, s.
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
-        nominal: (n, rows) the same of the model's own masses, friction fitted; None where nothing was asked of it.
         seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
         position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s; in all rows, seen or not.
         own: (n, rows, free) columns of the free parameters.
@@ -68,7 +68,6 @@ class AxisTorques:
     cutoff: float
     measured: FloatArray
     predicted: FloatArray
-    nominal: FloatArray | None
     seen: NDArray[np.bool_]
     position: FloatArray
     velocity: FloatArray
@@ -95,7 +94,7 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
 
     return _torques(
         ("",), problem.filtering, problem.sample_time,
-        (measured[np.newaxis], (measured - problem.residual(x))[np.newaxis], None),
+        (measured[np.newaxis], (measured - problem.residual(x))[np.newaxis]),
         np.ones((1, measured.size), dtype=np.bool_), thin(np.stack([q, v], axis=2)),
         motion, problem.measured[:, np.newaxis], thin, -slopes[np.newaxis],
     )  # fmt: skip
@@ -134,12 +133,11 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
 
     everywhere = replace(motion, moving=np.ones_like(motion.moving))
     path = everywhere.decimate_columns(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
-    nominal = rows.by_equation(rows.W @ part.nominal) if robot.has_masses else None
     measured = rows.by_equation(rows.Y)
     own = [0.0 if term.number is Friction.OFFSET else 1.0 for term in friction_terms(robot)]
     friction = rows.by_equation(rows.W[:, len(part.base) :] @ (own * part.values[len(part.base) :]))
     found = _torques(
-        robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values), nominal),
+        robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values)),
         seen, path, (q, v, a), motion.torque, thin,
         rows.W.reshape(len(robot), -1, rows.W.shape[1]), friction=friction, raw=motion.raw,
     )  # fmt: skip
@@ -201,7 +199,7 @@ def _by_simulation(part: SimulatedRobot, solved: SolvedRobot) -> AxisTorques:
         whole = partial(thin, of=replace(problem, motion=replace(problem.motion, moving=everywhere)))
         raw = problem.motion.raw
     return _torques(
-        robot.names, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
+        robot.names, problem.filtering, problem.sample_time, (measured, predicted), seen,
         whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
         solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1]), raw=raw,
     )  # fmt: skip
@@ -211,7 +209,7 @@ def _torques(
     axes: Sequence[str],
     filtering: Filtering,
     sample_time: float,
-    torques: tuple[FloatArray, FloatArray, FloatArray | None],
+    torques: tuple[FloatArray, FloatArray],
     seen: NDArray[np.bool_],
     path: FloatArray,
     motion: tuple[FloatArray, FloatArray, FloatArray],
@@ -230,35 +228,22 @@ def _torques(
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     q, v, a = motion
-    found = _shapes(axes, q, v, a, torque, sample_time, raw)
+
+    def list_faults(k: int) -> list[FaultSignature]:
+        others = {name: (v[:, i], a[:, i]) for i, name in enumerate(axes) if i != k}
+        limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
+        made = torque[:, k]
+        seen = Seen(q[:, k], v[:, k], a[:, k], made, made, made, sample_time, np.negative, limit, others)
+        return list(list_signatures(seen))
+
+    found = in_threads(list_faults, range(len(axes)))
     columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))
     shapes = tuple(
         tuple(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)) for k, all_of in enumerate(found)
     )
     step = sample_time * filtering.decimation
-    measured, predicted, nominal = torques
+    measured, predicted = torques
     return AxisTorques(
         tuple(axes), np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
-        nominal, seen, path[:, :, 0], path[:, :, 1], own, friction, shapes,
+        seen, path[:, :, 0], path[:, :, 1], own, friction, shapes,
     )  # fmt: skip
-
-
-def _shapes(
-    axes: Sequence[str],
-    q: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    torque: FloatArray,
-    sample_time: float,
-    raw: FloatArray | None,
-) -> list[list[FaultSignature]]:
-    """Return the raw signatures of all faults along the motion of each axis, as many for every axis."""
-    along = dict.fromkeys(fault.along for fault in FAULTS if fault.along is not None)
-
-    def of_axis(k: int) -> list[FaultSignature]:
-        others = {name: (v[:, i], a[:, i]) for i, name in enumerate(axes) if i != k}
-        limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
-        motion = AxisMotion(q[:, k], v[:, k], a[:, k], torque[:, k], sample_time, limit, others)
-        return [one for signatures in along for one in signatures(motion)]
-
-    return in_threads(of_axis, range(len(axes)))

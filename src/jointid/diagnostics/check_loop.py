@@ -1,6 +1,6 @@
 """Search for faults of the closed loop and the log of an estimate, the likeliest first.
 
-Each fault of `fault_tests` is tested alone. Faults of loop and log are one family, with a family-wise error of 5 %;
+Each fault is tested alone (`score`). Faults of loop and log are one family, with a family-wise error of 5 %;
 faults of the mechanics are another, with a tenth of that. The fault with the largest statistic is named, with those
 that are nearly as likely by the likelihood ratio. The problem is solved again with the fault corrected, which shows its
 effect on the parameters, and the remaining faults are tested again.
@@ -20,29 +20,18 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Message
 from jointid.common.parameters import Quantity, unit_of
-from jointid.common.text import number
-from jointid.diagnostics.fault_tests import (
-    RARER,
-    compute_signatures,
-    fit_whitener,
-    rank_tests,
-    score_signatures,
-    strength_of,
-)
-from jointid.diagnostics.faults.fault import FaultTest, Hint
+from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.forces import OFFSET, free_number
+from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN, number_fault
 from jointid.diagnostics.faults.other_laws import (
     INTERPOLATIONS,
-    OTHER_LAWS,
     PERIOD,
     PRESENT_SAMPLE,
 )
-from jointid.diagnostics.faults.registry import FAULTS
-from jointid.diagnostics.faults.springs import SECOND_MODE
-from jointid.diagnostics.faults.trials import solve_with_fault
+from jointid.diagnostics.faults.registry import FAULTS, list_signatures
+from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
 from jointid.diagnostics.law_tests import (
     OtherLawTest,
     Proof,
@@ -52,6 +41,7 @@ from jointid.diagnostics.law_tests import (
     without_excluded,
 )
 from jointid.diagnostics.model_free import LawOnPosition
+from jointid.diagnostics.score import RARER, rank_tests, score, strength_of
 from jointid.diagnostics.search_state import (
     INTERVAL,
     RIVAL,
@@ -62,24 +52,21 @@ from jointid.diagnostics.search_state import (
     compute_shifts,
     simulate_forces,
     stack_columns,
-    test_signature,
 )
+from jointid.diagnostics.seen import see_loop
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
-from jointid.models.springs import ElasticLoad
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import widen
-from jointid.uncertainty.verdict import Reason
 
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
-_LARGEST_SHARE = 0.5  # of the load on a spring of its own
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -103,9 +90,6 @@ def search_faults(
         record: of the problem; without it a drive that runs faster than the log is not searched for.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
         law: what the declared law leaves of the torque along the record's motor position; None without one.
-
-    Raises:
-        MethodError: a fault asked for cannot be tested in this record.
     """
     settings, known = settings or LoopTests(), std or {}
     state = beginning = SearchState(problem, np.asarray(x, dtype=np.float64))
@@ -115,10 +99,11 @@ def search_faults(
     first: TestResults | None = None
     first_law: OtherLawTest | None = None
     proof = Proof(record, problem.loop) if record is not None and law is not None and law.holds else None
+    last: TestResults | None = None  # of the state in which nothing more is found
     while len(findings) < settings.most:
-        found = _search_shapes(state, _run_tests(state, settings, proof), settings)
+        found = _run_tests(state, settings, proof)
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filter(problem.measured)):
-            first, others = first or found, []
+            first, last, others = first or found, found, []
             break
         others = without_excluded(test_other_laws(state, found, settings, known, record), proof)
         if first is None:
@@ -127,6 +112,7 @@ def search_faults(
         laws = others if findings else [*others, *faster]
         stated = choose_law([one for one in laws if one.explains(found.tests, settings.level)])
         if stated is None and (not found.tests or found.tests[0].p_value > settings.level):
+            last = found
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
             state = replace(state, x=descend(problem, state.x, _TOLERANCE).x)
@@ -161,50 +147,13 @@ def search_faults(
         units=units,
         side=None if joint.transmission is None else joint.transmission.side,
         undecided=choose_undecided(open_ones),
-        law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
         laws=list_laws(joint),
-        assumed=None if first is None or findings else bound_second_mode(beginning, first, known),
-        excluded=() if findings else found.excluded,
-        lacking={} if findings else _measure_lacking(state, found),
-        suspected=_suspect_mechanics(state, found, settings.level, known),
+        excluded=() if findings or last is None else last.excluded,
+        lacking={} if findings or last is None else _measure_lacking(state, last),
+        suspected=None if last is None else _suspect_mechanics(state, last, settings.level, known),
     )
     return check, state
-
-
-def bound_second_mode(state: SearchState, found: TestResults, known: Mapping[str, float]) -> Message | None:
-    """Return how much stiffer a spring is behind which a part of the load swings; None where that is in its interval.
-
-    Of each mode that was tried, the part of the load is the largest within two deviations of its test, up to half.
-    """
-    shapes = [one for one in found.signatures if one.fault is SECOND_MODE and one.shape]
-    if not shapes:
-        return None
-    joint, values, whiten = state.problem.joint, state.problem.values(state.x), fit_whitener(found.residual)
-    assert isinstance(joint, FlexibleJoint)
-    own, error = whiten(found.own), whiten(found.residual)
-    left = error - own @ np.linalg.lstsq(own, error, rcond=None)[0]
-    first, bounds = joint.frequencies(values)["free_free"], []
-    for one in shapes:
-        column = whiten(one.column)
-        alone = (column - own @ np.linalg.lstsq(own, column, rcond=None)[0])[:, np.newaxis]
-        size = float(alone[:, 0] @ left) / float(alone[:, 0] @ alone[:, 0])
-        share = min(max(size, 0.0) + INTERVAL * float(robust(alone, alone, left).std[0]), _LARGEST_SHARE)
-        if not share > 0.0:  # a record without noise excludes all of it
-            continue
-        start = ElasticLoad().start(values, share, (one.shape or 0.0) / first)
-        bounds.append((start["stiffness"] / values["stiffness"] - 1.0, share, one.shape))
-    if not bounds:
-        return None
-    more, share, mode = max(bounds)
-    if more * values["stiffness"] <= INTERVAL * known.get("stiffness", math.inf):
-        return None
-    symbol = next(p.symbol for p in joint.parameters if p.name == "stiffness")
-    said = (
-        f"that the load is rigid is assumed: if {number(100 * share, 2)} % of it swings at {number(mode, 2)} Hz, which "
-    )
-    said += f"this record does not exclude, {symbol} is {number(100 * more, 2)} % larger"
-    return Message(Reason.LOAD_NOT_RIGID, said, {"swinging_share": share, "second_mode": mode, "stiffer": more})
 
 
 def _measure_lacking(state: SearchState, found: TestResults) -> dict[str, float]:
@@ -240,25 +189,49 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
 
 
+def compute_signatures(
+    problem: ClosedLoopProblem, x: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
+    """Return the residual, the columns of the free parameters, (rows, free), and the signatures of all faults.
+
+    Those of numbers of the law and the log are exact derivatives. A wrong ``drive_gain`` scales the whole record, and
+    with it the joint, so it is not identifiable.
+    """
+    taken = {p.name for p in problem.free}
+    numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
+    apart = {fault.name for fault in FAULTS if fault.columns and fault is not LOG_DELAY}
+    wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in apart)]
+    of_log = () if problem.seen is not None else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
+    names = [name for name in (*wanted, *of_log) if name not in taken]
+    wider = problem.freeing(*names)
+    bare = [p for p in wider.parameters if p.name == OFFSET.name and not p.free and (p.start or 0.0) == 0.0]
+    wider = wider.replace_parameters({p.name: replace(p, free=True) for p in bare})
+    residual, slopes = wider.linearise(wider.vector(problem.values(x)))
+    columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
+    own = np.column_stack([columns[p.name] for p in problem.free])
+    along = list_signatures(see_loop(problem, x, residual, own))
+    found = [
+        *(FaultSignature(number_fault(name), columns[name]) for name in names),
+        *(FaultSignature(OFFSET, columns[p.name]) for p in bare),
+        *(replace(one, column=problem.filter(one.column)) for one in along),
+        *vary_mechanics(problem, x, FAULTS),
+    ]
+    return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
+
+
 def _run_tests(state: SearchState, settings: LoopTests, proof: Proof | None) -> TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = {a.fault.name: a.fault for a in signatures}
-    searched = (one.name for one in FAULTS if one.applies is not None and one.applies(state.problem.joint))
-    laws = (*(one.name for one in OTHER_LAWS), *searched)
-    wrong = [name for name in settings.faults or () if name not in (*known, *state.named, *laws)]
-    if wrong:
-        choice = ", ".join((*known, *laws))
-        raise MethodError(f"No fault called {', '.join(wrong)} can be tested in this record; choose from {choice}.")
     controller = state.problem.loop.controller
     declared = {
         fault: surrounding(name, controller).start or 0.0 if fault.declared is None else fault.declared
         for name, fault in known.items()
-        if not {name, fault.kin} & {*state.named} and (settings.faults is None or name in settings.faults)
+        if not {name, fault.kin} & {*state.named}
     }
     where, by_forces = cache(lambda: assign_cells(state)), cache(lambda: simulate_forces(state))
     columns, excluded = stack_columns(state, own), list[FaultTest]()
     while True:
-        tests = rank_tests(score_signatures(residual, columns, signatures, declared, where, by_forces), settings.level)
+        tests = rank_tests(score(residual, columns, signatures, declared, where, by_forces), settings.level)
         likely = [one for one in tests if one.p_value <= settings.level] if proof is not None else []
         found = [one for one in likely if proof is not None and proof.excludes(one)]
         if not found:
@@ -267,24 +240,6 @@ def _run_tests(state: SearchState, settings: LoopTests, proof: Proof | None) -> 
         gone = {one.fault for one in found}
         declared = {fault: value for fault, value in declared.items() if fault not in gone}
     return TestResults(residual, own, signatures, tests, where, by_forces, tuple(excluded))
-
-
-def _search_shapes(state: SearchState, found: TestResults, settings: LoopTests) -> TestResults:
-    """Return the tests, with those of faults whose shape is searched for replaced."""
-    whiten = fit_whitener(found.residual)
-    for fault in FAULTS:
-        asked = settings.faults is None or fault.name in settings.faults
-        if fault.search is None or not asked or fault.name in state.named:
-            continue
-        test = next((one for one in found.tests if one.fault == fault), None)
-        first = next((one.fault for one in found.tests[:1] if one.p_value <= settings.level), None)
-        hint = Hint(found.residual, stack_columns(state, found.own), whiten, test, settings.level, first)
-        signatures = fault.search(state.problem, state.x, hint)
-        if signatures:
-            better = test_signature(state, found, *signatures)
-            tests = rank_tests((better, *(one for one in found.tests if one is not test)), settings.level)
-            found = replace(found, signatures=(*found.signatures, *signatures), tests=tests)
-    return found
 
 
 def _list_rates_left_open(
@@ -344,11 +299,11 @@ def _accept_fault(state: SearchState, found: TestResults) -> SearchState:
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (suspect.fault, suspect.shape))
     fault = suspect.fault
     named = (*state.named, fault.name, *(one.name for one in suspect.alike), *filter(None, (fault.kin,)))
-    if fault.mechanical and (end := solve_with_fault(problem, state.x, fault)):
+    if fault.trials and suspect.shape is not None and (end := solve_with_fault(problem, state.x, fault)):
         problem = replace(problem, measured=problem.measured - end.change)
         corrected = (*state.corrected, signature)
         return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, end.values)
-    if signature.raw is not None:
+    if signature.raw is not None and fault.free is None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
         return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
     if fault.free is not None:

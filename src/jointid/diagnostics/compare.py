@@ -7,42 +7,17 @@ load may look like another law: check loop and log (`check_loop`) of an estimate
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Literal, overload
+from typing import Any, Literal
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, compare_estimates
-from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
-from jointid.diagnostics.law_tests import has_unstated_delay
-from jointid.diagnostics.model_free import compare_law
-from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-
-_INTERVAL = 2.0  # deviations: half an interval
-
-
-@overload
-def compare(first: Mapping[str, Any], second: Mapping[str, Any], *, level: float = ...) -> EstimateComparison: ...
-
-
-@overload
-def compare(
-    first: Record,
-    second: ClosedLoop,
-    among: Literal["springs", "frictions"],
-    *,
-    filtering: Filtering | None = ...,
-    parameters: Mapping[str, Parameter] | None = ...,
-    didim: DIDIM | None = ...,
-    progress: Progress = ...,
-) -> LawComparison: ...
 
 
 def compare(
@@ -86,36 +61,11 @@ def compare(
     """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return compare_estimates(first, second, level)
-    if not (isinstance(first, Record) and isinstance(second, ClosedLoop)):
+    if not isinstance(first, Record) or among not in ("springs", "frictions"):
         raise MethodError(
-            "Laws are compared for a record in its closed loop, estimates by what `to_dict` returned of them; received "
-            f"{type(first).__name__} and {type(second).__name__}: declare the [controller], or give two estimates."
+            'Two estimates are compared as `to_dict` returns them, or the laws of among = "springs" or "frictions" '
+            f"for a record; received {type(first).__name__}, {type(second).__name__} and among = {among!r}."
         )
-    if among not in ("springs", "frictions"):
-        raise MethodError('Laws are compared for a record; say which by among = "springs" or "frictions".')
-    return _compare_laws(first, second, among, filtering, parameters, didim, progress)
-
-
-def _compare_laws(
-    record: Record,
-    loop: ClosedLoop,
-    among: Literal["springs", "frictions"],
-    filtering: Filtering | None,
-    parameters: Mapping[str, Parameter] | None,
-    didim: DIDIM | None,
-    progress: Progress,
-) -> LawComparison:
-    """Identify a joint with every law of its spring or friction, and with an unstated delay that the shown one has."""
-    settings = didim or DIDIM()
-    judged, end = compare_laws(record, loop, among, filtering, parameters, settings, progress)
-    followed = compare_law(record, loop)
-    if followed is None or not followed.holds or end is None or DELAY.name in settings.free:
-        return judged
-    asked = LoopTests(most=1, faults=(DELAY.name,))
-    check, _ = search_faults(end.problem, end.solution.x, asked, record=record, law=followed)
-    moved = (by.sigmas for one in check.findings for by in one.changes.values())
-    if not has_unstated_delay(check, followed, end.problem) or all(abs(by) <= _INTERVAL for by in moved):
-        return judged
-    progress("the torque acts within a sample after its log: the delay is identified with every law")
-    freed = replace(settings, free=(*settings.free, DELAY.name))
-    return compare_laws(record, loop, among, filtering, parameters, freed, progress)[0]
+    if not isinstance(second, ClosedLoop):
+        raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")
+    return compare_laws(first, second, among, filtering, parameters, didim, progress)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,23 +13,21 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_follower
+from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_driving_axes, find_follower
 from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
-from jointid.diagnostics.axis_parameters import AxisParameter, parameters_by_axis
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
-from jointid.diagnostics.law_comparison import order_laws
 from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law, compare_robot_laws
-from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_springs
+from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
 from jointid.diagnostics.search_state import LoopTests, SearchState
 from jointid.estimation.identify import plan_windows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import IN_WINDOWS, EstimateParts
+from jointid.estimation.result.parts import IN_WINDOWS, EstimatedParameter, EstimateParts
 from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -42,7 +39,6 @@ from jointid.simulation.controller_torque import SOURCE
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.uncertainty.position_dependent_error import cells, repeatable
 from jointid.uncertainty.residual_tests import Coupling, whiteness
-from jointid.uncertainty.verdict import POOR_FIT
 
 _FEWER = 0.67  # times: what a feed-forward must leave of the controllers' rest to be named
 
@@ -147,28 +143,14 @@ def diagnose_joint(
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     faults, state = search_faults(problem, x, tests, std, record, shown, law)
-    faults = _compare_laws_with(faults, problem, x, record)
     torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
     axis = _diagnose_axis(
-        "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), parameters_by_axis(estimate),
+        "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), estimate.params.rows,
         law, faults, find_follower(torques),
         None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
         else found.significant,
     )  # fmt: skip
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
-
-
-def _compare_laws_with(faults: AxisFaults, problem: ClosedLoopProblem, x: FloatArray, record: Record) -> AxisFaults:
-    """Return the faults with their possible laws compared."""
-    compared: list[str] = []
-    kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
-    for kind in kinds:
-        found = [one for one in faults.findings if f"{one.test.fault.table}s" == kind]
-        names = {law for one in found for law in faults.list_laws_with(one)}
-        if len(names) > 1:
-            with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # they stand as they are then
-                compared += order_laws(problem, x, record, kind, names)
-    return replace(faults, compared=tuple(compared))
 
 
 def diagnose_robot(
@@ -178,7 +160,7 @@ def diagnose_robot(
     feed_forward: FeedForwardName = "none",
 ) -> Diagnosis:
     """Diagnose the estimate of a robot by any method; see `diagnose`."""
-    part, parameters = estimate.require_robot(), parameters_by_axis(estimate)
+    part, parameters = estimate.require_robot(), estimate.params.rows
     robot, torques = part.model, torques_of_robot(estimate, records)
     if not controllers and isinstance(part.setup, RobotLoop):
         controllers = part.setup.controllers
@@ -198,14 +180,10 @@ def diagnose_robot(
         for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
     )  # fmt: skip
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
-    cause = find_copied_reference(robot, records)
+    cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
     if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    poor = any(one.left > POOR_FIT for one in axes) and not any(robot.flexible)
-    if cause is None and poor and isinstance(part.setup, RobotLoop):
-        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # a robot that cannot be fitted has others
-            cause = find_springs(part.setup, records, estimate.settings.filtering)
     if cause is not None and cause.explained > explained:
         axes = tuple(map(_wait_for_cause, axes))
     else:
@@ -276,7 +254,7 @@ def _diagnose_axis(
     axis: int,
     torques: AxisTorques,
     units: tuple[str, str],
-    parameters: Sequence[AxisParameter],
+    parameters: Sequence[EstimatedParameter],
     law: LawOnPosition | None,
     faults: AxisFaults,
     follows: tuple[str, Coupling] | None,
@@ -289,11 +267,9 @@ def _diagnose_axis(
         float(np.linalg.norm(torques.error[axis])) / whole,
         whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
         follows,
-        float(np.ptp(torques.position[axis])),
-        float(np.max(np.abs(torques.velocity[axis]))),
         float(np.mean(inside)),
         *units,
-        tuple(one for one in parameters if one.axis == axis),
+        tuple(one for one in parameters if one.of_joint and one.axis == name),
         law,
         faults,
         repeats,

@@ -7,17 +7,20 @@ tested. The controller is compared without a model of the axis, so its faults ar
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.messages import Message
 from jointid.common.text import join, number, pluralise, sentence
-from jointid.diagnostics.axis_parameters import AxisParameter, Told
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.model_free import BEYOND_NOISE, OF_LAW, LawOnPosition
 from jointid.diagnostics.robot_causes import RobotCause
+from jointid.estimation.result.parts import EstimatedParameter
+from jointid.estimation.result.robot import KNOWN
 from jointid.uncertainty.residual_tests import Coupling, Whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
@@ -25,8 +28,29 @@ _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of 
 _MUCH = 0.25  # of what is left, that follows one thing
 _OF_ANY_LAW = 0.1  # of a torque, that any law leaves: no law alone makes the torque
 _RESTS = 0.5  # of the record, moving
+_ROUGHLY = 0.5  # relative deviation, from which the interval of two holds 0
 _MOST_NAMES = 8
 _MOST_TESTS = 20  # rows of a table
+
+
+class Told(StrEnum):
+    """How well a record tells a parameter."""
+
+    TOLD = "told"
+    ROUGHLY = "roughly"
+    NOT = "not significant"
+    REFUSED = "refused"
+    FIXED = "fixed"
+
+
+def tell(row: EstimatedParameter) -> Told:
+    """Return how well a parameter is told: by a deviation below a tenth of it, or below half."""
+    if not row.free:
+        return Told.FIXED
+    if row.value is None or row.stderr is None:
+        return Told.REFUSED
+    share = row.stderr / abs(row.value) if row.value else math.inf
+    return Told.TOLD if share < KNOWN else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +62,6 @@ class AxisDiagnosis:
         left: share of its filtered torque that the estimate leaves.
         whiteness: of what is left; None where the record is too short.
         follows: what that follows most, and the share of it that does; None where nothing exceeds chance.
-        travel, speed: of its motor, in `position_unit`, and per s; as measured, or simulated where it was not.
         moving: share of the rows in which it moves.
         position_unit, torque_unit: rad or m; of its torque.
         parameters: of it.
@@ -49,30 +72,28 @@ class AxisDiagnosis:
         caused: whether a cause explains what is left that is none of this axis alone.
     """
 
-    in_json = "explained as_declared law_holds"
+    in_json = "explained as_declared law_holds -parameters"
     name: str
     left: float
     whiteness: Whiteness | None
     follows: tuple[str, Coupling] | None
-    travel: float
-    speed: float
     moving: float
     position_unit: str
     torque_unit: str
-    parameters: tuple[AxisParameter, ...]
+    parameters: tuple[EstimatedParameter, ...]
     law: LawOnPosition | None
     faults: AxisFaults
     repeats: bool | None = None
     caused: bool = False
 
     @property
-    def asked(self) -> tuple[AxisParameter, ...]:
+    def asked(self) -> tuple[EstimatedParameter, ...]:
         """Its parameters without the fixed ones."""
-        return tuple(one for one in self.parameters if one.known is not Told.FIXED)
+        return tuple(one for one in self.parameters if one.free)
 
     def names(self, *known: Told) -> tuple[str, ...]:
         """Return the names of the parameters that are known so."""
-        return tuple(one.name for one in self.parameters if one.known in known)
+        return tuple(one.name for one in self.parameters if tell(one) in known)
 
     @property
     def explained(self) -> bool:
@@ -141,10 +162,10 @@ class AxisDiagnosis:
                 else f"{left} no white noise, but does not repeat with the motion, like coloured noise of the log."
             )
         found += [
-            f"the spring is refused, at least {number(one.at_least, 3)} {one.unit}; declare the joint rigid, or excite "
-            "its mode, as with a multisine on top of the motion."
+            f"the spring is refused, at least {number(one.lower_bound, 3)} {one.unit}; declare the joint rigid, or "
+            "excite its mode, as with a multisine on top of the motion."
             for one in self.parameters
-            if one.known is Told.REFUSED and one.at_least is not None
+            if tell(one) is Told.REFUSED and one.lower_bound is not None
         ]
         return tuple(f"{self.subject}{sentence(one)}" for one in found if one)
 
@@ -170,26 +191,24 @@ class AxisDiagnosis:
         )
 
     def _describe_law(self) -> str:
-        """Return a fault of the controller or the log that one number corrects, or ""."""
+        """Return that the controller does not make the torque, with the one number that corrects it if there is one."""
         law = self.law
-        if law is None or self.law_holds or law.left_in_time > BEYOND_NOISE * max(law.noise, OF_LAW):
+        if law is None or self.law_holds:
             return ""
-        share = f"{100 * law.left:.3g} % of the torque"
-        said = f"along the logged position the declared controller leaves {share}"
-        if law.late and law.noise < _OF_ANY_LAW:
+        said = f"along the logged position the declared controller leaves {100 * law.left:.3g} % of the torque"
+        if law.left_in_time <= BEYOND_NOISE * max(law.noise, OF_LAW) and law.noise < _OF_ANY_LAW:
+            if not law.late:
+                return f"{said}, which is {law.gain:.3g} times the law's: correct torque_constant, ratio or gains."
             when = f"{1e3 * abs(law.late):.3g} ms {'later' if law.late > 0.0 else 'earlier'}"
             return (
                 f"{said}; what fits best acts {when} than declared: correct delay or time stamps, "
                 "or the gains, which may look like that."
             )
-        if law.noise < _OF_ANY_LAW:
-            return f"{said}, which is {law.gain:.3g} times the law's: correct torque_constant, ratio or gains."
-        return ""
-
-    @property
-    def other_law(self) -> bool:
-        """True if no single number corrects the controller."""
-        return self.law_holds is False and not self._describe_law()
+        return (
+            f"{said}, any linear law of the last samples {100 * law.noise:.2g} %, and the model {100 * self.left:.2g} "
+            "%. The drive runs another law, or something is added to the torque: declare it, log it as injected, or "
+            "identify by idim, which needs no controller."
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,7 +308,7 @@ class Diagnosis(Documented):
             found.append(sentence(str(self.cause)))
         if any(axis.caused for axis in self.axes):
             found.append("Correct this first, and identify again: other faults of single joints are named only then.")
-        found += [*self._other_laws(), *(one for axis in self.axes for one in axis.sentences)]
+        found += [one for axis in self.axes for one in axis.sentences]
         unknown = []
         for one in self.axes:
             if names := one.names(Told.NOT):
@@ -301,31 +320,6 @@ class Diagnosis(Documented):
                 "well. Other motions need them: jointid design plans one that determines them."
             )
         return tuple(found)
-
-    def _other_laws(self) -> list[str]:
-        """Return the sentence on controllers that no single number corrects, or none."""
-        if self.feed_forward is not None:
-            return []
-        seen = [(one.name, one.law, one.left) for one in self.axes if one.other_law and one.law is not None]
-        if not seen:
-            return []
-        names, several = self._of([name for name, _, _ in seen]), len(seen) > 1
-        declared, free, model = (
-            ", ".join(f"{100 * value:.2g}" for value in values)
-            for values in zip(*((law.left, law.noise, left) for _, law, left in seen), strict=True)
-        )
-        any_law = any(law.noise > _OF_ANY_LAW for _, law, _ in seen)
-        why = (
-            "Where no law does, something else is added to the torque, or the log is too slow to see the law"
-            if any_law
-            else f"The {'drives run' if several else 'drive runs'} another law, or a feed-forward is added"
-        )
-        leaves = f"s{names} leave" if several else f"{names} leaves"
-        return [
-            f"Along the logged position{'s' * several} the declared controller{leaves} {declared} % of the torque, any "
-            f"linear law of the last samples {free} %, and the model {model} %. {why}: declare it, log it as injected, "
-            "or identify by idim, which needs no controller."
-        ]
 
     def _of(self, names: Sequence[str]) -> str:
         """Return the names of axes in a sentence, or none of a joint alone."""
@@ -404,36 +398,21 @@ class Diagnosis(Documented):
         """Return the answer, a table of the axes, and what to do.
 
         Args:
-            details: whether undetermined parameters and all tests are listed in full.
+            details: whether all tests are listed.
         """
         header: tuple[str, ...] = ("joint", "left, %", "white", "known", "roughly", "unknown")
         if any(one.law for one in self.axes):
             header = (*header, "controller leaves, %", "any law, %")
         rows = tuple(_row(one)[: len(header)] for one in self.axes)
         caption = "residual of each joint's filtered torque, and how many parameters the record determines"
-        motion = tuple(
-            (
-                one.name or "joint",
-                f"{number(one.travel, 3)} {one.position_unit}",
-                f"{number(one.speed, 3)} {one.position_unit}/s",
-                f"{100 * one.moving:.0f}",
-            )
-            for one in self.axes
-        )
         good = self.explained and all(one.judged for one in self.axes) and self.as_declared is not False
         blocks: list[Block] = [
             Facts((("record", f"{self.name}, {pluralise(len(self.axes), 'joint')}"),)),
             Paragraph(" ".join(self._parts[1:]), tone="good" if good else "bad"),
             Table(header, rows, caption, (0, 2)),
-            Table(("joint", "travel", "peak speed", "moving, %"), motion, "motion of the motors, behind their gears"),
             *((Heading("What to do"), Listing(self.sentences)) if self.sentences else ()),
             *self._tests(details),
         ]
-        if details:
-            unknown = tuple(
-                f"{one.subject}{', '.join(one.names(Told.NOT))}" for one in self.axes if one.names(Told.NOT)
-            )
-            blocks += [Heading("Not significant"), Listing(unknown)] if unknown else []
         return Document(self.sentence, tuple(blocks))
 
     def _tests(self, details: bool) -> tuple[Table, ...]:

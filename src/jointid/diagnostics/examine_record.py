@@ -1,7 +1,7 @@
-"""Examination of a new record: its faults, and what it determines of the joint.
+"""Examination of a new record: its faults, and the diagnosis of the joint that is identified from it.
 
 The checks are those of other modules, in the order in which one fault spoils the next: clock, torque, motion,
-controller, joint. The joint is identified once, for the intervals of its parameters.
+controller, joint. The joint is identified once.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Paragraph, Table, Verdicts
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Paragraph, Verdicts
 from jointid.common.errors import FaultsError, JointidError, MethodError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
-from jointid.common.text import in_words, join, number, pluralise
+from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.diagnose import OF_ROBOT, FeedForwardName, diagnose
 from jointid.diagnostics.diagnosis import Diagnosis
@@ -37,17 +37,12 @@ from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, lowpass
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
-from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, Subject
 
-_FAST = 0.3  # of the sampling frequency: what lies above it is noise, or steps
-_FEWEST = 100  # samples
-_RESTS = 1e-3  # of the greatest speed
-_WELL, _ROUGHLY = 0.1, 0.5  # 2 sigma of a parameter over its value
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
 
 
@@ -102,26 +97,14 @@ class Answer:
     axis: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Determined:
-    """Precision of a parameter: 2 sigma over its value in percent; None if it is not identifiable."""
-
-    name: str
-    symbol: str
-    unit: str
-    percent: float | None
-    remark: str
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Examination(Documented):
-    """Faults of a record, and the precision of the parameters that it determines.
+    """Faults of a record, and what the joint's identification from it tells.
 
     Attributes:
         record: its name.
         logged: its channels, in a sentence.
         answers: to the questions that apply.
-        parameters: precision of each; none if no joint could be identified.
         diagnosis: of the estimate; None where no joint was identified, or its loop is not simulated.
         laws: comparisons of the laws of springs and frictions, where they were asked for.
         transmission: on whose `side` all numbers are.
@@ -131,7 +114,6 @@ class Examination(Documented):
     record: str
     logged: str
     answers: tuple[Answer, ...]
-    parameters: tuple[Determined, ...] = ()
     diagnosis: Diagnosis | None = None
     laws: tuple[LawComparison, ...] = ()
     transmission: Transmission | None = None
@@ -159,12 +141,10 @@ class Examination(Documented):
             return f"{self.record}: {named[0].axis and f'{named[0].axis}: '}{named[0].said[0]}."
         if marked := list(dict.fromkeys(str(one.question) for one in self.answers if one.good is None)):
             return f"Nothing that is wrong with {self.record} spoils its answer; see {join(marked)}, marked with ?."
-        known = sum(one.percent is not None and one.percent <= 100 * _WELL for one in self.parameters)
-        told = f"; it determines {known} of {len(self.parameters)} parameters and sums within {100 * _WELL:g} %"
-        return f"Nothing is wrong with {self.record}{told if self.parameters else ''}."
+        return f"Nothing is wrong with {self.record}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the answers and the parameters, then the diagnosis and the laws."""
+        """Return the answers, then the diagnosis and the laws."""
         blocks: list[Block] = []
         if self.logged:
             blocks.append(Paragraph(self.logged))
@@ -173,11 +153,6 @@ class Examination(Documented):
             blocks += [*([Heading(axis)] if axis else []), Verdicts(own)]
         if self.transmission is not None:
             blocks.append(Facts((("transmission", str(self.transmission)),)))
-        if self.parameters:
-            rows = tuple(
-                (in_words(one.name), number(one.percent, 2), one.remark, one.symbol) for one in self.parameters
-            )
-            blocks.append(Table(("parameter", "2 sigma %", "known", "symbol"), rows, words=(0, 2, 3)))
         parts = [] if self.diagnosis is None else [self.diagnosis.to_document(details=details)]
         for part in (*parts, *(one.to_document() for one in self.laws)):
             blocks += [Heading(part.title), *part.blocks]
@@ -203,7 +178,7 @@ def examine(
     feed_forward: FeedForwardName = "none",
     progress: Progress = ignore_progress,
 ) -> Examination:
-    """Examine clock, torque, motion and controller of a record, and the precision of the parameters.
+    """Examine clock, torque, motion and controller of a record, and diagnose the joint that is identified from it.
 
     Args:
         record: to examine; of a robot those of its joints.
@@ -222,7 +197,7 @@ def examine(
         >>> axis = ji.twin("L19", noise="white")
         >>> found = ji.examine(axis.record, axis.loop)
         >>> print(found.sentence)
-        Nothing is wrong with twin L19; it determines 7 of 12 parameters and sums within 10 %.
+        Nothing is wrong with twin L19.
     """
     if isinstance(record, Record) and (controllers or feed_forward != "none"):
         raise MethodError(OF_ROBOT)
@@ -233,8 +208,10 @@ def examine(
     checked += [_check_clock(first), *(replace(one, axis=axis.name) for axis in axes for one in _check_axis(axis))]
     checked.sort(key=lambda one: one.question is not Question.RECORD)
 
-    def conclude(known: Sequence[Determined] = (), diagnosis: Diagnosis | None = None) -> Examination:
-        return Examination(first.name, first.sentence, tuple(checked), tuple(known), diagnosis, transmission=gear)
+    about = f"{', '.join(first.channels).replace('_', ' ')}, {first.duration:.6g} s."
+
+    def conclude(diagnosis: Diagnosis | None = None) -> Examination:
+        return Examination(first.name, about, tuple(checked), diagnosis, transmission=gear)
 
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
         return conclude()
@@ -252,9 +229,7 @@ def examine(
     if diagnosis is not None and (declared or feed_forward != "none"):
         with contextlib.suppress(JointidError):  # the diagnosis that was made stands
             diagnosis = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
-    if any(one.good is False for one in checked):
-        return conclude(diagnosis=diagnosis)
-    return conclude((*_list_precision(estimate),), diagnosis)
+    return conclude(diagnosis)
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,19 +286,14 @@ def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
     if torque is not None:
         still = [_clause(one) for one in still_faults(record)]
         coarse = find_record_warnings(replace(record, remarks=()), ("torque",))
-        size = float(np.std(torque.values))
         said = f"{number(float(torque.values.min()), 3)} to {number(float(torque.values.max()), 3)} {torque.unit}"
-        if size and len(torque) > _FEWEST:
-            noise = torque.values - lowpass(torque.values, _FAST / torque.sample_time, torque.sample_time)
-            share, fast = number(100 * float(np.std(noise)) / size, 2), number(_FAST / torque.sample_time, 3)
-            said += f"; {share} % of it lies above {fast} Hz"
         if still:
             yield Answer(Question.TORQUE, False, (*still, said), Fault.MOTION_POOR)
             return
         yield Answer(Question.TORQUE, not coarse, (*coarse, said), Fault.TORQUE_COARSE if coarse else None)
         limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
         if math.isfinite(limit):
-            wrong = limit_faults(record, limit)
+            wrong = [*limit_faults(record, limit)]
             reached = float(np.max(np.abs(torque.values))) / limit
             said = f"the torque reaches {number(100 * reached, 3)} % of {number(limit, 4)} {torque.unit}"
             yield Answer(
@@ -355,14 +325,8 @@ def _check_motion(record: Record, loop: ClosedLoop | None) -> Answer:
     assert reference is not None
     velocity = np.gradient(reference.values, reference.sample_time)
     fastest = float(np.max(np.abs(velocity)))
-    moving = np.abs(velocity) > _RESTS * fastest
-    directions = np.sign(velocity[moving])
-    turns = int(np.sum(directions[1:] != directions[:-1]))
-    unit = reference.unit
-    said = (
-        f"{number(float(np.ptp(reference.values)), 3)} {unit} of travel, up to {number(fastest, 3)} {unit}/s, "
-        f"{pluralise(turns, 'reversal')}, {number(100 * (1 - float(np.mean(moving))), 2)} % of the time at rest"
-    )
+    said = f"{number(float(np.ptp(reference.values)), 3)} {reference.unit} of travel, up to "
+    said += f"{number(fastest, 3)} {reference.unit}/s"
     return Answer(Question.MOTION, True, (said,))
 
 
@@ -401,26 +365,6 @@ def _check_estimate(estimate: Estimate) -> Iterator[Answer]:
         left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the {model}"
         poor = not error <= POOR_FIT
         yield Answer(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None, axis)
-
-
-def _list_precision(estimate: Estimate) -> Iterator[Determined]:
-    """Yield the precision of each parameter, and of sums that are known only together."""
-    for row in estimate.params.rows:
-        if not row.of_joint or (not row.free and row.value is not None):
-            continue
-        if row.value is None or row.stderr is None:
-            yield Determined(row.name, row.symbol, row.unit, None, "not from this record")
-            continue
-        share = 2 * row.stderr / abs(row.value) if row.value else math.inf
-        remark = "well" if share <= _WELL else "roughly" if share <= _ROUGHLY else "hardly"
-        percent = 100 * share if math.isfinite(share) else None
-        yield Determined(row.name, row.symbol, row.unit, percent, remark if row.identifiable else "only with others")
-    known = estimate.checks.known
-    for one in () if known is None else known.physical:
-        if one.combination.kind is Kind.SUM and one.value and one.std:
-            share = 2 * one.std / abs(one.value)
-            remark = "well" if share <= _WELL else "roughly" if share <= _ROUGHLY else "hardly"
-            yield Determined(one.combination.name, one.combination.formula, one.combination.unit, 100 * share, remark)
 
 
 def _clause(sentence: str) -> str:

@@ -13,15 +13,14 @@ reported as that number.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, RecordError
-from jointid.common.messages import Detail, Message, Progress, ignore_progress
+from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
@@ -63,14 +62,12 @@ _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no mod
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
-_NOTHING_OF_IT = 0.8  # of the torque: a joint that is moved leaves less, whatever else moves it
 _NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
 _NAMED = 3
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
 _MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
 _POOR_START = 0.05  # of the torque: a rigid joint that leaves more far below its resonance has a cause to be searched
-_SCREENED = 6000  # samples from the first motion, which show a gross cause
 
 
 _Found: TypeAlias = tuple[Fault, float | None, float]
@@ -78,7 +75,7 @@ _Found: TypeAlias = tuple[Fault, float | None, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Causes(Documented):
+class Causes:
     """Causes of a misfit between a record and the declared drive.
 
     Attributes:
@@ -133,13 +130,9 @@ class Causes(Documented):
             words = f"{left}, and none of the usual causes explains it ("
             words += f"{', '.join(one.fault.title for one in self.tried)})"
             if self.unexplained > _NO_RESPONSE:
-                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: "
-                other += (
-                    "check which column is the torque, and of which axis"
-                    if self.unexplained > _NOTHING_OF_IT
-                    else ("if a signal is injected, declare it (channel injected)")
-                )
-                clause, words = clause + other, words + other
+                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
+                other += "which column is the torque, and of which axis; if a signal is injected, declare it (channel "
+                clause, words = f"{clause}{other}injected)", f"{words}{other}injected)"
             return Message(Reason.NO_CAUSE_FOUND, words, {"tried": self._names}, clause)
         best = self.explanations[0]
         clause = ", or ".join(one.words for one in self.explanations)
@@ -155,12 +148,6 @@ class Causes(Documented):
     def _names(self) -> list[str]:
         return [one.fault.name for one in self.tried]
 
-    def to_document(self, *, details: bool = False) -> Document:
-        """Return the causes, and the table of all that were tried; there are no further details."""
-        del details
-        rows = tuple((one.words, f"{number(100 * one.error, 2)} %") for one in self.tried)
-        return Document("Cause", (Listing((str(self.message),)), Table(("put right", "torque left"), rows)))
-
 
 def find_causes(
     record: Record,
@@ -169,7 +156,6 @@ def find_causes(
     *,
     shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
-    low: Sequence[Fit] = (),
     free: Sequence[str] = (),
 ) -> Causes:
     """Search for the cause of a misfit between a record and the declared drive.
@@ -181,7 +167,6 @@ def find_causes(
         shown: how the drive shows the numbers of its controller, as `jointid.config.Axis.drive_numbers` has it;
             without it they are given in SI.
         progress: called with each step.
-        low: fits by `screen_causes`; made anew without them.
         free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
 
     Raises:
@@ -200,13 +185,7 @@ def find_causes(
     tried = list_hypotheses(record, loop, filtering, free if estimate is None else _found_beside(estimate, loop))
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    if isinstance(loop.joint, FlexibleJoint):
-        if not low:
-            low = fit_below_resonance(tried, loop.joint)
-            _suspect(low, math.inf, loop, shown, progress)
-        fits = fit_flexible(tried, loop, low)
-    else:
-        fits = fit_rigid(tried, loop.joint)
+    fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
     found = _judge_faults(tried[0], fits, loop)
     declared = min((f.error for f in fits if f.hypothesis.fault is None), default=math.inf)
     if estimate is not None:
@@ -240,59 +219,11 @@ def find_law_causes(record: Record, loop: ClosedLoop, shown: Sequence[DriveNumbe
     return Causes(left, told[:_NAMED], told) if told else None
 
 
-def screen_causes(
-    record: Record,
-    loop: ClosedLoop,
-    shown: Sequence[DriveNumber] = (),
-    progress: Progress = ignore_progress,
-    free: Sequence[str] = (),
-) -> list[Fit]:
-    """Return a rigid joint's fits under each hypothesis to the begin of a record, far below the resonance.
-
-    There are none where the declared drive fits. The likeliest cause is told as soon as it is far likelier than that
-    drive; hypotheses without a free number, and the gain of the loop, come first, and alone if one of them fits.
-
-    Args:
-        record: with torque and reference.
-        loop: as declared, of a flexible joint.
-        shown: see `find_causes`.
-        progress: called with the likeliest cause.
-        free: see `find_causes`.
-    """
-    joint = loop.joint
-    if not isinstance(joint, FlexibleJoint) or record.torque is None or record.reference is None:
-        return []
-    if find_plain_cause(record) is not None or find_standstill(record, loop) is not None:
-        return []
-    moves = np.flatnonzero(np.diff(record.reference.values))[:1] * record.reference.sample_time
-    until = float(moves.sum()) + _SCREENED * record.torque.sample_time
-    part = record.with_channels(
-        {name: replace(one, values=one.values[: math.ceil(until / one.sample_time)]) for name, one in record.items()}
-    )
-    declared, *others = list_hypotheses(part, loop, Filtering().resolve(record.torque.sample_time, joint.model), free)
-    fits = fit_below_resonance([declared], joint)
-    error = min((fit.error for fit in fits), default=math.inf)
-    if error < _POOR_START:
-        return []
-    clear = _CLEARLY * min(error, 1.0)
-    for cheap in (True, False):
-        least = min((fit.error for fit in fits), default=math.inf)
-        if least <= min(clear, _POOR_START):
-            break
-        group = [one for one in others if (one.free in (None, "gain")) is cheap]
-        fits = sorted((*fits, *fit_below_resonance(group, joint, least)), key=lambda fit: fit.error)
-        _suspect(fits, clear, loop, shown, progress)
-    return fits
-
-
-def _suspect(
-    fits: Sequence[Fit], most: float, loop: ClosedLoop, shown: Sequence[DriveNumber], progress: Progress
-) -> None:
-    """Tell the fault of the best fit, if its error is at most that."""
-    if fits and (fault := fits[0].hypothesis.fault) is not None and fits[0].error <= most:
-        told = explain(fault, fits[0].number, fits[0].error, loop, shown)
-        words = ", or ".join(one.words for one in told)
-        progress(Detail(words, f"the likeliest cause so far: {words}"))
+def _misfits_below_resonance(record: Record, loop: ClosedLoop, filtering: Filtering) -> bool:
+    """Test whether the declared drive with a rigid joint leaves much far below the resonance."""
+    assert isinstance(loop.joint, FlexibleJoint)
+    fits = fit_below_resonance([Hypothesis(None, record, (loop,), filtering)], loop.joint)
+    return min((fit.error for fit in fits), default=math.inf) >= _POOR_START
 
 
 def _found_beside(estimate: Estimate, loop: ClosedLoop) -> tuple[str, ...]:
@@ -333,8 +264,7 @@ def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -
     for fit in fits:
         fault = fit.hypothesis.fault
         if fault is not None:
-            better = fit if fault.refine is None else fault.refine(fit, loop)
-            found.append((fault, better.number, better.error))
+            found.append((fault, fit.number, fit.error))
     for fault in FAULTS:
         least = min((error for _, _, error in found), default=math.inf)
         judged = None if fault.judge is None else fault.judge(declared, fits[0] if fits else None, least)
@@ -364,14 +294,12 @@ def find_gross_cause(
     record: Record,
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
-    screen: Callable[[], Sequence[Fit]] = tuple,
 ) -> Causes | None:
     """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
 
-    A refused spring may be refused for the cause that the screening told: then it is searched for, however small the
-    misfit is.
+    A spring may be refused for a cause that shows far below its resonance, however small the misfit is.
 
-    Args: see `find_causes`, and `jointid.diagnostics.identify.run_checks`.
+    Args: see `find_causes`.
     """
     loop = estimate.settings.loop
     assert loop is not None
@@ -379,10 +307,10 @@ def find_gross_cause(
     if (lost := find_lost_samples(record)) is not None:
         return Causes(estimate.fit.filtered_error, (), (), plain=lost)
     poor = estimate.fit.filtered_error > _SUSPICIOUS
-    low = screen() if poor or refused else ()
-    if not (poor or (low and low[0].hypothesis.fault is not None)):
+    refused = refused and isinstance(loop.joint, FlexibleJoint)
+    if not poor and not (refused and _misfits_below_resonance(record, loop, estimate.settings.filtering)):
         return None
-    return find_causes(record, loop, estimate, shown=shown, progress=progress, low=low)
+    return find_causes(record, loop, estimate, shown=shown, progress=progress)
 
 
 def explain_misfit(

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, triangle
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import Parameter
 from jointid.diagnostics.faults.fault import Hypothesis
 from jointid.estimation.methods.stiffness_search import rigid_cutoff
 from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG
@@ -42,7 +41,6 @@ _BEHIND = 2.5  # times the least error: a cause with more after its first steps 
 _NEAREST = 1.5  # times the least error: the descent of a cause with no more is followed to its end
 _TO_ITS_END = 40  # evaluations, at most
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
-_AWAY = 1e50  # a derivative so large is of a loop that runs away
 _RANGE = 1e4  # times its start, up and down: bounds of a number
 _SHARES = (0.35, 0.65)  # of the load in the inertia of a flexible joint
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
@@ -102,18 +100,12 @@ def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint, least
     return fit_rigid(low, joint.rigid, _ROUGHLY, least)
 
 
-def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, low: Sequence[Fit] = ()) -> list[Fit]:
-    """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance.
-
-    `low` are the fits of that rigid joint, if they are known.
-    """
+def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
+    """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance."""
     assert isinstance(loop.joint, FlexibleJoint)
     wide = {(one.fault, one.factor, one.free): one for one in tried}
-    fits = low or fit_below_resonance(tried, loop.joint)
-    pairs = ((fit, wide.get((fit.hypothesis.fault, fit.hypothesis.factor, fit.hypothesis.free))) for fit in fits)
-    possible = [
-        (fit, one) for fit, one in pairs if one is not None
-    ]  # the whole record may exclude what its begin shows
+    fits = fit_below_resonance(tried, loop.joint)
+    possible = [(fit, wide[fit.hypothesis.fault, fit.hypothesis.factor, fit.hypothesis.free]) for fit in fits]
     least = min((fit.error for fit, _ in possible), default=math.inf)
 
     def begin(pair: tuple[Fit, Hypothesis]) -> list[Fit]:
@@ -220,34 +212,9 @@ def _end_of(fit: Fit) -> Fit:
     return fit if end is None or end.error > fit.error else end
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Condensed:
-    """A problem condensed by QR to one row more than its parameters.
-
-    All inner products of a descent are the same; a loop that runs away has no descent direction.
-    """
-
-    problem: ClosedLoopProblem | DriveSideProblem
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self.linearise(x)[0]
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error, slopes = self.problem.linearise(x)
-        both = np.column_stack([slopes, error])
-        if not np.max(np.abs(both)) < _AWAY:
-            return np.full(x.size + 1, _AWAY), np.zeros((x.size + 1, x.size))
-        rows = triangle(both)
-        return rows[:, -1], rows[:, :-1]
-
-
 def follow(problem: ClosedLoopProblem | DriveSideProblem, x: FloatArray, evaluations: int) -> Solution:
     """Solve with a limited number of evaluations."""
-    return solve(_Condensed(problem), LevenbergMarquardt(_TOLERANCE, evaluations), x)
+    return solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
 
 
 def descend(fit: Fit, evaluations: int) -> Fit | None:

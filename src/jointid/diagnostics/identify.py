@@ -6,26 +6,24 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Detail, Message, Progress, ignore_progress
+from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
-from jointid.diagnostics.beside_delay import compare_with_delay
 from jointid.diagnostics.diagnose import diagnose_joint, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.faults.record import find_lost_samples, find_too_short
-from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, find_law_causes, screen_causes
-from jointid.diagnostics.hypothesis_fits import Fit
+from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, find_law_causes
 from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.search_state import INTERVAL
@@ -147,19 +145,7 @@ def identify(
 
     failures: list[Message] = []
 
-    @cache
-    def screen() -> Sequence[Fit]:
-        if checks and isinstance(part, Record) and isinstance(model, ClosedLoop):
-            with _contained("gross causes", failures):  # the identification says what is wrong
-                return screen_causes(part, model, shown, progress, getattr(method, "free", ()))
-        return ()
-
-    def tell(message: str) -> None:
-        progress(message)
-        if isinstance(message, Detail) and message.of_drive:
-            screen()
-
-    fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=tell)
+    fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=progress)
     if said:
         progress(said)
     try:
@@ -186,13 +172,13 @@ def identify(
         checked = _fit_part(fit, part, record, lambda: fit_one(part, model, method))
     if isinstance(checked, str):
         return assemble(fit, _left_out(f"not checked: {checked}"))
-    found = run_checks(checked, progress, shown, screen)
+    found = run_checks(checked, progress, shown)
     with _contained("an undeclared delay", failures):  # the first estimate stands
         if (freed := _free_unstated_delay(fit, method, found)) is not None:
             progress("the torque acts within a sample after its log: the delay is identified, too")
             wider = fit_one(record, model, freed)
             wider = wider.warn(*filter(None, (said, _DELAY_SAID)))
-            fit, found = wider, run_checks(wider, progress, shown, screen)
+            fit, found = wider, run_checks(wider, progress, shown)
     found = _with_failures(found, failures)
     return assemble(fit, found)
 
@@ -234,7 +220,6 @@ def run_checks(
     fit: FitResult,
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
-    screen: Callable[[], Sequence[Fit]] = tuple,
 ) -> CheckResults:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
@@ -248,7 +233,6 @@ def run_checks(
         fit: the result of a method.
         progress: called with each step in a sentence.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
-        screen: returns the fits by `screen_causes`, or none.
     """
     failures: list[Message] = []
     found = CheckResults()
@@ -256,7 +240,7 @@ def run_checks(
         if fit.robot is not None:
             found = _check_robot(fit, fit.robot, progress, failures)
         else:
-            found = _check_joint(fit, progress, shown, screen, failures)
+            found = _check_joint(fit, progress, shown, failures)
     return _with_failures(found, failures)
 
 
@@ -289,7 +273,6 @@ def _check_joint(
     fit: FitResult,
     progress: Progress,
     shown: Sequence[DriveNumber],
-    screen: Callable[[], Sequence[Fit]],
     failures: list[Message],
 ) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
@@ -298,7 +281,7 @@ def _check_joint(
         return CheckResults()
     gross = None
     with _contained("gross causes", failures):
-        gross = find_gross_cause(assemble(fit), record, progress, shown, screen)
+        gross = find_gross_cause(assemble(fit), record, progress, shown)
     if gross is not None and gross.is_clear:
         return CheckResults((Verdict(Subject.LOOP, Status.FAILED, (gross.message,)),))
     progress("checking loop and log")
@@ -335,9 +318,6 @@ def _check_joint(
     if found is not None:
         with _contained("undeclared elements", failures):
             widenings += _widen_for_undeclared(fit, found)
-    with _contained("alternatives to a delay", failures):
-        wider, verdict = _compare_with_delay(problem, x, record, verdict)
-        widenings += wider
     if rest is None or not rest.follows or state is None:
         return CheckResults((verdict,), tuple(widenings), found)
     with _contained("a residual that follows the motion", failures):  # the verdict stands, however wide it is
@@ -371,19 +351,6 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
         return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
     judged = judge_law(law, record)
     return Verdict(Subject.LOOP, Status.PASSED if judged.code is Agreement.HOLDS else Status.FAILED, (judged,))
-
-
-def _compare_with_delay(
-    problem: ClosedLoopProblem, x: FloatArray, record: Record, verdict: Verdict
-) -> tuple[list[Widening], Verdict]:
-    """Return the shifts by alternatives to a delay, and the verdict on them."""
-    wider, excluded = compare_with_delay(problem, x, record)
-    if not excluded or verdict.status is not Status.PASSED:
-        return wider, verdict
-    first, *others = verdict.reasons
-    said = f"{first}; it excludes {join([*excluded.values()])} in the place of the delay"
-    first = replace(first, words=said, values={**first.values, "not_the_delay": [*excluded]})
-    return wider, replace(verdict, reasons=(first, *others))
 
 
 def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress, failures: list[Message]) -> CheckResults:

@@ -12,10 +12,10 @@ hardly larger, the one with the fewest parameters is chosen (L. Breiman et al., 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Detail, Message, Progress, follow, ignore_progress
+from jointid.common.messages import Detail, Message, Progress, follow
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
-from jointid.estimation.descent import History, Solved, descend, free_more, least_squares
+from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL
@@ -109,19 +109,15 @@ class LawComparison(Documented):
     """Laws of one kind for one record.
 
     Attributes:
+        kind: of the laws.
         record: its name.
-        laws: all that were compared, by rising number of parameters.
+        laws: all that were compared, by rising number of parameters; of a spring a rigid joint first.
         declared: name of the law in the joint.
         transmission: on whose side the numbers are.
     """
 
-    in_json = "type shown answer"
-    kind: ClassVar[str]
-    """Of the laws: "spring", say."""
-    simple: ClassVar[str]
-    """Name of the law that the others are told beside."""
-    article: ClassVar[str]
-
+    in_json = "shown answer"
+    kind: Literal["spring", "friction"]
     record: str
     laws: tuple[JudgedLaw, ...]
     declared: str
@@ -136,18 +132,19 @@ class LawComparison(Documented):
     def answer(self) -> Message:
         """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
         found, values = self.shown, {self.kind: self.shown.name, "declared": self.declared}
-        simple = next(one for one in self.laws if one.name == self.simple)
-        left = f"{_format_share(found.kept)} of the torque where it was not fitted"
+        simple = next(one for one in self.laws if one.name == _SIMPLE[f"{self.kind}s"].name)
+        beside = "" if found is simple else f", a {simple.name} one {_format_share(simple.kept)}"
+        left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted{beside}"
         if found.name == RIGID:
-            words = f"The record shows no spring: a rigid joint leaves {left}, one with a linear spring "
-            words += f'{_format_share(simple.kept)}; declare the joint with model = "rigid", or identify how soft '
-            words += "the spring may be"
-            return Message(LawCode.NO_SPRING, words, values)
-        words = f"The record shows {self.article}{found.name} {self.kind}, {found.words}: it leaves {left}"
-        if found is not simple:
-            words += f", {self.article}{simple.name} one {_format_share(simple.kept)}"
-        code = "as_declared" if found.name == self.declared else f"another_{self.kind}"
-        return Message(LawCode(code), words + self._beside(), values)
+            words = f'The record shows no spring: a rigid joint {left}; declare the joint with model = "rigid", or '
+            return Message(LawCode.NO_SPRING, f"{words}identify how soft the spring may be", values)
+        words = f"The record shows {found.name} {self.kind}, {found.words}: it {left}"
+        if lost := [one.name for one in self.laws if one.refusal]:
+            words += f"; {join(lost)} could not be identified"
+        if found.name == self.declared:
+            return Message(LawCode.AS_DECLARED, words, values)
+        words += f'; declare the joint with {self.kind} = "{found.name}" to identify it'
+        return Message(LawCode(f"another_{self.kind}"), words, values)
 
     @property
     def sentence(self) -> str:
@@ -169,31 +166,9 @@ class LawComparison(Documented):
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
 
-    def _beside(self) -> str:
-        """Return the end of the answer: laws that were not identified, and the key to declare."""
-        lost = [one.name for one in self.laws if one.refusal]
-        words = f"; {join(lost)} could not be identified" if lost else ""
-        if self.shown.name != self.declared:
-            words += f'; declare the joint with {self.kind} = "{self.shown.name}" to identify it'
-        return words
-
 
 RIGID = "none"
 """Name of the spring of a rigid joint, which is judged beside the laws."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SpringComparison(LawComparison):
-    """The laws of a spring for one record, a rigid joint first; see `LawComparison`."""
-
-    kind, simple, article = "spring", LinearSpring.name, "a "
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrictionComparison(LawComparison):
-    """The laws of friction for one record; see `LawComparison`."""
-
-    kind, simple, article = "friction", SymmetricFriction.name, ""
 
 
 def _format_share(share: float | None) -> str:
@@ -348,8 +323,8 @@ def compare_laws(
     parameters: Mapping[str, Parameter] | None,
     didim: DIDIM | None,
     progress: Progress,
-) -> tuple[LawComparison, Solved | None]:
-    """Identify a joint with every law of its spring or friction; return the comparison, and the shown law's end."""
+) -> LawComparison:
+    """Identify a joint with every law of its spring or friction."""
     settings = _check(loop.joint, among, didim)
     check_record(record)
     tolerance = settings.stopping_tolerance(loop.joint.model)
@@ -367,50 +342,9 @@ def compare_laws(
     laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
     # A rigid joint is judged beside the laws of a spring.
     tried = [None, *laws] if among == "springs" else [*laws]
-    found, ends = _judge_laws(solved, record, loop, among, tried, given, tolerance, progress)
-    result = SpringComparison if kind == "spring" else FrictionComparison
-    judged = result(record.name, rank(found), getattr(joint, kind).name, joint.transmission)
-    return judged, ends.get(judged.shown.name)
-
-
-def order_laws(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    record: Record,
-    among: Literal["springs", "frictions"],
-    names: Collection[str],
-) -> tuple[str, ...]:
-    """Return names of laws in the order in which `compare_laws` chooses among them.
-
-    Args:
-        problem: of a joint.
-        x: (free,) its solution.
-        record: of the problem.
-        among: what the laws are of.
-        names: of the laws.
-
-    Raises:
-        JointidError, LinAlgError: the laws cannot be compared.
-    """
-    joint, loop, simple, made = (
-        problem.joint,
-        problem.loop,
-        _SIMPLE[among],
-        SPRINGS if among == "springs" else FRICTIONS,
-    )
-    tolerance = _check(joint, among, None).stopping_tolerance(joint.model)
-    given = {p.name: p for p, usual in zip(problem.parameters, joint.parameters, strict=False) if p != usual}
-    if getattr(joint, among.removesuffix("s")) == simple:
-        solved = Solved(problem, descend(problem, x, tolerance))
-    else:
-        plain = _with_law(loop, among.removesuffix("s"), simple)
-        own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
-        task = Task(record, plain.joint, plain, own, problem.filtering, ignore_progress)
-        solved = DIDIM().solve(task, History(ignore_progress))
-    laws = [simple, *(law() for law in made.values() if law.name in names and law.name != simple.name)]
-    ranked = rank(_judge_laws(solved, record, loop, among, laws, given, tolerance, ignore_progress)[0])
-    best = sorted(ranked, key=lambda one: (bool(one.refusal), not one.predicts_as_well, one.parameters))
-    return tuple(one.name for one in best)
+    found = _judge_laws(solved, record, loop, among, tried, given, tolerance, progress)
+    of: Literal["spring", "friction"] = "spring" if among == "springs" else "friction"
+    return LawComparison(of, record.name, rank(found), getattr(joint, kind).name, joint.transmission)
 
 
 def _judge_laws(
@@ -422,13 +356,12 @@ def _judge_laws(
     given: Mapping[str, Parameter],
     tolerance: float,
     progress: Progress,
-) -> tuple[list[tuple[JudgedLaw, FloatArray | None]], dict[str, Solved]]:
-    """Judge laws, and a rigid joint for None, each searched from the solution with the simple law; and their ends."""
+) -> list[tuple[JudgedLaw, FloatArray | None]]:
+    """Judge laws, and a rigid joint for None, each searched from the solution with the simple law."""
     joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
     plain, history = _with_law(loop, kind, simple), History(lambda message: progress(Detail(message)))
     parts = parts_of(solved.problem, among)
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
-    ends: dict[str, Solved] = {}
     line: tuple[JudgedLaw, FloatArray] | None = None
     for law in follow(laws, progress, f"comparing {among}", len(laws), among):  # the bar says how far it is
         name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
@@ -451,14 +384,13 @@ def _judge_laws(
                 words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
                 fitted = replace(fitted, words=words)
             found.append((fitted, squares))
-            ends[name] = end
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law == simple:
                 first = "a linear spring" if kind == "spring" else "symmetric friction"
                 raise MethodError(f"The joint cannot be judged with {first}: {why}") from error
             found.append((JudgedLaw(name, len(of_law), {}, {}, None, None, refusal=why), None))
-    return found, ends
+    return found
 
 
 _SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "frictions": SymmetricFriction()}

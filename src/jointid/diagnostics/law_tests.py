@@ -24,7 +24,6 @@ from jointid.diagnostics.faults.other_laws import (
     TIMES_FASTER,
     Refit,
     faster_laws,
-    late_interpolations,
     other_interpolations,
     prepare_anew,
     refit,
@@ -130,13 +129,11 @@ def choose_law(explaining: Sequence[OtherLawTest]) -> OtherLawTest | None:
 def test_other_laws(
     state: SearchState, found: TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
 ) -> list[OtherLawTest]:
-    """Return the tests of the other laws of the controller, as far as the settings name them."""
+    """Return the tests of the other laws of the controller."""
     tests = test_interpolations(state, found, settings, known, record)
-    wrong = settings.faults is not None or any(one.p_value <= settings.level for one in found.tests)
+    wrong = any(one.p_value <= settings.level for one in found.tests)
     laws = (PRESENT_SAMPLE, *((MEASURED_VELOCITY, FILTERED) if wrong else ()))
-    names = {one.name for one in laws}
-    asked = names & set(settings.faults or names)
-    for refitted in refit_other_laws(state.problem, state.x, asked - {*state.named}):
+    for refitted in refit_other_laws(state.problem, state.x, {one.name for one in laws} - {*state.named}):
         tests += _judge_law(state, found, refitted)
     return tests
 
@@ -159,7 +156,7 @@ def test_interpolations(
     problem = state.problem
     tests: list[OtherLawTest] = []
     for law in other_interpolations(problem, record):
-        if law.fault.name in state.named or not (settings.faults is None or law.fault.name in settings.faults):
+        if law.fault.name in state.named:
             continue
         try:
             other = prepare_anew(problem, law, record)
@@ -175,13 +172,13 @@ def test_interpolations(
 def _test_late_references(
     state: SearchState, found: TestResults, settings: LoopTests, record: Record
 ) -> list[OtherLawTest]:
-    """Return the tests of a reference that is interpolated late, delayed or averaged.
+    """Return the tests of a reference that is delayed or averaged.
 
     One simulation of a short mean decides whether there is evidence: all of these are late, or early.
     """
     problem, screened = state.problem, screen_mean(state.problem)
     names = {LATE.name, AVERAGED.name, *(one.name for one in INTERPOLATIONS.values())}
-    if screened is None or names & {*state.named} or not (settings.faults is None or names & {*settings.faults}):
+    if screened is None or names & {*state.named}:
         return []
     try:
         moved = found.residual - prepare_anew(problem, screened, record).residual(state.x)
@@ -191,13 +188,9 @@ def _test_late_references(
     if not step.p_value <= settings.level:
         return []
     refits: list[Refit] = []
-    for law in late_interpolations(problem.loop.controller, record, problem.experiment.law.period):
-        with contextlib.suppress(JointidError, np.linalg.LinAlgError):
-            refits.append(refit(problem, state.x, law, prepare_anew(problem, law, record), state.x))
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):
         refits += refit_late_references(problem, state.x, record)
-    wanted = names if settings.faults is None else {*settings.faults}
-    return [test for one in refits if one.law.fault.name in wanted for test in _judge_law(state, found, one)]
+    return [test for one in refits for test in _judge_law(state, found, one)]
 
 
 def test_faster_laws(
@@ -207,8 +200,8 @@ def test_faster_laws(
 
     One simulation at half of the log's period decides that: a faster drive changes at most twice as much.
     """
-    problem, asked = state.problem, settings.faults is None or PERIOD.name in settings.faults
-    if record is None or not (asked and runs_at_the_logs_rate(problem)):
+    problem = state.problem
+    if record is None or not runs_at_the_logs_rate(problem):
         return []
     try:
         steps = [
@@ -306,7 +299,7 @@ class Proof:
 
     def excludes_law(self, law: OtherLaw) -> bool:
         """Whether the drive does not run another law."""
-        return excludes(self.record, self.loop, law.controller, reference=law.reference)
+        return excludes(self.record, self.loop, law.controller)
 
 
 def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:

@@ -29,8 +29,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
-from jointid.records.record import Channel, Record
-from jointid.records.resampling import WELL_SEEN
+from jointid.records.record import Record
 from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
@@ -41,6 +40,7 @@ MEMORY = 0.3
 """Seconds that a loop remembers."""
 SHORTEST = 2.0
 """Seconds of a record: a shorter one, less its borders, has fewer than two samples for each number of the responses."""
+_WELL_SEEN = 0.1  # of a log's rate, below which a position between two samples is known
 _STANDS = 1e-9  # of the greatest velocity
 _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered signal are nearly the same
 _LATEST = 8.0  # samples: the largest delay, either way, of the torque
@@ -238,7 +238,6 @@ def excludes(
     controller: Controller,
     late: float = 0.0,
     gain: float = 0.0,
-    reference: Channel | None = None,
 ) -> bool:
     """Whether a record with a motor position has less than a quarter of a change of law or log.
 
@@ -252,10 +251,8 @@ def excludes(
         controller: the other law.
         late: delay of the log, s.
         gain: of the log, less 1.
-        reference: that the other law follows; that of the record where None.
     """
-    driven = record if reference is None else record.with_channels({"reference": reference})
-    own, other = _follow(record, loop), _follow(driven, replace(loop, controller=controller))
+    own, other = _follow(record, loop), _follow(record, replace(loop, controller=controller))
     if own is None or other is None or record.torque is None:
         return False
     at = np.arange(min(len(own[1]), len(other[1])))
@@ -316,7 +313,7 @@ def fit_law_changes(record: Record, loop: ClosedLoop, others: Sequence[Controlle
     each, torque = [one for one in followed if one is not None], record.torque
     if torque is None or len(each) < len(followed):
         return ()
-    see = partial(lowpass, cutoff=WELL_SEEN / torque.sample_time, sample_time=torque.sample_time)
+    see = partial(lowpass, cutoff=_WELL_SEEN / torque.sample_time, sample_time=torque.sample_time)
     count, last = min(len(made) for _, made, _ in each), math.ceil(_LONGEST / torque.sample_time)
     if count < 2 * (last + _BORDER):
         return ()

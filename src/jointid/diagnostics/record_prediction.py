@@ -6,7 +6,7 @@ state at its first sample, and a load encoder's zero. Beside it the same model w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,38 +15,21 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
-from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, idim_channels, motion_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, motion_of
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import differentiate
-from jointid.simulation.closed_loop import Initial
+from jointid.simulation.closed_loop import require_success
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import PARTS, DriveSide
-from jointid.simulation.simulated import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 
 _SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
-
-
-class Refit(NamedTuple):
-    """The same model with free parameters, fitted to a record.
-
-    Attributes:
-        error: (n, rows) that is left.
-        columns: (n rows, parameters) derivatives of the error.
-        moved: (parameters,) the estimate's values less the fitted ones, in the variables of the derivatives.
-        names: of the parameters; empty for what belongs to the record.
-    """
-
-    error: FloatArray
-    columns: FloatArray
-    moved: FloatArray
-    names: tuple[str, ...]
 
 
 class Predicted(NamedTuple):
@@ -56,12 +39,11 @@ class Predicted(NamedTuple):
 
     Attributes:
         motion: positions, velocities and accelerations of the motors, (samples, n).
-        with_free: fits the model with free parameters; None if that fails.
+        with_free: returns the error, (n, rows), that the model with free parameters leaves; None if that fails.
         compared: (samples, n) 0 where a motor's rest or reversal is left out; all ones when None.
         nominal_errors: makes the errors, (n,), of the nominal robot; None of a joint.
     """
 
-    channels: tuple[str, ...]
     sample_time: float
     borders: tuple[int, int]
     measured: FloatArray
@@ -69,12 +51,10 @@ class Predicted(NamedTuple):
     error: FloatArray
     whole: FloatArray
     motion: Sequence[FloatArray]
-    with_free: Callable[[], Refit | None]
+    with_free: Callable[[], FloatArray | None]
     compared: FloatArray | None = None
     equations: int = 1
     nominal_errors: Callable[[], FloatArray] | None = None
-    initial: Initial | None = None
-    simulations: int = 0
     warnings: tuple[str, ...] = ()
 
 
@@ -102,27 +82,21 @@ def predict_joint(estimate: Estimate, record: Record) -> Predicted:
     values[zero] += step
     motor = model.motor
     return Predicted(
-        idim_channels(joint.model), record.torque.sample_time, filtering.borders, model.torque[0][:, np.newaxis],
+        record.torque.sample_time, filtering.borders, model.torque[0][:, np.newaxis],
         (model.columns[0] @ values)[:, np.newaxis], (error - columns[:, zero] @ step)[np.newaxis], whole[np.newaxis],
         [one[:, np.newaxis] for one in (motor.position, motor.velocity, motor.acceleration)],
-        lambda: _fit_columns(columns, whole[np.newaxis], values, _of_joint(names, joint)), equations=len(model.torque),
+        lambda: _fit_columns(columns, whole[np.newaxis]), equations=len(model.torque),
     )  # fmt: skip
 
 
-def _of_joint(names: Iterable[str], joint: Joint) -> tuple[str, ...]:
-    """Return names, an empty one for what belongs to the record."""
-    own = {p.name for p in joint.parameters}
-    return tuple(name if name in own else "" for name in names)
-
-
-def _fit_columns(columns: FloatArray, whole: FloatArray, values: FloatArray, names: tuple[str, ...]) -> Refit:
-    """Return the weighted fit of columns to (n, rows) beside `values`; weights come from a first fit."""
-    left, fitted = whole, values
+def _fit_columns(columns: FloatArray, whole: FloatArray) -> FloatArray:
+    """Return what a weighted fit of columns leaves of (n, rows); weights come from a first fit."""
+    left = whole
     for _ in range(min(len(whole), 2)):
         weights = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])
         fitted = np.linalg.lstsq(columns * weights[:, np.newaxis], whole.ravel() * weights, rcond=None)[0]
         left = whole - (columns @ fitted).reshape(whole.shape)
-    return Refit(left, columns, fitted - values, names)
+    return left
 
 
 def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> Predicted:
@@ -133,16 +107,15 @@ def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> Pred
     around = with_torque(INITIAL_STATE, experiment, measured)
     free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, estimate.settings.filtering, loop, experiment)
     problem = free.keeping({p.name: estimate.values[p.name] for p in loop.joint.parameters})
-    x, runs = fit_initial_state(problem)
+    x, _ = fit_initial_state(problem)
     run = require_success(problem.simulate(x))
     other_law = (
         "the controller is not the one the joint was identified under; that is right only if its gains were changed"
     )
     return _predict_by(
         problem, free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]}), x, run.torque,
-        [run.motor_position, run.motor_velocity, run.motor.acceleration], loop.joint, loop.channels,
+        [run.motor_position, run.motor_velocity, run.motor.acceleration],
     )._replace(
-        initial=initial_of(problem.values(x)), simulations=runs + 1,
         warnings=() if estimate.controller_sha256 in ("", law_fingerprint(loop)) else (other_law,),
     )  # fmt: skip
 
@@ -161,9 +134,8 @@ def _simulate_along_motion(estimate: Estimate, record: Record) -> Predicted:
     position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
     size = problem.measured.size
     motion = [one[:size] for one in (position, velocity, differentiate(velocity, problem.sample_time))]
-    return _predict_by(problem, free, x, predicted, motion, joint, DriveSide(joint).channels)._replace(
+    return _predict_by(problem, free, x, predicted, motion)._replace(
         compared=problem.weights[:, np.newaxis],
-        simulations=1 + (0 if found is None else found.evaluations),
     )
 
 
@@ -173,23 +145,17 @@ def _predict_by(
     x: FloatArray,
     predicted: FloatArray,
     motion: Sequence[FloatArray],
-    joint: Joint,
-    channels: tuple[str, ...],
 ) -> Predicted:
     """Return the prediction of a problem whose joint is known, beside the same problem with a `free` one."""
     measured = problem.measured
     error, whole = problem.filter(np.column_stack([measured - predicted, measured])).T
 
-    def fit_anew() -> Refit | None:
-        begin = free.vector(problem.values(x))
-        found = _search(free, begin)
-        if found is None:
-            return None
-        names = _of_joint((p.name for p in free.free), joint)
-        return Refit(found.residual[np.newaxis], found.jacobian, begin - found.x, names)
+    def fit_anew() -> FloatArray | None:
+        found = _search(free, free.vector(problem.values(x)))
+        return None if found is None else found.residual[np.newaxis]
 
     return Predicted(
-        channels, problem.sample_time, problem.filtering.borders, measured[:, np.newaxis], predicted[:, np.newaxis],
+        problem.sample_time, problem.filtering.borders, measured[:, np.newaxis], predicted[:, np.newaxis],
         error[np.newaxis], whole[np.newaxis], [one[:, np.newaxis] for one in motion], fit_anew,
     )  # fmt: skip
 
@@ -223,10 +189,10 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
         rows = base_rows(robot, part.base, motion, columns)
 
         return Predicted(
-            ("torque", "motor_position"), motion.sample_time, motion.filtering.borders, motion.torque,
+            motion.sample_time, motion.filtering.borders, motion.torque,
             columns @ part.values, rows.by_equation(rows.Y - rows.W @ part.values), rows.by_equation(rows.Y),
             [one @ coupling for one in (motion.q, motion.v, motion.a)],
-            lambda: _fit_columns(rows.W, rows.by_equation(rows.Y), part.values, rows.names), motion.moving,
+            lambda: _fit_columns(rows.W, rows.by_equation(rows.Y)), motion.moving,
             nominal_errors=lambda: relative_errors(rows, part.nominal),
         )  # fmt: skip
     assert isinstance(part, SimulatedRobot)
@@ -237,30 +203,27 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
         what = "references" if part.has_controllers else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     if part.has_controllers:
-        moved, channels = motion_at(run, problem.experiment.clock.log_index), ("torque", "reference")
+        moved = motion_at(run, problem.experiment.clock.log_index)
         path = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
     else:
-        channels = "torque", "motor_position"
         path = [one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a)]
     error = problem.error(run)
 
-    def fit_anew() -> Refit | None:
+    def fit_anew() -> FloatArray | None:
         parameters = problem.parameters
         base = replace(parameters.base, log=numbers.log)
         free, left = replace(problem, parameters=replace(parameters, base=base)), error
-        x = begin = parameters.to_search_variables(parameters.group(run.numbers))
+        x = parameters.to_search_variables(parameters.group(run.numbers))
         for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
             free = free.reweight(left, 0)
             found = _search(free, x)
             if found is None:
                 return None
-            weights = free.weights(error.size)
-            x, left, slopes = found.x, found.residual / weights, found.jacobian / weights[:, np.newaxis]
-        names = (name if own else "" for name, own in zip(parameters.names, parameters.of_robot, strict=True))
-        return Refit(np.asarray(problem.by_joint(left)), slopes, begin - x, tuple(names))
+            x, left = found.x, found.residual / free.weights(error.size)
+        return np.asarray(problem.by_joint(left))
 
     return Predicted(
-        channels, problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
+        problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
         problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
         None if part.has_controllers else problem.motion.moving,
         nominal_errors=lambda: errors_of(problem, nominal_numbers(robot, numbers)),

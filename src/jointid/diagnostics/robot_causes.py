@@ -4,8 +4,6 @@ Each is a change of the log or of the model, with which the inverse model is sol
 numbers are searched on a grid, then by descent (variable projection). The rows of each joint are divided by the size of
 its error as declared, so the sum of squares is the number of joints before a cause is corrected. The cause that lowers
 it most is named.
-
-Springs that are not declared are found in a robot that DIDIM simulates, by simulations with a spring.
 """
 
 from __future__ import annotations
@@ -15,26 +13,17 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import join, number
-from jointid.estimation.robots.descents import Descents
-from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.fit import NEAR
-from jointid.estimation.robots.flexible import SLOW
-from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.starts.robot_springs import StartOfSprings, bound_springs, frequency_row
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import friction_columns
-from jointid.models.robots.robot import JointSpring, Robot
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
-from jointid.simulation.robots import RobotLoop
 
 _INSTANTS = 200
 _RANK = 1e-12  # of the normal matrix, whose columns have length 1
@@ -53,11 +42,8 @@ _UNITS = (math.log(180 / math.pi), -math.log(180 / math.pi), math.log(1e3), -mat
 _COUPLED = (-1.0, -0.5, 0.5, 1.0)
 _GRAVITY = 9.81  # m/s2
 _OPPOSITE = 0.999  # of the cosine: of gravity that is said to be upside down
+_SIGN = "the torque of {} has the wrong sign: set torque.sign = -1 in joints.channels, or in record.channels"
 _LONGEST = 1.0  # m: a longer correction of a length is none
-_BY_SPRING = 0.93  # of what is left: a spring that is there leaves less, with all other numbers as they are
-_HIGHER = (1.0, 1.5)  # times the frequencies of single springs, where several begin
-_EVALUATIONS, _LITTLE, _MOST_BY_SPRINGS = 12, 0.05, 0.6  # of a rough descent; of each torque; of what is left
-_RIGID_BELOW = 0.2  # of the lowest mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,15 +100,12 @@ class _Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cause:
-    """A cause with its numbers: the starts of the search, and the case in which it is corrected.
-
-    Without a name it is left to the tests of single axes.
-    """
+    """A cause with its numbers: the starts of the search, and the case in which it is corrected."""
 
     name: str
     joints: tuple[int, ...]
     correct: Callable[[FloatArray], _Case]
-    words: Callable[[FloatArray], str] = lambda x: ""
+    words: Callable[[FloatArray], str]
     starts: tuple[tuple[float, ...], ...] = ((),)
     value: Callable[[FloatArray], float | None] = lambda x: float(x[0]) if x.size else None
 
@@ -161,68 +144,10 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     found += [(*solve.descend(cause.correct, start), cause) for _, start, cause in free]
     found = [one for one in found if one[2].name != "geometry" or np.max(np.abs(one[1])) < _LONGEST]
     least, x, cause = min(found, key=lambda one: one[0] * _SIMPLER ** one[2].count(one[1]))
-    if n - least < _LEAST or not cause.name:
+    if n - least < _LEAST:
         return None
     joints = tuple(robot.names[k] for k in cause.joints)
     return RobotCause(cause.name, joints, cause.words(x), cause.value(x), n - least)
-
-
-def find_springs(loop: RobotLoop, records: Sequence[Record], filtering: Filtering) -> RobotCause | None:
-    """Return the joints whose springs explain the residual of DIDIM, or None.
-
-    The rigid robot is identified below its modes, and then has a spring in one joint, at a row of frequencies. Only
-    springs lower what is left while all other numbers stay: wrong gains, which a low cut-off hides as well, do not.
-    Joints that pass are added one by one, and all numbers fitted roughly, until little is left.
-
-    Args:
-        loop: as declared, of rigid joints.
-        records: of each joint, with torque and reference.
-        filtering: of the torques, resolved.
-
-    Raises:
-        RecordError, MethodError: as of DIDIM.
-    """
-    names = loop.robot.names
-    rigid = identify_rigid_robot(loop, records, SLOW, settled=NEAR)
-
-    def pose(flexible: Sequence[int]) -> tuple[RobotProblem[Any], StartOfSprings]:
-        springs = [JointSpring(1.0) if k in flexible else None for k in range(len(names))]
-        joints = tuple(replace(one, spring=own) for one, own in zip(loop.robot.joints, springs, strict=True))
-        own = replace(loop, robot=replace(loop.robot, joints=joints).linear)
-        problem = robot_problem(own, records, robot_parameters(own.robot, logarithmic=True), filtering)
-        problem = problem.reweight(problem.error(problem.simulate(rigid.run.numbers)), rigid.values.size)
-        start = StartOfSprings.of(problem.roughly(), rigid, names)
-        return bound_springs(problem, start).roughly(), start
-
-    def left(problem: RobotProblem[Any], values: FloatArray) -> float:
-        return float(np.linalg.norm(problem.residual(problem.parameters.to_search_variables(values))))
-
-    tried = []
-    for k in range(len(names)):
-        problem, start = pose([k])
-        row, stiff = frequency_row(problem.sample_time), left(problem, start.all_at(start.stiff))
-        costs = [left(problem, start.all_at(hertz)) for hertz in row]
-        before, best = math.sqrt(problem.filtered_torque.size), int(np.argmin(costs))
-        tried.append((costs[best] / min(before, stiff), row[best], k))
-    seen = sorted(one for one in tried if one[0] < _BY_SPRING)
-    ends = list[tuple[float, list[int]]]()
-    for count in range(1, len(seen) + 1):
-        flexible = [k for *_, k in seen[:count]]
-        problem, start = pose(flexible)
-        ways = [start.values({names[k]: by * hertz for _, hertz, k in tried}) for by in _HIGHER]
-        begin = min(ways, key=partial(left, problem))
-        end = Descents(_EVALUATIONS, lambda _: None).from_start(problem, start, begin)
-        ends.append((end.norm / math.sqrt(problem.filtered_torque.size), flexible))
-        if np.all(problem.norms(problem.error(problem.run(end.solution.x))) < _LITTLE * problem.sizes):
-            break
-    least, flexible = min(ends, default=(1.0, []))
-    if not least < _MOST_BY_SPRINGS:
-        return None
-    found, hertz = [names[k] for k in sorted(flexible)], _RIGID_BELOW * min(f for _, f, k in tried if k in flexible)
-    what, it = ("springs in {} make", "them") if found[1:] else ("a spring in {} makes", "it")
-    words = f"the torques have what {what.format(join(found))}: declare {it}, or identify below {number(hertz, 2)} Hz "
-    words += "(filtering.cutoff)"
-    return RobotCause("springs", tuple(found), words, None, len(names) * (1.0 - least**2))
 
 
 def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause | None:
@@ -239,6 +164,14 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause
         f"the motor position of {join(names)} is its reference: log what the encoder measures, not what was asked for"
     )
     return RobotCause("reference_is_position", tuple(names), words, None, math.inf)
+
+
+def find_wrong_sign(names: Sequence[str], driving: Sequence[int]) -> RobotCause | None:
+    """Return the first of the joints that their friction drives, whose torque has the wrong sign; None without any."""
+    if not driving:
+        return None
+    name = names[driving[0]]
+    return RobotCause("torque_sign", (name,), _SIGN.format(name), None, math.inf)
 
 
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:
@@ -307,7 +240,10 @@ def _causes(declared: _Case) -> Iterator[_Cause]:
     for i, j in itertools.combinations(range(n), 2):
         other = tuple(j if k == i else i if k == j else k for k in own)
         both = f"{names[i]} and {names[j]} are exchanged"
-        yield _Cause("", (i, j), partial(_arrange, declared, own, other))
+        yield _Cause(
+            "swapped_channels", (i, j), partial(_arrange, declared, own, other),
+            partial(_say, f"the torques of {both}: exchange the columns"),
+        )  # fmt: skip
         yield _Cause(
             "order", (i, j), partial(_arrange, declared, other, other),
             partial(_say, f"the logs of {both}: give each joint the columns of the other"),
@@ -346,8 +282,12 @@ def _orders(names: Sequence[str]) -> Iterator[tuple[int, ...]]:
 
 def _causes_of_joint(declared: _Case, k: int) -> Iterator[_Cause]:
     robot, name = declared.robot, declared.robot.names[k]
-    yield _Cause("", (k,), lambda x: declared.scale(k, 1.0, -1.0))
-    yield _Cause("", (k,), lambda x: declared.scale(k, 1.0, math.exp(x[0])), starts=tuple((g,) for g in _GEARS))
+    yield _Cause("torque_sign", (k,), lambda x: declared.scale(k, 1.0, -1.0), partial(_say, _SIGN.format(name)))
+    yield _Cause(
+        "log_gain", (k,), lambda x: declared.scale(k, 1.0, math.exp(x[0])),
+        lambda x: f"the logged torque of {name} is {number(math.exp(-x[0]), 3)} times what moves it: check its unit",
+        tuple((one,) for one in _GEARS), lambda x: math.exp(-x[0]),
+    )  # fmt: skip
     yield _Cause(
         "position_sign", (k,), lambda x: declared.scale(k, -1.0, 1.0),
         lambda x: f"the position of {name} has the wrong sign: set motor_position.sign = -1 in its joints.channels",

@@ -9,14 +9,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.diagnostics.fault_tests import (
-    score_signatures,
-)
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import ParameterShift
-from jointid.diagnostics.faults.other_laws import (
-    OTHER_LAWS,
-)
+from jointid.diagnostics.faults.other_laws import OTHER_LAWS
+from jointid.diagnostics.score import score
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.uncertainty.covariance import robust
@@ -35,12 +31,10 @@ class LoopTests:
     Attributes:
         level: largest share of records without a fault in which one is found.
         most: faults named at most, one after another.
-        faults: names of those to test; all that the record allows when None.
     """
 
     level: float = 0.05
     most: int = 3
-    faults: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if not (0 < self.level < 1 and self.most >= 1):
@@ -69,8 +63,8 @@ class SearchState:
 class TestResults:
     """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
 
-    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand. `excluded` are the
-    significant tests of faults that the motor position excludes.
+    `where` and `by_forces` are arguments of `score`, simulated once and on demand. `excluded` are the significant tests
+    of faults that the motor position excludes.
     """
 
     residual: FloatArray
@@ -82,11 +76,10 @@ class TestResults:
     excluded: tuple[FaultTest, ...] = ()
 
 
-def test_signature(state: SearchState, found: TestResults, *of_law: FaultSignature) -> FaultTest:
-    """Return the test of another law, in one shape or several, beside the faults."""
-    own, signatures = stack_columns(state, found.own), [*found.signatures, *of_law]
-    declared = {of_law[0].fault: 0.0}
-    test = score_signatures(found.residual, own, signatures, declared, found.where, found.by_forces)[0]
+def test_signature(state: SearchState, found: TestResults, of_law: FaultSignature) -> FaultTest:
+    """Return the test of another law beside the faults."""
+    own, signatures = stack_columns(state, found.own), [*found.signatures, of_law]
+    test = score(found.residual, own, signatures, {of_law.fault: 0.0}, found.where, found.by_forces)[0]
     return replace(test, p_value=min((len(found.tests) + len(OTHER_LAWS)) * test.p_value, 1.0))
 
 

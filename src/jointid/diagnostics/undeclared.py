@@ -17,9 +17,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.fault_tests import score_signatures
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.numbers import DELAY, TORQUE_FILTER, VELOCITY_FILTER
+from jointid.diagnostics.score import score
 from jointid.estimation.result.assemble import FitResult, Widening
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.simulated import SimulatedRobot
@@ -166,7 +166,7 @@ def _largest_size(torques: AxisTorques, axis: int, fault: Fault, column: FloatAr
     """Return the largest size of an element, s, within two deviations of what its axis' residual shows."""
     own = torques.own[axis]
     signature = FaultSignature(replace(fault, one_sided=True), column[axis])
-    (test,) = score_signatures(
+    (test,) = score(
         torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
         lambda: cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
     )  # fmt: skip

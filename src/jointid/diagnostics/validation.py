@@ -25,15 +25,13 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.model_free import compare_law, compare_robot_laws
-from jointid.diagnostics.record_prediction import Predicted, Refit, predict_joint, predict_robot
+from jointid.diagnostics.record_prediction import predict_joint, predict_robot
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.unknown_timing import read_as
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
-from jointid.simulation.closed_loop import Initial
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.verdict import POOR_FIT, scale_verdict
 
@@ -53,22 +51,6 @@ class Prediction(StrEnum):
     NOT_COMPARED = "not_compared"
     OWN_RECORD = "own_record"
     PREDICTED = "predicted"
-
-
-class Cause(StrEnum):
-    """Differences that let an estimate not predict a record, as codes."""
-
-    CONTROLLER = "controller"
-    LOAD = "load"
-    FRICTION = "friction"
-    SPRING = "spring"
-
-
-_NAMES: Mapping[Cause, tuple[str, ...]] = {
-    Cause.SPRING: ("stiffness", "damping", "gap", "torque_", "hysteresis", "swinging"),
-    Cause.FRICTION: ("viscous", "coulomb", "offset", "stribeck", "presliding", "friction", "drift"),
-}
-"""Parts of parameters' names; all others but those of a motor are of the load."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,15 +122,11 @@ class Validation(Documented):
         test: "direct" on the record it was identified from, "cross" on another.
         method: name of the estimate's; "idim" evaluates the inverse model on the measured position, others simulate.
         record, identified_from: names of the records.
-        channels: of the record that were used.
         sample_time: of the signals, seconds.
         borders: samples left out at each end of the relative error.
         axes: (n,) of each joint of a robot in order, or of the one joint.
-        initial: estimated motor state of a joint, for a simulation.
-        simulations: of a joint that were run for the prediction.
         warnings: limits of the result, one sentence each.
         resampled: resampling of the record to a uniform clock; None where it was logged so.
-        causes: what alone explains that the record is not predicted, the likeliest; none where nothing does.
     """
 
     in_json = "answer sentence relative_error filtered_error attainable_error nominal_error better"
@@ -156,15 +134,11 @@ class Validation(Documented):
     method: str
     record: str
     identified_from: str
-    channels: tuple[str, ...]
     sample_time: float
     borders: tuple[int, int]
     axes: tuple[ValidatedAxis, ...]
-    initial: Initial | None = None
-    simulations: int = 0
     warnings: tuple[str, ...] = ()
     resampled: Resampled | None = None
-    causes: tuple[Cause, ...] = ()
 
     @property
     def relative_error(self) -> float:
@@ -211,28 +185,17 @@ class Validation(Documented):
             words = f"The {who} was identified from {self.record} and {share}; validate it on another record"
         elif code is Prediction.NOT_AS_DECLARED:
             wrong = "controller, channels or scales are" if self.method == "didim" else "channels or scales are"
-            wrong = self._reason if self.causes else f"{wrong} not as declared there"
-            words = f"The {who} does not predict {self.record}: it {share}{allowed}; {wrong}"
+            words = f"The {who} does not predict {self.record}: it {share}{allowed}; {wrong} not as declared there"
             words += f": {again} see what is said of the fit"
         elif code is Prediction.NOT_COMPARED:
             words = f"The {who} {share} on {self.record}; how little a {who} can leave there could not be found"
         elif code is Prediction.PREDICTED:
             words = f"The {who} predicts {self.record}: it {share}{allowed}"
         else:
-            words = f"The {who} does not predict {self.record} within its noise: it {share}{allowed}; {self._reason}: "
-            words += f"{again} compare both estimates"
+            other = "load, friction or controller" if self.method == "didim" else "load or friction"
+            words = f"The {who} does not predict {self.record} within its noise: it {share}{allowed}; its {other} "
+            words += f"differs there: {again} compare both estimates"
         return Message(code, words, {"filtered_error": left, "attainable_error": least})
-
-    @property
-    def _reason(self) -> str:
-        """Why the record is not predicted, in words."""
-        if Cause.CONTROLLER in self.causes:
-            return "its controller is another there: as declared, it does not make this torque of the motor position"
-        if self.causes:
-            return f"its {' or its '.join(self.causes)} is another there"
-        beside = "" if self.axes[0].name else ", or an axis that moves it moves otherwise"
-        could = "load, friction or controller" if self.method == "didim" else "load or friction"
-        return f"its {could} differs there{beside}"
 
     @property
     def sentence(self) -> str:
@@ -245,20 +208,11 @@ class Validation(Documented):
         mine, nominal = self.filtered_error, self.nominal_error
         if nominal is None:
             return None
-        left, other = _format_share(mine), _format_share(nominal)
-        if not math.isfinite(nominal):
-            said = (
-                f"The estimate leaves {left} of this record; the nominal model cannot be compared, since it is "
-                "unstable under these controllers: give each joint's rotor_inertia, behind its gear."
-            )
-        elif abs(mine - nominal) < _ALIKE * nominal:
-            said = f"The estimate predicts this record as well as the nominal model: {left} and {other}."
-        elif mine < nominal:
-            said = f"The estimate predicts this record better than the nominal model: {left} against {other}."
+        said, useful = f"The estimate leaves {_format_share(mine)} of this record", mine < (1.0 + _ALIKE) * nominal
+        if math.isfinite(nominal):
+            said += f", the nominal model {_format_share(nominal)}{'.' if useful else ': do not use it in its place.'}"
         else:
-            said = f"The estimate predicts this record worse than the nominal model, {left} against {other}"
-            said += ": do not use it in its place."
-        useful = mine < (1.0 + _ALIKE) * nominal
+            said += "; the nominal model is unstable under these controllers: give each joint's rotor_inertia."
         return Paragraph(said, tone="good" if useful else "bad")
 
     def plot(self) -> Figure:
@@ -379,8 +333,7 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         axes = [("", record.torque.unit, length, joint.transmission)]
     torques = [one.torque.values for one in records if one.torque is not None]
     own = fingerprint(np.concatenate(torques)) in prints
-    refit = None if own else found.with_free()
-    anew, nominal = None if refit is None else refit.error, None
+    anew, nominal = None if own else found.with_free(), None
     if not own and found.nominal_errors is not None:
         nominal = found.nominal_errors() if estimate.require_robot().model.has_masses else None
     size = np.linalg.norm(found.whole, axis=1)
@@ -403,16 +356,13 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
             )
         )  # fmt: skip
     first = records[0]
-    causes = () if refit is None else _find_causes(estimate, records, found, refit, made)
     warnings = found.warnings
     if not estimate.fit.converged:
         warnings += ("the search for the estimate did not settle: do not rely on it",)
     warnings += (scale_verdict(()).said,) if any(one.computed for one in records) else ()
     return Validation(
         "direct" if own else "cross", settings.method, first.name, source,
-        (*found.channels, *(("injected",) if first.injected is not None else ())), found.sample_time,
-        found.borders, tuple(made), found.initial,
-        found.simulations, warnings, first.resampled, causes,
+        found.sample_time, found.borders, tuple(made), warnings, first.resampled,
     )  # fmt: skip
 
 
@@ -423,56 +373,6 @@ def _with_torques(records: Sequence[Record], loops: Sequence[ClosedLoop | None])
         else compute_controller_torque(one, loop)
         for one, loop in zip(records, loops, strict=True)
     ]  # fmt: skip
-
-
-def _find_causes(
-    estimate: Estimate,
-    records: Sequence[Record],
-    found: Predicted,
-    refit: Refit,
-    axes: Sequence[ValidatedAxis],
-) -> tuple[Cause, ...]:
-    """Return the causes that each explain the unpredicted axes.
-
-    Each part of the parameters in turn is free beside the estimate's others. The derivatives are those at the fit to
-    the record, so that a part which alone is another one may differ as far as it does.
-    """
-    missed = [axis.prediction in (Prediction.NOT_AS_DECLARED, Prediction.ANOTHER_JOINT) for axis in axes]
-    if not any(missed):
-        return ()
-    robot, loop = estimate.robot, estimate.settings.loop
-    if robot is not None:
-        laws = compare_robot_laws(robot.model, records, getattr(getattr(robot, "setup", None), "controllers", ()))
-    else:
-        laws = [None if loop is None else compare_law(records[0], loop)]
-    if any(bad and law is not None and not law.holds for bad, law in zip(missed, laws, strict=True)):
-        return (Cause.CONTROLLER,)
-    if any(axis.prediction is Prediction.NOT_AS_DECLARED for axis in axes):
-        return ()
-    size, level = (np.linalg.norm(one, axis=1) for one in (found.whole, refit.error))
-    weights = np.repeat(1.0 / np.maximum(level, np.finfo(float).tiny), refit.error.shape[1])
-    parts = np.array([_find_part(name) for name in refit.names])
-    causes = list[Cause]()
-    for cause in (Cause.LOAD, Cause.FRICTION, Cause.SPRING):
-        free = np.isin(parts, (cause, ""))
-        kept = (refit.error.ravel() + refit.columns[:, ~free] @ refit.moved[~free]) * weights
-        columns = refit.columns[:, free] * weights[:, np.newaxis]
-        left = (kept - columns @ np.linalg.lstsq(columns, kept, rcond=None)[0]) / weights
-        shares = np.linalg.norm(left.reshape(refit.error.shape), axis=1) / size
-        if cause in parts and all(map(_adds_little, shares, level / size)):
-            causes.append(cause)
-    return tuple(causes)
-
-
-def _find_part(name: str) -> str:
-    """Return the cause that a parameter belongs to; an empty text for one of the record, "motor" for one of it."""
-    last = name.rpartition(".")[2]
-    if not last:
-        return ""
-    for cause, words in _NAMES.items():
-        if any(word in last for word in words):
-            return cause
-    return "motor" if last in ("motor_inertia", "rotor_inertia") else Cause.LOAD
 
 
 def _autocorrelate(error: FloatArray) -> FloatArray:

@@ -62,8 +62,9 @@ from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimated_at, drop_ends
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
 
 _COMPARED = 16  # windows at least in which the nominal robot is compared, where there are as many
@@ -387,7 +388,7 @@ class SimulatedRobotWindow:
             problem_of(setup, records, parameters, self.filtering), parameters=parameters
         )
         run = problem.run(x)
-        if run.outcome is not RobotOutcome.FINISHED:
+        if run.outcome is not Outcome.FINISHED:
             raise NotSimulatedError.of(records[0], f"{run.outcome.value}")
         error = problem.by_joint(problem.error(run))
         samples, keep = len(problem.measured), self.filtering.decimation

@@ -4,19 +4,19 @@ Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being piecewise linear in v
 being linear in its parameters lets a regression estimate them (`columns`). At standstill the Coulomb force is a set:
 any force within its bounds keeps the mass at rest.
 
-A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. One in
-pieces has other lines at low speed (`bands`), of parameters that no regression takes. One that is no line at any speed
-says so (`stepped`) and what it has beside its lines (`smooth`): it is simulated in steps. To add one, write its class
+A law states which parameters its coefficients are (`coefficients`), and the `terms` that it has beside its lines, whose
+parameters no regression takes; everything else follows from these. One in pieces has other lines at low speed
+(`bands`). One whose terms are numbers of a smooth law is simulated in steps (`stepped`). To add one, write its class
 below, and its name in `FRICTIONS`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -24,7 +24,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.models.smooth import SmoothFriction
 
 Directions: TypeAlias = tuple[float, float, float, float]
 """Viscous coefficient forwards and backwards, Coulomb force forwards and backwards (both positive)."""
@@ -103,6 +102,87 @@ class MotionSize:
     coulomb: float
 
 
+class SmoothFriction(NamedTuple):
+    """Numbers of a smooth friction law on one side, beside its lines.
+
+    Attributes:
+        presliding: the displacement over which the Coulomb force winds up, m or rad; 0 of one that sticks.
+        viscous_drift: by how much the viscous coefficient grows per second.
+        coulomb_drift: by how much the Coulomb force grows per second.
+        per_torque: the share of a torque that the Coulomb force grows by: on the load's side of the spring's, on the
+            motor's of the motor's.
+    """
+
+    presliding: float = 0.0
+    viscous_drift: float = 0.0
+    coulomb_drift: float = 0.0
+    per_torque: float = 0.0
+
+
+class Term(NamedTuple):
+    """What a friction law has beside its lines.
+
+    Attributes:
+        adds: in words. instead: what its lines are, where only lines are written.
+        parameters: name, symbol, quantity, lower and upper bound of each; the names begin with the side's prefix.
+        numbers: which of `SmoothFriction` they are; none of a law in pieces.
+        starts: returns values of the parameters from which a search may begin.
+        of_load: whether it is on the load's side of a flexible joint alone.
+    """
+
+    adds: str
+    instead: str
+    parameters: tuple[tuple[str, str, Quantity, float, float], ...]
+    numbers: tuple[str, ...]
+    starts: Callable[[MotionSize], list[tuple[float, ...]]]
+    of_load: bool = False
+
+    def acts(self, prefix: str) -> bool:
+        """Whether it is on the side of that prefix."""
+        return not (self.of_load and prefix == "motor_")
+
+
+def _start_stribeck(motion: MotionSize) -> list[tuple[float, ...]]:
+    """A rise and a fall below a few speeds."""
+    return [(sign * _CHANGE * motion.coulomb, share * motion.speed) for share in _SPEEDS for sign in (1.0, -1.0)]
+
+
+def _start_winding(motion: MotionSize) -> list[tuple[float, ...]]:
+    """A few parts of the travel."""
+    return [(share * motion.travel,) for share in _DISTANCES]
+
+
+def _start_drift(motion: MotionSize) -> list[tuple[float, ...]]:
+    """A fall by a part of both."""
+    return [tuple(-_WARMED * size / motion.duration for size in (motion.viscous, motion.coulomb))]
+
+
+_STRIBECK = Term(
+    "the change of friction towards standstill", "what it is above low speed",
+    (
+        ("stribeck_force", "FS", Quantity.FORCE, -math.inf, math.inf),
+        ("stribeck_speed", "vS", Quantity.VELOCITY, _SLOWEST, math.inf),
+    ),
+    (), _start_stribeck,
+)  # fmt: skip
+_WINDING = Term(
+    "the displacement over which friction winds up", "the Coulomb force that it winds up to",
+    (("presliding_distance", "s", Quantity.POSITION, _SHORTEST, math.inf),), ("presliding",), _start_winding,
+)  # fmt: skip
+_PER_TORQUE = Term(
+    "the friction that grows with the gear's torque", "what it is without one",
+    (("friction_per_torque", "mu", Quantity.RATIO, 0.0, _MOST),), ("per_torque",), lambda motion: [(_LOSS,)], True,
+)  # fmt: skip
+_DRIFT = Term(
+    "the change of friction with time", "what it is at the first sample",
+    (
+        ("viscous_drift", "dFv", Quantity.VISCOUS_DRIFT, -math.inf, math.inf),
+        ("coulomb_drift", "dFc", Quantity.FORCE_DRIFT, -math.inf, math.inf),
+    ),
+    ("viscous_drift", "coulomb_drift"), _start_drift,
+)  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class Friction:
     """A friction law; frozen, so that a joint can be a key.
@@ -112,6 +192,7 @@ class Friction:
         label: on the web page.
         contrast: name of the law that it is compared with, and whose lines it has where it `adds` anything to lines.
         coefficients: its parameters, in their order; each part has at most one in each direction.
+        terms: what it has beside its lines.
     """
 
     in_json = "name"
@@ -121,6 +202,7 @@ class Friction:
     coefficients: ClassVar[tuple[Coefficient, ...]] = (
         Coefficient("viscous", "Fv", "viscous"), Coefficient("coulomb", "Fc", "coulomb"),
     )  # fmt: skip
+    terms: ClassVar[tuple[Term, ...]] = ()
     stepped: ClassVar[bool] = False
     """True if it is smooth, so that the simulation goes in steps of a stated error."""
     softens: ClassVar[bool] = False
@@ -131,6 +213,12 @@ class Friction:
     """What it has beside its lines, in words; "" of lines alone."""
     instead: ClassVar[str] = ""
     """What its lines are, where only lines are written, in words."""
+
+    def __init_subclass__(cls) -> None:
+        cls.adds = ", and ".join(term.adds for term in cls.terms)
+        cls.instead = ", ".join(term.instead for term in cls.terms)
+        cls.stepped = any(term.numbers for term in cls.terms)
+        cls.softens, cls.follows_time = _WINDING in cls.terms, _DRIFT in cls.terms
 
     def coefficient_name(self, part: Part, direction: Direction) -> str | None:
         """Return the name of a coefficient; None if the law has none, so that it is 0."""
@@ -149,11 +237,18 @@ class Friction:
         return len(self.constant()) < len(DIRECTIONS)
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return the law's parameters, with `prefix` before the names and `index` after Fv and Fc."""
-        return tuple(
+        """Return the law's parameters, with `prefix` before the names and `index` after the symbols."""
+        lines = (
             Parameter(f"{prefix}{c.name}", f"{c.symbol}{index}{c.sign}", _QUANTITY[c.part], lower=0.0)
             for c in self.coefficients
         )
+        beside = (
+            Parameter(f"{prefix}{name}", f"{symbol}{index}", quantity, lower=lower, upper=upper)
+            for term in self.terms
+            if term.acts(prefix)
+            for name, symbol, quantity, lower, upper in term.parameters
+        )
+        return (*lines, *beside)
 
     def columns(self, velocity: FloatArray) -> FloatArray:
         """Return the regressor of the law's parameters, shape (samples, parameters)."""
@@ -182,11 +277,21 @@ class Friction:
 
     def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the numbers of the smooth law beside the lines."""
-        return SmoothFriction()
+        found: dict[str, float] = {}
+        for term in self.terms:
+            if term.acts(prefix):
+                found |= {n: values[f"{prefix}{p[0]}"] for n, p in zip(term.numbers, term.parameters, strict=False)}
+        return SmoothFriction(**found)
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
-        """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest."""
-        return float(self.force(values, np.array(velocity), prefix))
+        """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest.
+
+        One that grows with the torque T is in balance with it: ``T = load + F + mu |T| sign(v)``.
+        """
+        own, share = float(self.force(values, np.array(velocity), prefix)), self.smooth(values, prefix).per_torque
+        if velocity == 0.0 or share == 0.0:
+            return own
+        return (load + own) / (1.0 - share * math.copysign(1.0, velocity) * math.copysign(1.0, load + own)) - load
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
         """Return the law by the speed, the slowest band first, without a gap; the last has no end."""
@@ -203,7 +308,10 @@ class Friction:
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield starting values of the parameters beside the lines."""
-        yield {}
+        beside = [term for term in self.terms if term.acts(prefix)]
+        names = [f"{prefix}{name}" for term in beside for name, *_ in term.parameters]
+        for values in product(*(term.starts(motion) for term in beside)):
+            yield dict(zip(names, (value for one in values for value in one), strict=True))
 
     def mean(self, part: Part, prefix: str = "") -> dict[str, float]:
         """Return the weights, by parameter, whose sum is the mean of a part over both directions."""
@@ -259,15 +367,7 @@ class StribeckFriction(Friction):
 
     name = "stribeck"
     label = "the same, another at low speed"
-    adds, instead = "the change of friction towards standstill", "what it is above low speed"
-
-    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv and Fc, then the change towards standstill and the speed below which it is."""
-        return (
-            *Friction.parameters(self, prefix, index),
-            Parameter(f"{prefix}stribeck_force", f"FS{index}", Quantity.FORCE),
-            Parameter(f"{prefix}stribeck_speed", f"vS{index}", Quantity.VELOCITY, lower=_SLOWEST),
-        )
+    terms = (_STRIBECK,)
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
         """Return a band between each two of the points of the exponential, and one above the last."""
@@ -281,13 +381,6 @@ class StribeckFriction(Friction):
             line = viscous + steeper, viscous_back + steeper, coulomb + higher, coulomb_back + higher
             found.append(Band(low * speed, high * speed, line))
         return (*found, Band(found[-1].high, math.inf, (viscous, viscous_back, coulomb, coulomb_back)))
-
-    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield a rise and a fall below a few speeds."""
-        change = _CHANGE * motion.coulomb
-        for share in _SPEEDS:
-            for sign in (1.0, -1.0):
-                yield {f"{prefix}stribeck_force": sign * change, f"{prefix}stribeck_speed": share * motion.speed}
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,24 +403,8 @@ class PreslidingFriction(Friction):
     """
 
     name = "presliding"
-    stepped = True
     label = "the same, wound up at reversals"
-    softens = True
-    adds, instead = "the displacement over which friction winds up", "the Coulomb force that it winds up to"
-
-    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv and Fc, then the displacement over which Fc winds up."""
-        distance = Parameter(f"{prefix}presliding_distance", f"s{index}", Quantity.POSITION, lower=_SHORTEST)
-        return (*Friction.parameters(self, prefix, index), distance)
-
-    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the displacement."""
-        return SmoothFriction(presliding=values[f"{prefix}presliding_distance"])
-
-    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield a few parts of the travel."""
-        for share in _DISTANCES:
-            yield {f"{prefix}presliding_distance": share * motion.travel}
+    terms: ClassVar[tuple[Term, ...]] = (_WINDING,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,31 +419,8 @@ class LoadDependentFriction(Friction):
     """
 
     name = "load-dependent"
-    stepped = True
     label = "the same, more under load"
-    adds, instead = "the friction that grows with the gear's torque", "what it is without one"
-
-    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv and Fc, and the share of the torque; of a flexible joint on the load side."""
-        own = Friction.parameters(self, prefix, index)
-        share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=_MOST)
-        return own if prefix == "motor_" else (*own, share)
-
-    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the share; of a flexible joint on the load side."""
-        return SmoothFriction(per_torque=0.0 if prefix == "motor_" else values[f"{prefix}friction_per_torque"])
-
-    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
-        """Return the friction that is in balance with the torque it grows with: ``T = load + F + mu |T| sign(v)``."""
-        own = float(self.force(values, np.array(velocity), prefix))
-        if velocity == 0.0:
-            return own
-        share = values[f"{prefix}friction_per_torque"] * math.copysign(1.0, velocity)
-        return (load + own) / (1.0 - share * math.copysign(1.0, load + own)) - load
-
-    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield a small share."""
-        yield {} if prefix == "motor_" else {f"{prefix}friction_per_torque": _LOSS}
+    terms = (_PER_TORQUE,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,29 +445,7 @@ class WoundLoadDependentFriction(PreslidingFriction):
 
     name = "presliding-load-dependent"
     label = "wound up, more under load"
-    adds = f"{PreslidingFriction.adds}, and {LoadDependentFriction.adds}"
-    instead = f"{PreslidingFriction.instead}, {LoadDependentFriction.instead}"
-
-    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv, Fc and the displacement over which it winds up, then the share of `LoadDependentFriction`."""
-        own = Friction.parameters(self, prefix, index)
-        wound, loaded = PreslidingFriction(), LoadDependentFriction()
-        return (*wound.parameters(prefix, index), *loaded.parameters(prefix, index)[len(own) :])
-
-    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the displacement, and the share of `LoadDependentFriction`."""
-        loaded = LoadDependentFriction().smooth(values, prefix)
-        return PreslidingFriction().smooth(values, prefix)._replace(per_torque=loaded.per_torque)
-
-    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
-        """Return the friction where it is wound up, as of `LoadDependentFriction`."""
-        return LoadDependentFriction().drag(values, velocity, load, prefix)
-
-    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield a few parts of the travel, each with a small share."""
-        for wound in PreslidingFriction().starts(motion, prefix):
-            for loaded in LoadDependentFriction().starts(motion, prefix):
-                yield wound | loaded
+    terms = (_WINDING, _PER_TORQUE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -424,26 +456,8 @@ class DriftingFriction(Friction):
     """
 
     name = "drifting"
-    stepped = True
     label = "the same, changing with time"
-    follows_time = True
-    adds, instead = "the change of friction with time", "what it is at the first sample"
-
-    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv and Fc, then by how much each grows per second."""
-        viscous = Parameter(f"{prefix}viscous_drift", f"dFv{index}", Quantity.VISCOUS_DRIFT)
-        coulomb = Parameter(f"{prefix}coulomb_drift", f"dFc{index}", Quantity.FORCE_DRIFT)
-        return (*Friction.parameters(self, prefix, index), viscous, coulomb)
-
-    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the changes per second."""
-        viscous, coulomb = (values[f"{prefix}{part}_drift"] for part in PARTS)
-        return SmoothFriction(viscous_drift=viscous, coulomb_drift=coulomb)
-
-    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield a fall by a part of both."""
-        fallen = {"viscous": motion.viscous, "coulomb": motion.coulomb}
-        yield {f"{prefix}{part}_drift": -_WARMED * size / motion.duration for part, size in fallen.items()}
+    terms = (_DRIFT,)
 
 
 FRICTIONS: Mapping[str, type[Friction]] = {

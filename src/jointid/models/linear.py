@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.smooth import SmoothSpring
+from jointid.models.springs import SmoothSpring
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]

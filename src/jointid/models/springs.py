@@ -24,7 +24,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.models.smooth import SmoothSpring
 
 _STIFFNESS = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
 _DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
@@ -35,6 +34,26 @@ _LEAST = 1e-12  # torque at which a slider slips
 _PARTS, _TIMES = (0.2, 0.5), (1.7, 3.0)  # of the load that swings at so many times the first mode, at a start
 _WHOLE = 0.99  # of a load: the part behind the first spring has some inertia
 _SOFTER, _STIFFER = 0.7, 1.3  # first and last piece at the start of a search, over the linear spring's stiffness
+
+
+class SmoothSpring(NamedTuple):
+    """Numbers of a smooth spring, beside its line.
+
+    Attributes:
+        cubic: torque per cube of the deflection.
+        slider: stiffness of what winds up beside the spring.
+        slips: torque at which that slips.
+        swing_share: share of an elastic load that swings on a spring of its own.
+        swing_stiffness: of that spring.
+        swing_damping: of that spring.
+    """
+
+    cubic: float = 0.0
+    slider: float = 0.0
+    slips: float = 0.0
+    swing_share: float = 0.0
+    swing_stiffness: float = 0.0
+    swing_damping: float = 0.0
 
 
 class Piece(NamedTuple):

@@ -39,10 +39,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.planning.encoders import Source, add_information, encoder_information
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome, Simulation
+from jointid.simulation.closed_loop import Outcome, Simulation, require_success
 from jointid.simulation.loop_input import to_log
 from jointid.simulation.robots import RobotSimulation
-from jointid.simulation.simulated import require_success
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
 _SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding

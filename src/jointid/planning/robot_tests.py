@@ -46,6 +46,7 @@ from jointid.planning.search import MARGIN, Tried, judge
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
+from jointid.simulation.closed_loop import require_success
 from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers, robot_with
 from jointid.simulation.robots import (
     RobotLoop,
@@ -55,7 +56,6 @@ from jointid.simulation.robots import (
     run_robot,
     simulation_of,
 )
-from jointid.simulation.simulated import require_success
 from jointid.uncertainty.covariance import Covariance, covariance_of
 
 MotionOfJoints: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]

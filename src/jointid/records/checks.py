@@ -56,63 +56,55 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
     """
     faults = [f for name, c in record.items() for f in finite_faults(name, c.values)]
     if not faults:  # of numbers that are none, nothing more can be said
-        faults += [*scale_faults(record), *still_faults(record), *rate_faults(record)]
+        faults += [*scale_faults(record), *still_faults(record), *_rate_faults(record)]
         faults += [] if limit is None else limit_faults(record, limit, side)
     if faults:
         raise RecordError(faults)
 
 
-def range_faults(position: Channel, limits: tuple[float, float]) -> list[str]:
-    """Faults of a position that travels far outside the limits of its joint.
+def range_faults(position: Channel, limits: tuple[float, float]) -> Iterator[str]:
+    """Yield the fault of a position that travels far outside the limits of its joint.
 
     Args:
         position: of the joint, behind its gear.
         limits: of the joint as its model states them, in the position's unit.
     """
     travel, room = float(np.ptp(position.values)), limits[1] - limits[0]
-    if not travel > _BEYOND * room > 0:
-        return []
-    return [
-        f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
-        f"{position.unit}; check its unit, its gain and the side of its gear, or the limits of the model."
-    ]
+    if travel > _BEYOND * room > 0:
+        yield (
+            f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
+            f"{position.unit}; check its unit, its gain and the side of its gear, or the limits of the model."
+        )
 
 
 def _find_sample_time(record: Record) -> float:
     """Return the sample time of the torque, or without one of the motor position; other channels may be slower."""
-    judged = record.motor_position if record.torque is None else record.torque
+    judged = record.torque or record.motor_position
     return 0.0 if judged is None else judged.sample_time
 
 
-def rate_faults(record: Record) -> list[str]:
-    """Faults of a rate at which nothing of a joint's dynamics is seen."""
-    period = _find_sample_time(record)
-    if period <= _SLOWEST_SAMPLE:
-        return []
-    return [
-        f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing of "
-        "a joint's dynamics; log faster, or check the unit of the time column."
-    ]
-
-
-def still_faults(record: Record) -> list[str]:
-    """Faults of a constant torque or reference."""
-    faults = []
-    if record.torque is not None and np.ptp(record.torque.values) == 0:
-        faults.append(
-            f"The torque is {record.torque.values[0]:g} {record.torque.unit} in every sample: there is "
-            "nothing to identify; check which column is the torque."
+def _rate_faults(record: Record) -> Iterator[str]:
+    """Yield the fault of a rate at which nothing of a joint's dynamics is seen."""
+    if (period := _find_sample_time(record)) > _SLOWEST_SAMPLE:
+        yield (
+            f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing "
+            "of a joint's dynamics; log faster, or check the unit of the time column."
         )
-    if record.reference is not None and record.injected is None and np.ptp(record.reference.values) == 0:
-        faults.append(
-            f"The reference stays at {record.reference.values[0]:g} {record.reference.unit}: the joint was "
-            "not asked to move; record a motion, or check which column is the reference."
-        )
-    return faults
 
 
-def limit_faults(record: Record, limit: float, side: str | None = None) -> list[str]:
-    """Faults of a torque at or above the controller's limit.
+def still_faults(record: Record) -> Iterator[str]:
+    """Yield the faults of a constant torque or reference."""
+    asked = record.reference if record.injected is None else None
+    for name, channel in (("torque", record.torque), ("reference", asked)):
+        if channel is not None and np.ptp(channel.values) == 0:
+            yield (
+                f"The {name} stays at {channel.values[0]:g} {channel.unit}: there is nothing to identify; record a "
+                f"motion, or check which column is the {name}."
+            )
+
+
+def limit_faults(record: Record, limit: float, side: str | None = None) -> Iterator[str]:
+    """Yield the fault of a torque at or above the controller's limit.
 
     The known injection is subtracted first.
 
@@ -121,27 +113,22 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> list[
         limit: positive, in the unit of the record's torque.
         side: see `check_record`.
     """
-    if record.torque is None:
-        return []
-    unit_name, output = record.torque.unit, record.torque.values
-    injected = record.injected
+    torque, injected = record.torque, record.injected
+    if torque is None:
+        return
+    size = torque.values
     if injected is not None and injected.in_torque and injected.at is InjectionPoint.AFTER_LIMIT:
-        output = output - np.interp(record.torque.time, injected.channel.time, injected.channel.values)
-    size, here = np.abs(output), "" if side is None else f" on the {side} side"
+        size = size - np.interp(torque.time, injected.channel.time, injected.channel.values)
+    size = np.abs(size)
     # Measured currents carry noise, and filters overshoot: only the command itself never passes the limit.
-    excess = float(np.mean(size > limit * (1 + _AT_LIMIT)))
-    if record.tap is Tap.COMMAND and excess > _EXCESS_SHARE:
-        return [
-            f"The torque reaches {size.max():g} {unit_name}{here}, above the controller's limit of {limit:g} "
-            f"{unit_name}{here and ' there'}; check the limit, and the torque's unit and gain."
-        ]
+    passes = record.tap is Tap.COMMAND and float(np.mean(size > limit * (1 + _AT_LIMIT))) > _EXCESS_SHARE
     share = float(np.mean(size >= limit * (1 - _AT_LIMIT)))
-    if share <= _LIMIT_SHARE:
-        return []
-    return [
-        f"The torque stands at its limit of {limit:g} {unit_name}{here} in {share:.1%} of the samples (at most "
-        f"{_LIMIT_SHARE:.1%} expected), where it says little of the joint; record a slower motion."
-    ]
+    if passes or share > _LIMIT_SHARE:
+        yield (
+            f"The torque reaches {size.max():g} {torque.unit}{'' if side is None else f' on the {side} side'}, and is "
+            f"at its limit of {limit:g} {torque.unit} or above in {share:.1%} of the samples (at most "
+            f"{_LIMIT_SHARE:.1%} expected, none above); check limit, unit and gain, or record a slower motion."
+        )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a wrong column can hold any number, the largest too
@@ -151,10 +138,8 @@ def scale_faults(record: Record) -> list[str]:
     faults = [fault for name, channel in record.items() for fault in _magnitude_faults(name, channel)]
     if faults:
         return faults  # products of such numbers are endless, or nothing
-    if reference is not None:
-        faults += _size_faults("reference", reference)
-    if motor is not None:
-        faults += _size_faults("motor_position", motor)
+    for name, position in (("reference", reference), ("motor_position", motor)):
+        faults += [] if position is None else _size_faults(name, position)
     if reference is not None and motor is not None and not _droops(record.torque, reference, motor):
         faults += _ratio_faults("motor_position", motor, "reference", reference)
     if reference is not None and velocity is not None and len(reference) > 1:
@@ -164,28 +149,25 @@ def scale_faults(record: Record) -> list[str]:
     return faults
 
 
-def _magnitude_faults(name: str, channel: Channel) -> list[str]:
+def _magnitude_faults(name: str, channel: Channel) -> Iterator[str]:
     largest, time = float(np.max(np.abs(channel.values), initial=0.0)), channel.sample_time
-    if (not largest or _NUMBERS[0] <= largest <= _NUMBERS[1]) and _TIMES[0] <= time <= _TIMES[1]:
-        return []
-    return [
-        f"{name} is {largest:.3g} {channel.unit} at most, with a sample every {time:.3g} s (expected "
-        f"{_NUMBERS[0]:g} to {_NUMBERS[1]:g}, and {_TIMES[0]:g} to {_TIMES[1]:g} s); check unit, gain and time column."
-    ]
+    if (largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]) or not _TIMES[0] <= time <= _TIMES[1]:
+        yield (
+            f"{name} is {largest:.3g} {channel.unit} at most, with a sample every {time:.3g} s (expected "
+            f"{_NUMBERS[0]:g} to {_NUMBERS[1]:g}, and {_TIMES[0]:g} to {_TIMES[1]:g} s); check unit, gain and time "
+            "column."
+        )
 
 
-def _size_faults(name: str, position: Channel) -> list[str]:
-    if len(position) < 2:
-        return []
-    steps = np.abs(np.diff(position.values))
+def _size_faults(name: str, position: Channel) -> Iterator[str]:
+    steps, unit = np.abs(np.diff(position.values, append=position.values[-1])), position.unit
     speed = float(np.quantile(steps, 1 - _SHARE_OF_FAST_SAMPLES)) / position.sample_time
-    travel, most = float(np.ptp(position.values)), _FASTEST.get(position.unit, math.inf)
-    if speed <= most and travel <= _LONGEST.get(position.unit, math.inf):
-        return []
-    return [
-        f"{name} moves at {speed:.3g} {position.unit}/s and travels {travel:.3g} {position.unit}: it is not in "
-        f"{position.unit}; give its unit, or its gain, and check the sample time."
-    ]
+    travel = float(np.ptp(position.values))
+    if speed > _FASTEST.get(unit, math.inf) or travel > _LONGEST.get(unit, math.inf):
+        yield (
+            f"{name} moves at {speed:.3g} {unit}/s and travels {travel:.3g} {unit}: it is not in {unit}; give its "
+            "unit, or its gain, and check the sample time."
+        )
 
 
 def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
@@ -215,17 +197,17 @@ def _is_plain_ratio(ratio: float, declared: str) -> bool:
     )
 
 
-def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) -> list[str]:
+def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) -> Iterator[str]:
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
-        return []
+        return
     x, y = x - x.mean(), y - y.mean()
     x_size, y_size, product = float(np.linalg.norm(x)), float(np.linalg.norm(y)), float(x @ y)
     if not abs(product) >= _FOLLOWS * x_size * y_size > 0:
-        return []
-    ratio, faults = y_size / x_size, list[str]()
+        return
     if product < 0:
-        faults.append(f"{name} runs against {other_name}; give one of them sign = -1.")
+        yield f"{name} runs against {other_name}; give one of them sign = -1."
+    ratio = y_size / x_size
     if not _RATIO_BAND[0] <= ratio <= _RATIO_BAND[1]:
         every = [
             (abs(ratio * factor - 1), f", as if {suspect} were in {entry.name} and read as {entry.si}")
@@ -234,11 +216,10 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) 
             if factor != 1
         ]
         off, hint = min(every, default=(math.inf, ""))
-        faults.append(
+        yield (
             f"{name} is {ratio:.4g} times {other_name}, and should equal it{hint if off < _RATIO_TOLERANCE else ''}; "
             "check units and gains, or give the gear between them as transmission.ratio, and the side of each channel."
         )
-    return faults
 
 
 def _units_like(declared: str) -> Iterator[Unit]:
@@ -268,8 +249,8 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     if lag is not None:
         notes.append(
             f"{lag.share:.0%} of the difference of motor_position and load_position is as if {lag.late} were "
-            f"{1e3 * lag.lag:.2g} ms later than {lag.early}: a spring is hidden behind it, and a stiffness from "
-            "both encoders is not to be trusted"
+            f"{1e3 * lag.lag:.2g} ms later: a spring is hidden behind it, and a stiffness from both encoders is not to "
+            "be trusted"
         )
     return tuple(notes)
 
@@ -284,7 +265,6 @@ class EncoderLag:
     """
 
     late: str
-    early: str
     lag: float
     share: float
 
@@ -306,8 +286,7 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
     share = lag**2 * size / total
     if not share > _LATE:
         return None
-    late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
-    return EncoderLag(late, early, abs(lag), share)
+    return EncoderLag("load_position" if lag > 0 else "motor_position", abs(lag), share)
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:

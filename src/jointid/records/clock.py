@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -46,11 +46,6 @@ class Clock:
     jitter: float = 0.0
     first: float = 0.0
 
-    def pick(self, rows: NDArray[np.bool_]) -> Clock:
-        """Return the clock of some rows, (samples,), at the distance of the first two."""
-        first, second = np.flatnonzero(rows)[:2]
-        return replace(self, stamps=self.stamps[rows], sample_time=float(second - first) * self.sample_time)
-
     def straightened(self) -> FloatArray:
         """Return the straight line through the stamps [s], (samples,)."""
         times, centred = self.stamps - self.stamps[0], np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
@@ -73,7 +68,7 @@ def find_stamps(
         RecordError: there is no clock, or its unit is unknown.
     """
     if sample_time is not None and time is None:
-        return "", uniform_stamps(sample_time, table.rows)
+        return "", np.asarray(np.arange(table.rows) * sample_time, dtype=np.float64)
     names = [name for name in table.columns if name == time or (time is None and TIME_NAME.fullmatch(name))]
     if len(names) != 1:
         why = table.explain_missing([time] if time else (one for one in table.passed if TIME_NAME.fullmatch(one)))
@@ -84,13 +79,6 @@ def find_stamps(
         )
     (column,) = names
     return column, table.columns[column] * seconds_of(table, column, time_unit)
-
-
-def uniform_stamps(sample_time: float, samples: int, first: float = 0.0) -> FloatArray:
-    """Return the instants of samples without stamps, from `first` on [s]."""
-    if not 0 < sample_time < np.inf:
-        raise RecordError(f"The sample time is a positive number of seconds; got {sample_time:g}.")
-    return np.asarray(first + np.arange(samples) * sample_time, dtype=np.float64)
 
 
 def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, resampled: bool = False) -> Clock:
@@ -198,7 +186,7 @@ def fit_line(stamps: FloatArray) -> tuple[float, FloatArray, NDArray[np.int64]]:
     return period, times - period * centred, np.asarray(np.maximum(skipped - 1, 0), dtype=np.int64)
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(all="ignore")
 def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
     """Refuse stamps [s], (samples,), that repeat, run backward or jump, if they may not.
 
@@ -206,16 +194,12 @@ def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
     """
     steps = np.diff(stamps)
     sample_time, largest = float(np.median(steps)) if steps.size else 0.0, float(np.max(np.abs(stamps), initial=0.0))
-    if not (largest <= _LATEST and sample_time >= 1 / _LATEST):
+    off = np.flatnonzero(~(np.abs(steps / sample_time - 1) <= _JUMP))
+    if not (largest <= _LATEST and sample_time >= 1 / _LATEST) or (off.size and not jumps):
+        at = int(off[0]) if off.size else 0
         raise RecordError(
-            f"{name} does not run forward: of its {stamps.size} stamps {np.count_nonzero(~np.isfinite(stamps))} are no "
-            f"numbers, {np.count_nonzero(steps == 0)} repeat, {np.count_nonzero(steps < 0)} step back, and the largest "
-            f"is {largest:.3g} s; name another time column, give its unit, or give sample_time without time."
-        )
-    off = np.flatnonzero(np.abs(steps / sample_time - 1) > _JUMP)
-    if off.size and not jumps:
-        raise RecordError(
-            f"{name} jumps {pluralise(off.size, 'time')}, first after sample {off[0]} (t = {stamps[off[0]]:g} s) by "
-            f"{steps[off[0]]:g} s (expected {sample_time:g} s); give part = 0 for the longest part between the jumps, "
-            "or resample to bridge short gaps; if only the stamps are wrong, give sample_time without time."
+            f"{name} jumps {pluralise(off.size, 'time')}, repeats or does not run forward, first after sample {at} of "
+            f"{stamps.size} (t = {stamps[at]:g} s; expected steps of {sample_time:g} s); give part = 0 for the longest "
+            "part between the jumps, or resample to bridge short gaps; or name another time column, or its unit; if "
+            "only the stamps are wrong, give sample_time without time."
         )

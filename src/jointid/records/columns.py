@@ -34,8 +34,8 @@ class Column:
     """A file column for one channel: `sign` x `gain` x column, in `unit`.
 
     Raises:
-        RecordError: gain, sample_time or wrap is not positive and finite, sign is not 1 or -1, there is no such side,
-            or there are a sample time and a time column.
+        RecordError: gain, sample_time or wrap is not positive and finite, sign is not 1 or -1, or there is no such
+            side.
     """
 
     column: str = setting(
@@ -90,10 +90,6 @@ class Column:
 
     def __post_init__(self) -> None:
         check_settings(self, RecordError, f'Column "{self.column}"')
-        if self.sample_time is not None and self.time is not None:
-            raise RecordError(
-                f'Column "{self.column}" has a sample_time and a time column of its own; leave one of them out.'
-            )
         object.__setattr__(self, "timing", None if self.timing is None else Timing(self.timing))
         object.__setattr__(self, "tap", None if self.tap is None else Tap(self.tap))
         object.__setattr__(self, "at", InjectionPoint(self.at))

@@ -20,7 +20,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
-from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of, uniform_stamps
+from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of
 from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, unwrap
 from jointid.records.drives import Drive, Frame, index_columns
 from jointid.records.formats import Table, read_table
@@ -107,8 +107,14 @@ class RecordReader:
     def __post_init__(self) -> None:
         if unknown := [channel for channel in self.columns if channel not in CHANNELS]:
             raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
-        if self.kind not in units.POSITION_UNITS:
-            raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
+        if (
+            self.kind not in units.POSITION_UNITS
+            or not 0 < (1.0 if self.sample_time is None else self.sample_time) < np.inf
+        ):
+            raise RecordError(
+                f'A joint is "prismatic" or "revolute", and a sample time positive [s]; got "{self.kind}" and '
+                f"{self.sample_time}."
+            )
 
     def build_record(self, table: Table, name: str) -> Record:
         """Build the record that a table holds."""
@@ -125,9 +131,9 @@ class RecordReader:
         signals = self._log(table, columns, time, clocks)
         channels, begin, done, said = bring_together(signals, self.resample)
         # The file begins with the first row of its clocks, which no channel may use.
-        unused = set(clocks.values())
-        origins = [self._cut(table, one, one)[0] * seconds_of(table, one, self.time_unit) for one in unused]
-        origins += [one.clock.first for one in signals.values()]
+        origins = [one.clock.first for one in signals.values()]
+        for one in set(clocks.values()):
+            origins.append(float(self._cut(table, one, one)[0]) * seconds_of(table, one, self.time_unit))
         first = min((float(one.clock.stamps[0]) for one in signals.values()), default=0.0)
         logged: dict[str, Any] = dict(channels)
         if "torque" in logged:
@@ -137,7 +143,7 @@ class RecordReader:
         record = Record(
             **logged,
             name=self.name or name,
-            begin=begin + (first - float(min(origins, default=first))),
+            begin=begin + (first - min(origins, default=first)),
             resampled=done,
             remarks=tuple(dict.fromkeys((*(r for one in signals.values() for r in one.remarks), *said))),
         )
@@ -145,13 +151,10 @@ class RecordReader:
             raise RecordError(faults)
         return record
 
-    @property
-    def _frame(self) -> Frame:
-        return Frame(self.drive, self.kind, self.transmission)
-
     def _select(self, table: Table, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns as declared, else by the drive's profile, else in the units of the file."""
-        profile, frame, faults = self.drive.traces, self._frame, list[str]()
+        profile, faults = self.drive.traces, list[str]()
+        frame = Frame(self.drive, self.kind, self.transmission)
         found = {channel: column for channel, column in wanted.items() if column.column}
         if profile is not None:
             kinds = {channel: frame.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
@@ -186,9 +189,10 @@ class RecordReader:
     ) -> dict[str, Signal]:
         """Return the channels in SI with their clocks, at the rows in which there are new numbers, unwrapped."""
         made, faults, gear = dict[str, Signal](), list[str](), self.transmission
+        frame = Frame(self.drive, self.kind, gear)
         for name in (n for n in dict.fromkeys((*POSITIONS, *columns)) if n in columns):  # the reference after the motor
             column, what = columns[name], f'{name} (column "{columns[name].column}")'
-            unit, side, held = self._frame.unit_of(name, columns), self.drive.side(name, column), name in TORQUES
+            unit, side, held = frame.unit_of(name, columns), self.drive.side(name, column), name in TORQUES
             factor, wrap, own = column.sign * column.gain * unit.factor, 0.0, column.time or clocks.get(column.column)
             scale = abs(factor * (1.0 if gear is None else gear.position(side)))
             try:
@@ -229,7 +233,7 @@ class RecordReader:
         except RecordError:
             if period is None:
                 raise
-            stamps = uniform_stamps(period, values.size, first)
+            stamps = np.asarray(first + np.arange(values.size) * period, dtype=np.float64)
             rows = self._find_rows(stamps, values)
             clock = fit_clock("", stamps[rows], period)
         if again := int(np.count_nonzero(_repeats(stamps, values))):
@@ -238,22 +242,21 @@ class RecordReader:
         kept = _find_filled_rows(values, resampled=resampled)
         if kept is None and (faults := finite_faults(what, values)):
             raise RecordError(faults)
+        if kept is None and period is not None and period < _SLOWER * clock.sample_time:  # samples of its own
+            stamps = np.asarray(clock.first + np.arange(values.size) * period, dtype=np.float64)
+            return values, fit_clock("", stamps, period), False, remarks
         if kept is None and period is not None:
-            if period < _SLOWER * clock.sample_time:  # samples of its own
-                return values, fit_clock("", uniform_stamps(period, values.size, clock.first), period), False, remarks
             kept = _find_refreshes(values, period / clock.sample_time)
         if kept is None:
             return values, clock, False, remarks
-        clock = clock.pick(kept)
+        every = float(np.diff(np.flatnonzero(kept)[:2])[0]) * clock.sample_time
         if period is None and not resampled:
-            remarks.append(
-                f"{what} has numbers in some rows: it is a channel with a sample every {clock.sample_time:g} s"
-            )
-        if period is not None and not resampled and not is_same_rate(clock.sample_time, period):
+            remarks.append(f"{what} has numbers in some rows: it is a channel with a sample every {every:g} s")
+        elif period is not None and not resampled and not is_same_rate(every, period):
             raise RecordError(
                 f"{what} has no new number every {period:g} s, as its sample_time says; correct that, or leave it out."
             )
-        return values[kept], clock, True, remarks
+        return values[kept], replace(clock, stamps=clock.stamps[kept], sample_time=every), True, remarks
 
     def _find_rows(self, stamps: FloatArray, values: FloatArray, clock: str = "") -> NDArray[np.bool_]:
         """Return the samples of a column within the cut, (samples,), without those that repeat stamp and value."""
@@ -268,7 +271,8 @@ class RecordReader:
         if self.cut == Cut():
             return values
         at, stamps = find_stamps(table, time, self.time_unit, self.sample_time)
-        return values[self._find_rows(stamps[: values.size], values, at)]
+        stamps = stamps if at else stamps[: values.size]
+        return values[self._find_rows(stamps, values, at)] if stamps.size == values.size else values
 
     def _gain_faults(self, table: Table, time: str | None, clocks: Mapping[str, str]) -> Iterator[str]:
         """Yield gains of the log that are not the declared ones."""

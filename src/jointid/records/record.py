@@ -15,7 +15,6 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import pluralise
@@ -68,13 +67,11 @@ class Channel:
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=np.float64)
-        if values.ndim != 1 or values.size == 0:
+        if values.ndim != 1 or values.size == 0 or not 0 < self.sample_time < np.inf:
             raise RecordError(
-                f"A channel holds one value per sample; received an array of shape {values.shape}: "
-                "pass a non-empty one-dimensional array."
+                f"A channel has values in one dimension and a positive sample time [s]; got shape {values.shape} and "
+                f"{self.sample_time}: correct that."
             )
-        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
-            raise RecordError(f"A channel's sample time is a positive number of seconds; got {self.sample_time}.")
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "timing", Timing(self.timing))
@@ -116,11 +113,6 @@ class Injection:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "at", InjectionPoint(self.at))
-        if self.at is InjectionPoint.BEFORE_LIMIT and not self.in_torque:
-            raise RecordError(
-                "A signal injected before the limit is part of the controller's output, so the logged torque "
-                "contains it; set in_torque = true, or at = after_limit."
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +145,7 @@ TORQUES = ("torque", "injected")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record(Documented):
+class Record:
     """Signals of one run; a channel that was not logged is None.
 
     Attributes:
@@ -196,10 +188,12 @@ class Record(Documented):
         channels = dict(self.items())
         if not channels:
             raise RecordError("A record needs at least one channel; give the torque and the reference.")
-        if self.tap is Tap.MEASURED and self.injected is not None and not self.injected.in_torque:
+        added = self.injected
+        before = added is not None and added.at is InjectionPoint.BEFORE_LIMIT
+        if added is not None and not added.in_torque and (before or self.tap is Tap.MEASURED):
             raise RecordError(
-                "A measured torque contains whatever was injected before it acts; set in_torque = true, or "
-                "tap = command."
+                "A measured torque, and one behind the limit, contains what was injected before it; set "
+                "in_torque = true, or tap = command and at = after_limit."
             )
         longest = max(channel.duration for channel in channels.values())
         slack = max(channel.sample_time for channel in channels.values())
@@ -228,21 +222,6 @@ class Record(Documented):
     def duration(self) -> float:
         """Duration of the shortest channel [s]."""
         return min(channel.duration for _, channel in self.items())
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Table of the channels."""
-        del details
-        rows = tuple(
-            (
-                name.replace("_", " "), channel.unit, str(len(channel)), f"{1e3 * channel.sample_time:.6g}",
-                f"{channel.values.min():.5g}", f"{channel.values.max():.5g}", channel.timing.value,
-                channel.source or "-",
-            )
-            for name, channel in self.items()
-        )  # fmt: skip
-        header = ("channel", "unit", "samples", "every [ms]", "min", "max", "timing", "source")
-        facts = (*common_facts(self.resampled, None), *(("remark", remark) for remark in self.remarks))
-        return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
 
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""
@@ -274,11 +253,8 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
 
     The torque is in `torque_unit`; None is SI.
     """
-    wrong = []
-    for name, channel in record.items():
-        expected = torque_unit if torque_unit and name in TORQUES else si_unit(name, kind)
-        if channel.unit != expected:
-            wrong.append(f"{name} in {channel.unit}, not {expected}")
+    units_of = {name: torque_unit if torque_unit and name in TORQUES else si_unit(name, kind) for name in CHANNELS}
+    wrong = [f"{n} in {one.unit}, not {units_of[n]}" for n, one in record.items() if one.unit != units_of[n]]
     if wrong:
         raise RecordError(
             f"This {kind} joint does not fit the record, which has {'; '.join(wrong)}: correct the joint's kind, "

@@ -16,7 +16,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
-from jointid.common.text import pluralise
 from jointid.records.clock import CLOCK_TOLERANCE, Clock, fit_line
 from jointid.records.columns import POSITIONS
 from jointid.records.record import Channel, Resampled, Timing
@@ -32,13 +31,9 @@ _LARGEST = 10**8  # samples of one channel
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST_MEAN = 10_000  # values
-_LONGEST = 10_000  # samples within which all channels must begin at one instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
-
-WELL_SEEN = 0.1
-"""Share of a log's rate below which a position between two samples is known."""
 
 
 @add_settings_to_docstring
@@ -112,24 +107,18 @@ def bring_together(
 
 
 def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | None:
-    """Cut channels to their first common instant; None without one, or of clocks that begin apart."""
+    """Cut channels to the beginning of the latest; None if they have no sample there, or of clocks that begin apart."""
     if not signals:
         return {}, 0.0
     begins = {name: float(one.clock.straightened()[0]) for name, one in signals.items()}
     periods = {name: one.clock.sample_time for name, one in signals.items()}
-    near = CLOCK_TOLERANCE * min(periods.values())
-    if np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0]) > near:
+    near, latest = CLOCK_TOLERANCE * min(periods.values()), max(begins.values())
+    late = {name: (latest - begin) / periods[name] for name, begin in begins.items()}
+    apart = np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0])
+    if apart > near or any(abs(n - round(n)) * periods[name] > near for name, n in late.items()):
         return None
-    slowest = max(periods, key=periods.__getitem__)
-    times = begins[slowest] + np.arange(min(_LONGEST, len(signals[slowest].channel))) * periods[slowest]
-    late = {name: (times - begins[name]) / periods[name] for name in signals}
-    common = [(n > -0.5) & (np.abs(n - np.round(n)) * periods[name] <= near) for name, n in late.items()]
-    instants = np.flatnonzero(np.all(common, axis=0))
-    if not instants.size:
-        return None
-    first = {name: round(float(n[instants[0]])) for name, n in late.items()}
-    cut = {n: replace(one.channel, values=one.channel.values[first[n] :]) for n, one in signals.items()}
-    return cut, float(times[instants[0]]) - min(begins.values())
+    cut = {n: replace(one.channel, values=one.channel.values[round(late[n]) :]) for n, one in signals.items()}
+    return cut, latest - min(begins.values())
 
 
 def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
@@ -145,16 +134,14 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
         period, deviations, left_out = fit_line(stamps[name])
         off.setdefault(one.clock.column, deviations / period)
         gaps.setdefault(one.clock.column, int(np.count_nonzero(left_out)))
-        if (longest := int(left_out.max())) > how.longest_gap or np.any(np.diff(stamps[name]) <= 0):
+        longest, averaged = int(left_out.max()), one.channel.timing is Timing.AVERAGED
+        lower = not averaged and _LOWER_RATE * period < T
+        if lower or longest > how.longest_gap or np.any(np.diff(stamps[name]) <= 0):
             faults.append(
-                f"The stamps of {name} leave out up to {pluralise(longest, 'sample')} in a row (at most "
-                f"{how.longest_gap} are bridged), step back, or repeat with other values; cut the record there, set "
-                "longest_gap, or give sample_time without time if only the stamps are wrong."
-            )
-        if one.channel.timing is not Timing.AVERAGED and _LOWER_RATE * period < T:
-            faults.append(
-                f"{name} has a sample every {period:g} s, and what is fast in it would alias if resampled "
-                f"to {T:g} s; give a shorter sample time: [filtering] then decimates torque and model alike."
+                f"{name} has a sample every {period:g} s, and leaves out up to {longest}; resampled to {T:g} s "
+                f"it must not alias; expected stamps that run forward and leave out {how.longest_gap} at most: cut "
+                "the record, set longest_gap, give a shorter sample time ([filtering] decimates torque and model "
+                "alike), or sample_time without time if only the stamps are wrong."
             )
     if faults:
         raise RecordError(list(dict.fromkeys(faults)))
@@ -186,8 +173,7 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
     jittering = [one.clock for one in signals.values() if one.clock.jitter]
     told = dict[str, bool]()
     for one in (signals[name] for name in POSITIONS if name in signals):
-        follows = _follows_stamps(one) if one.clock.jitter and not one.picked else None
-        if follows is not None:
+        if one.clock.jitter and not one.picked and (follows := _follows_stamps(one)) is not None:
             told[one.clock.column] = follows or told.get(one.clock.column, False)
     resampled = any(told.values())
     straight = dict(signals)
@@ -277,18 +263,6 @@ def at_period(channel: Channel, period: float, periods: int, name: str, way: Bet
 
         return np.asarray(CubicHermiteSpline(samples, values, np.gradient(values))(at))
     return _interpolate(values, samples, at, "cubic" if way == "spline" and np.all(np.isfinite(values)) else "linear")
-
-
-def fill_in(channel: Channel, every: int, period: float, interpolation: Interpolation) -> Channel:
-    """Return a channel that repeats each value `every` times at a shorter period, its values filled in."""
-    (changes,) = np.nonzero(np.diff(channel.values))
-    phase = int(changes[0] + 1) % every if changes.size else 0
-    points = np.concatenate([channel.values[:1] if phase else [], channel.values[phase::every]])
-    slow = replace(channel, values=points, sample_time=every * channel.sample_time)
-    repeat = period_ratio(period, channel.sample_time, "reference")[1]
-    early = repeat * (every - phase if phase else 0)  # of the first setpoint, before the record
-    filled = at_period(slow, period, early + repeat * channel.values.size, "reference", interpolation)
-    return replace(channel, values=filled[early:], sample_time=channel.sample_time / repeat)
 
 
 def running_mean(values: FloatArray, periods: float, slope: float) -> FloatArray:

@@ -6,10 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
@@ -17,7 +16,6 @@ from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
-from jointid.simulation.simulated import FINISHED
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Trace
@@ -27,10 +25,11 @@ if TYPE_CHECKING:
 class Outcome(StrEnum):
     """Outcome of a simulation; its value is the sentence to print."""
 
-    FINISHED = FINISHED
-    DIVERGED = "the loop diverged: this joint is unstable under this controller"
-    TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
-    CHATTERING = "the joint started and stopped more often within one period than a real one can"
+    FINISHED = "the simulation finished"
+    DIVERGED = "the loop diverged: it is unstable under its controllers"
+    TOO_STIFF = "the motion is too fast for the period of controllers or log to be worth simulating"
+    CHATTERING = "a joint started and stopped more often within one period than a real one can"
+    NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
     INVALID = (
         "an inertia or the Coulomb friction is not positive, friction at rest or at the end of the record is less than "
         "nothing, a Stribeck speed is 0, the torques of a spring's pieces do not rise, something winds up over less "
@@ -38,10 +37,47 @@ class Outcome(StrEnum):
     )
 
 
-_OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHATTERING)
-
+OUTCOMES = tuple(Outcome)
+"""How a run ended, by the number that a kernel returns."""
 
 _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
+
+
+class Simulated(Protocol):
+    """One candidate's run along a record."""
+
+    @property
+    def torque(self) -> FloatArray:
+        """Torque as logged, (samples,), or (samples, n) for a robot; held after a failure."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+
+    @property
+    def finished(self) -> float:
+        """Simulated share of the record."""
+
+    @property
+    def events(self) -> int:
+        """Number of located reversals, stops and starts."""
+
+
+Run = TypeVar("Run", bound=Simulated)
+
+
+def require_success(run: Run, of_what: str = "The simulation") -> Run:
+    """Return a run that finished.
+
+    Raises:
+        MethodError: it failed; the sentence states progress and reason.
+    """
+    if run.outcome is not Outcome.FINISHED:
+        raise MethodError(
+            f"{of_what} stopped after {100 * run.finished:.1f} % of the record because {run.outcome.value}; check the "
+            "controller's gains and the parameters' values."
+        )
+    return run
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +150,10 @@ class ClosedLoopRun:
         plant: numbers of a joint whose laws are not all lines, which is simulated by `kernels.engine`; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
-        command: (periods,) the controller's output.
-        excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
-        states, modes, tape: see `kernels.drive.run`; empty when they were not kept. Of a plant there are no modes, and
-            the tape is that of `kernels.engine`.
+        before: torque that acted before the first period.
+        trace: what the kernel wrote. Of a plant there are no modes, and the tape is that of `kernels.engine`.
         accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, of a plant that was
             kept.
-        counts: events, rows of the tape, periods simulated, periods at the limit.
     """
 
     loop: ClosedLoop
@@ -133,21 +166,9 @@ class ClosedLoopRun:
     torque: float | None
     sliding: float
     before: float
-    command: FloatArray
-    excess: FloatArray
-    states: FloatArray
-    modes: NDArray[np.int16]
-    tape: FloatArray
+    trace: Trace
     accelerations: FloatArray
     outcome: Outcome
-    counts: NDArray[np.int64]
-
-    @property
-    def trace(self) -> Trace:
-        """The kernels' output arrays."""
-        from jointid.simulation.kernels.drive import Trace
-
-        return Trace(self.command, self.excess, self.states, self.modes, self.tape, self.counts)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the first state of such a run, (4,): `start_state`."""
@@ -155,15 +176,15 @@ class ClosedLoopRun:
 
     def response(self) -> Response:
         """Signals for an estimator."""
-        torque = to_log(self.experiment, seen_torque(self.experiment, self.command))
-        events, _, done, clipped = self.counts.tolist()
-        return Response(torque, self.outcome, done / self.command.size, events, clipped / max(done, 1))
+        torque = to_log(self.experiment, seen_torque(self.experiment, self.trace.u))
+        events, _, done, clipped = self.trace.counts.tolist()
+        return Response(torque, self.outcome, done / self.trace.u.size, events, clipped / max(done, 1))
 
     def simulation(self) -> Simulation:
         """The run with states, at the log's instants."""
         experiment, response = self.experiment, self.response()
         flexible = self.loop.joint.model == "flexible"
-        states, push = self.states[:, : 4 if flexible else 2], self.command + experiment.after_limit
+        states, push = self.trace.states[:, : 4 if flexible else 2], self.trace.u + experiment.after_limit
         accelerations = self.accelerations
         seen = begin = states.T.copy()
         if experiment.log_index.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
@@ -220,12 +241,16 @@ def run(
         missing = ", ".join(p.name for p in joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
-    command = np.zeros(periods)  # never in a room: it may be an answer
-    kept = periods * parts if keep else 0
-    array = (room or Room()).array
-    states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
-    modes, accelerations = array("modes", (kept,), np.int16), array("accelerations", (kept if plant else 0, 2))
-    tape, counts = array("tape", (0 if plant else taped, kernels.TAPE)), np.zeros(4, dtype=np.int64)
+    kept, array = periods * parts if keep else 0, (room or Room()).array
+    accelerations = array("accelerations", (kept if plant else 0, 2))
+    trace = kernels.Trace(
+        np.zeros(periods),  # never in a room: it may be an answer
+        array("excess", (periods if keep else 0, elements)),
+        array("states", (kept, 4)),
+        array("modes", (kept,), np.int16),
+        array("tape", (0 if plant else taped, kernels.TAPE)),
+        np.zeros(4, dtype=np.int64),
+    )
     outcome, before, sliding = Outcome.INVALID, 0.0, 0.0
     possible = _possible(drive) if plant is None else is_possible(plant, periods * law.period)
     if possible and math.isfinite(position) and math.isfinite(velocity):
@@ -235,7 +260,6 @@ def run(
         start = start_state(loop, values, position, velocity, sliding)
         sampled, far = experiment.sampled, experiment.far + abs(position)
         if plant is None:
-            trace = kernels.Trace(command, excess, states, modes, tape, counts)
             status = kernels.run(drive, sampled, before, state[np.newaxis], start, far, trace)
         else:
             masses = len(plant.masses)
@@ -244,26 +268,28 @@ def run(
                 plant, None, np.zeros((0, 10)), sampled, np.array([before]), np.array([far]), state[np.newaxis],
                 start[2 * side], start[2 * side + 1], np.full(masses, sliding), keep=keep, room=room,
             )  # fmt: skip
-            status, command, counts, tape = found.status, found.command[0], found.counts, found.tape
-            excess, shown = found.excess[0], min(masses, 2)
+            status, shown = found.status, min(masses, 2)
+            trace = kernels.Trace(
+                found.command[0], found.excess[0], trace.states, trace.modes, found.tape, found.counts
+            )
             if keep:
-                moved = motion_of(tape, masses, int(counts[2]) * parts)
-                states[:] = 0.0
-                states[: len(moved[0]), : 2 * shown : 2] = moved[0][:, :shown]
-                states[: len(moved[0]), 1 : 2 * shown : 2] = moved[1][:, :shown]
+                moved = motion_of(found.tape, masses, int(found.counts[2]) * parts)
+                trace.states[:] = 0.0
+                trace.states[: len(moved[0]), : 2 * shown : 2] = moved[0][:, :shown]
+                trace.states[: len(moved[0]), 1 : 2 * shown : 2] = moved[1][:, :shown]
                 accelerations[: len(moved[0]), :shown] = moved[2][:, :shown]
-        outcome = _OUTCOMES[status]
-    done = int(counts[2])
-    command[done:] = command[done - 1] if done else 0.0
-    excess[done:] = 0.0
-    states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
+        outcome = OUTCOMES[status]
+    done = int(trace.counts[2])
+    trace.u[done:] = trace.u[done - 1] if done else 0.0
+    trace.excess[done:] = 0.0
+    trace.states[done * parts :] = trace.states[done * parts - 1] if done and keep else 0.0
     accelerations[done * parts :] = 0.0
     if outcome is Outcome.DIVERGED:  # divergence may overflow
-        for signal in (command, excess, states, accelerations):
+        for signal in (trace.u, trace.excess, trace.states, accelerations):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return ClosedLoopRun(
-        loop, experiment, values, drive, plant, position, velocity, initial.torque, sliding, before, command, excess,
-        states, modes, tape, accelerations, outcome, counts,
+        loop, experiment, values, drive, plant, position, velocity, initial.torque, sliding, before, trace,
+        accelerations, outcome,
     )  # fmt: skip
 
 

@@ -74,9 +74,8 @@ def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
         position: of the motor.
         experiment: what `prepare` made of its record.
     """
-    law, inputs = experiment.law, experiment.inputs.copy()
-    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position", "spline")
-    start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
+    law = experiment.law
+    inputs, start = _along(position, experiment, experiment.inputs)
     output = run(law, inputs, start).output + experiment.shown
     integral, columns = law.integral(), [output]
     if integral is not None:
@@ -115,9 +114,13 @@ class SeenPosition:
         return replace(run, response=replace(made, torque=self.torque(made.motor_position)), torque=torque)
 
     def _respond(self, position: FloatArray, inputs: FloatArray) -> FloatArray:
-        law, experiment = self.experiment.law, self.experiment
-        channel = Channel(position, "", experiment.sample_time)
-        inputs = inputs.copy()
-        inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position", "spline")
-        start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
-        return to_log(experiment, respond(law, inputs, start)[:, law.output])
+        channel, law = Channel(position, "", self.experiment.sample_time), self.experiment.law
+        inputs, start = _along(channel, self.experiment, inputs)
+        return to_log(self.experiment, respond(law, inputs, start)[:, law.output])
+
+
+def _along(position: Channel, experiment: LoopInput, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a law's inputs with a motor position, and its first states."""
+    law, inputs = experiment.law, inputs.copy()
+    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position", "spline")
+    return inputs, law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)

@@ -229,18 +229,7 @@ def _split_law(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatAr
 def _cut_periods(
     law: SampledLaw, periods: int, repeat: int, every: int, samples: int
 ) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
-    """Return `lengths`, `lags`, `log_index` and `torque_index` of `LoopInput`."""
-    lengths, lags = _parts(law, repeat)
-    starts = np.cumsum(lengths) - lengths
-    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
-    log_index = (np.arange(0, periods, every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
-    newest = int(np.argmin(lags))
-    torque_index = np.minimum(log_index // lengths.size + lags[newest], periods - 1) * lengths.size + newest
-    return lengths, lags, log_index, torque_index
-
-
-def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Cut a period at the delay and at log instants."""
+    """Cut a period at the delay and at log instants: return `lengths`, `lags`, and both indices of `LoopInput`."""
     late = law.delay / law.period
     whole = math.floor(late + SNAP)
     fraction = max(late - whole, 0.0)
@@ -249,8 +238,13 @@ def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]
     if all(abs(cut - fraction) > SNAP for cut in cuts):
         cuts = sorted([*cuts, fraction])
     lengths = np.diff([*cuts, 1.0]) * law.period
-    lags = [whole + 1 if cut < fraction - SNAP else whole for cut in cuts]
-    return lengths, np.array(lags, dtype=np.int64)
+    lags = np.array([whole + 1 if cut < fraction - SNAP else whole for cut in cuts], dtype=np.int64)
+    starts = np.cumsum(lengths) - lengths
+    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
+    log_index = (np.arange(0, periods, every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
+    newest = int(np.argmin(lags))
+    torque_index = np.minimum(log_index // lengths.size + lags[newest], periods - 1) * lengths.size + newest
+    return lengths, lags, log_index, torque_index
 
 
 def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:

@@ -16,7 +16,6 @@ from jointid.models.robots.robot import Tree
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels import engine
 from jointid.simulation.kernels.drive import IntArray, SampledLoop, passing
-from jointid.simulation.kernels.drive_sensitivities import LANES, Columns, Slopes
 from jointid.simulation.kernels.engine import (
     BEGIN,
     COULOMB,
@@ -31,11 +30,15 @@ from jointid.simulation.kernels.engine import (
     WINDING,
     Plant,
 )
+from jointid.simulation.kernels.variation import MASSES, SPRINGS, Seeds
 
 AnyArray: TypeAlias = NDArray[Any]
+Blocks: TypeAlias = list[tuple[int, int, FloatArray]]
 
 IMAGINARY = 1e-30
 """A complex step: its square is nothing beside any value."""
+NO_LINKS = np.zeros((1, 0, 10))
+"""The inertials of a joint, which stands in no tree; and what no motor feels of any."""
 HEAVY = 1e18
 """Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
 _MORE = 2  # rows of a tape per step and part, beside a thousand
@@ -76,10 +79,11 @@ def assemble(
     return Plant(whole, of_springs, places, tied, np.array(motors, dtype=np.uint64), np.array(carriers))
 
 
-def is_possible(plant: Plant, duration: float) -> bool:
+def is_possible(plant: Plant, duration: float, links: int = 0) -> bool:
     """Test for masses, springs and friction of a physical joint, for that many seconds.
 
-    Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise.
+    Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. Of links,
+    the first masses, the rotor's inertia may be negative: motion tells its sum with the link alone.
     """
     masses, springs = plant.masses, plant.springs
     numbers = masses[..., :HIGH], springs[..., :BEGIN], plant.places
@@ -94,7 +98,7 @@ def is_possible(plant: Plant, duration: float) -> bool:
     cones = np.all(rest[:, COULOMB] + rest[:, COULOMB_BACK] >= 0) and np.all((drift >= 0) | (faded >= 0))
     unsigned = springs[..., [0, 1, SLIPS, SLIPS + 1]]
     return bool(
-        cones and np.all(rest[:, INERTIA] > 0) and np.all((per_torque >= 0) & (per_torque < 1))
+        cones and np.all(rest[links:, INERTIA] > 0) and np.all((per_torque >= 0) & (per_torque < 1))
         and np.all(rest[:, WINDING] >= 0) and np.all(unsigned >= 0)
     )  # fmt: skip
 
@@ -130,10 +134,54 @@ def heavy_plant(joint: Joint, values: Mapping[str, Any]) -> Plant:
     return plant
 
 
-def plant_seeds(make: Callable[[Mapping[str, Any]], Plant], values: Mapping[str, float], name: str) -> Plant:
-    """Return the derivatives of the numbers that `make` returns by a parameter, by a complex step."""
-    moved = make({**values, name: complex(values[name], IMAGINARY)})
-    return moved._replace(masses=slope(moved.masses), springs=slope(moved.springs), places=slope(moved.places))
+def plant_seeds(
+    make: Callable[[Mapping[str, Any]], Plant], values: Mapping[str, float], names: Sequence[str]
+) -> Blocks:
+    """Return the derivatives of the numbers of a joint that `make` returns by parameters, by a complex step.
+
+    None is a parameter that is not the joint's.
+    """
+    found: Blocks = []
+    for column, name in enumerate(names):
+        if name not in values:
+            continue
+        moved = make({**values, name: complex(values[name], IMAGINARY)})
+        places = moved.places[:, np.newaxis, : engine.WAVE]
+        for first, rows in ((0, moved.masses[..., :HIGH]), (MASSES, moved.springs), (MASSES + SPRINGS, places)):
+            found += [(column, first + row, slope(own)) for row, own in enumerate(rows)]
+    return found
+
+
+def pack_seeds(
+    plant: Plant, tree: Tree | None, blocks: Blocks, *, links: Sequence[tuple[int, ...]] = (),
+    delays: Sequence[tuple[int, ...]] = (), pushes: Sequence[tuple[int, ...]] = (), pushed: FloatArray | None = None,
+) -> Seeds:  # fmt: skip
+    """Return the derivatives of a plant's numbers as `kernels.variation` takes them.
+
+    Args:
+        plant: whose numbers they are.
+        tree: of its links, or None.
+        blocks: column of a parameter, row of `Seeds.begin`, and the derivatives, (bands, numbers).
+        links: see `Seeds`, as what follows.
+        delays: the same.
+        pushes: the same.
+        pushed: the same.
+    """
+    found = sorted(
+        (row, int(band), int(number), column, float(block[band, number]))
+        for column, row, block in blocks
+        for band, number in np.argwhere(block)
+    )
+    rows = len(plant.places) + (MASSES + SPRINGS if tree is None else len(plant.masses) + len(plant.pairs))
+    bands = max(plant.masses.shape[1], plant.springs.shape[1])
+    keys = [row * bands + band for row, band, *_ in found]
+    begin = np.searchsorted(keys, bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1))
+    numbers, columns = (np.array([one[i] for one in found], dtype=np.int64) for i in (2, 3))
+    of_links, of_delays, of_pushes = (
+        np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2), (pushes, 2))
+    )
+    values, none = np.array([one[4] for one in found]), np.zeros((0, 0))
+    return Seeds(begin, numbers, columns, values, of_links, of_delays, of_pushes, none if pushed is None else pushed)
 
 
 def slope(moved: AnyArray) -> FloatArray:
@@ -227,19 +275,3 @@ def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, Fl
         first[:, STATE + i * masses : STATE + (i + 1) * masses] for i in range(5)
     )
     return position, velocity, acceleration, modes
-
-
-def follow_plant(
-    plant: Plant, seeds: Sequence[Plant | None], loop: SampledLoop, before: float, command: FloatArray,
-    excess: FloatArray, tape: FloatArray, columns: Columns, slopes: Slopes,
-) -> None:  # fmt: skip
-    """Fill the derivatives of a joint's run; `seeds` are those of its numbers, None of a column without any."""
-    from jointid.simulation.kernels import variation
-
-    width = (HIGH, engine.SPRING, engine.WHERE + 1)
-    given = [np.zeros((*one.shape[:-1], last, LANES)) for one, last in zip(plant[:3], width, strict=True)]
-    for j, seed in enumerate(seeds):
-        for whole, own in zip(given, seed[:3] if seed else (), strict=False):
-            whole[..., j] = own[..., : whole.shape[-2]]
-    masses, springs, places = given
-    variation.follow(plant, masses, springs, places, loop, before, command, excess, tape, columns, slopes)

@@ -251,24 +251,28 @@ class _Load:
 
     def _differentiate(self, names: list[str]) -> FloatArray:
         """Derivatives of the load's position and velocity at the edges, (edges, 2, names)."""
-        from jointid.simulation.kernels.drive_sensitivities import LANES, Columns, Slopes
-        from jointid.simulation.plant import follow_plant, heavy_plant, pass_on, plant_seeds
+        from jointid.simulation.kernels.drive_sensitivities import LANES, Moved, Slopes
+        from jointid.simulation.kernels.variation import follow
+        from jointid.simulation.plant import NO_LINKS, heavy_plant, pack_seeds, pass_on, plant_seeds
 
         if len(names) > LANES:
             return np.dstack([self._differentiate(names[:LANES]), self._differentiate(names[LANES:])])
-        edges, start = len(self.states), np.zeros((4, LANES))
-        own, make = {p.name for p in self.joint.parameters}, partial(heavy_plant, self.joint)
-        seeds = [plant_seeds(make, self.values, name) if name in own else None for name in names]
+        edges, start, own = len(self.states), np.zeros((4, LANES)), {p.name for p in self.joint.parameters}
         for j, name in enumerate(names):
             if name in own:
                 start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             else:
                 start[2 + LOAD_STATE.index(name), j] = 1.0
-        states = np.empty((edges, 4, LANES))
-        columns = Columns(np.zeros((edges, 1, 0)), LANES, np.zeros(LANES), np.zeros((1, LANES)), start, start[:0])
-        loop, command = pass_on(self.run.command[:, np.newaxis], self.motion.step), self.run.command[0]
-        slopes = Slopes(np.empty((LANES, edges)), states)
-        follow_plant(self.plant, seeds, loop, 0.0, command, np.empty((0, 1)), self.run.tape, columns, slopes)
+        values = {name: self.values[name] for name in own}
+        seeds = pack_seeds(self.plant, None, plant_seeds(partial(heavy_plant, self.joint), values, names))
+        states, none = np.empty((edges, 4, LANES)), np.zeros((1, 0, LANES))
+        explicit, limits = np.zeros((1, edges, 1, 0)), np.zeros((1, 1, LANES))
+        moved = Moved(start[[0, 2]], start[[1, 3]], none, explicit, LANES, limits)
+        loop = pass_on(self.run.command[:, np.newaxis], self.motion.step)
+        follow(
+            self.plant, None, NO_LINKS[0], loop, np.zeros(1), self.run.command, self.run.excess, self.run.tape, seeds,
+            moved, Slopes(np.zeros((1, edges, 0)), states, NO_LINKS),
+        )  # fmt: skip
         return states[:, 2:, : len(names)]
 
 

@@ -19,14 +19,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.robots.robot import Robot, Tree
+from jointid.models.robots.robot import Robot
+from jointid.simulation.closed_loop import OUTCOMES, Outcome
 from jointid.simulation.kernels.engine import STATE
 from jointid.simulation.plant import HEAVY, motion_of, move_motors, pass_on
 from jointid.simulation.prescribed import motion_at_edges, part_means
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import columns_of, rows_of, seeds_of, slopes_at_start
-from jointid.simulation.robot_start import places_at_start, speeds_at_start
-from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
+from jointid.simulation.robot_sensitivities import columns_of, seeds_of, slopes_at_start
+from jointid.simulation.robots import FirstSample, MassMotion, choose_steps, places_at_start, speeds_at_start
 
 PARTS = 1
 """Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
@@ -47,27 +47,22 @@ class RobotDriveSide:
 
 
 @dataclass(frozen=True, eq=False)
-class MotorMotion:
+class MotorMotion(FirstSample):
     """The motion of a robot's motors, prescribed.
 
     Attributes:
-        tree: of the links, as `RobotInput` has it.
         step: s of a part.
         position, velocity: (parts + 1, n) at the ends of the parts.
         joined: (parts + 1, n) the velocities that the held accelerations join (see the module).
         direction: (parts, n) of the velocity, 1 or -1, mean over each part; filtered as the positions are where the
             torques are, too.
-        speeds, accelerations: (n,) at the first sample.
     """
 
-    tree: Tree
     step: float
     position: FloatArray
     velocity: FloatArray
     joined: FloatArray
     direction: FloatArray
-    speeds: FloatArray
-    accelerations: FloatArray
 
     def begin(self, parts: int) -> MotorMotion:
         """Return the motion in the first parts."""
@@ -92,7 +87,7 @@ def prescribe_motion(
     position, velocity, acceleration, joined = motion_at_edges(positions, sample_time, parts)
     if resting is not None:
         joined[0, resting] = velocity[0, resting] = acceleration[0, resting] = 0.0
-    return MotorMotion(robot.tree, step, position, velocity, joined, _direction(velocity), velocity[0], acceleration[0])
+    return MotorMotion(robot.tree, velocity[0], acceleration[0], step, position, velocity, joined, _direction(velocity))
 
 
 def _direction(velocity: FloatArray) -> FloatArray:
@@ -118,7 +113,7 @@ class RobotDriveSideRun:
 
     prescribed: MotorMotion
     numbers: RobotNumbers
-    outcome: RobotOutcome
+    outcome: Outcome
     start: FloatArray
     motion: MassMotion
     torque: FloatArray
@@ -134,12 +129,12 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDrive
     n, masses, parts = numbers.rotors.size, len(numbers.masses), len(prescribed.direction)
     moved, tape, command = _with_heavy_motors(numbers), np.zeros((0, STATE)), np.zeros((n, parts + 1))
     start, speeds = np.zeros(masses), np.zeros(masses)
-    outcome = RobotOutcome.INVALID
+    outcome = Outcome.INVALID
     if numbers.possible(len(prescribed.position) * prescribed.step):
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
         taken = choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
-        outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
-    if outcome is RobotOutcome.FINISHED:
+        outcome = Outcome.FINISHED if taken <= _STEPS else Outcome.TOO_STIFF
+    if outcome is Outcome.FINISHED:
         speeds, stiff = speeds_at_start(prescribed, numbers), np.full(n, -np.inf)
         start, _ = places_at_start(prescribed, numbers, prescribed.position[0], stiff)
         speeds[numbers.rotors] = prescribed.joined[0]
@@ -150,8 +145,8 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDrive
         found = move_motors(
             moved.plant, prescribed.tree, moved.inertials, prescribed.joined, prescribed.step, places, speeds, taken
         )
-        outcome, tape, command = outcome_of(found.status), found.tape, found.command
-    if outcome is not RobotOutcome.FINISHED:
+        outcome, tape, command = OUTCOMES[found.status], found.tape, found.command
+    if outcome is not Outcome.FINISHED:
         nothing = np.zeros((parts, masses))
         return RobotDriveSideRun(
             prescribed, numbers, outcome, start, MassMotion(nothing, nothing, nothing, nothing), nothing[:, :n],
@@ -171,25 +166,25 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
         run: that finished.
         places: of the parameters.
     """
-    from jointid.simulation.kernels import robot_variation as kernels
+    from jointid.simulation.kernels.drive_sensitivities import Moved, Slopes
+    from jointid.simulation.kernels.variation import follow
 
-    prescribed, numbers, tape, count = run.prescribed, _with_heavy_motors(run.numbers), run.tape, len(places)
+    prescribed, numbers, count = run.prescribed, _with_heavy_motors(run.numbers), len(places)
     n, parts = numbers.rotors.size, len(prescribed.direction)
     dq, dv = np.zeros((len(numbers.masses), count)), np.zeros((len(numbers.masses), count))
     of_robot = [c for c, place in enumerate(places) if place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)]
-    rows = np.array([(NumberOf.MASS, numbers.rotors[0], 3)] * count, dtype=np.int64).reshape(-1, 3)  # moves nothing
-    moving = tuple(places[c] for c in of_robot)
-    rows[of_robot] = rows_of(numbers, moving)
-    dq[:, of_robot], _ = slopes_at_start(prescribed, run.numbers, run.start, np.zeros(n), moving)
+    dq[:, of_robot], _ = slopes_at_start(
+        prescribed, run.numbers, run.start, np.zeros(n), tuple(places[c] for c in of_robot)
+    )
     for c, place in enumerate(places):
         if place.of is NumberOf.BESIDE:
             (dv if place.column else dq)[place.row, c] = 1.0
     found = np.zeros((n, parts + 1, count))
-    at_start = kernels.Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)))
-    loop = pass_on(run.command[:, np.newaxis], prescribed.step)
-    kernels.differentiate_run(
-        prescribed.tree, numbers.inertials, numbers.plant, loop, np.zeros(n), run.command, np.zeros((n, 0, 0)), tape,
-        rows, seeds_of(numbers, places), at_start, np.zeros((n, parts + 1, 0)), found,
+    moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
+    follow(
+        numbers.plant, prescribed.tree, numbers.inertials, pass_on(run.command[:, np.newaxis], prescribed.step),
+        np.zeros(n), run.command, np.zeros((n, 0, 1)), run.tape, seeds_of(prescribed.tree, numbers, places), moved,
+        Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), found),
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)
 

@@ -17,7 +17,7 @@ from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels.drive import IntArray
 from jointid.simulation.kernels.engine import Plant
-from jointid.simulation.plant import AnyArray, assemble, lower_mass, lower_spring
+from jointid.simulation.plant import AnyArray, assemble, is_possible, lower_mass, lower_spring
 
 Bools: TypeAlias = NDArray[np.bool_]
 
@@ -103,27 +103,14 @@ class RobotNumbers:
         Rotors behind springs have an inertia, friction that rises has a speed, a hysteresis slips, pieces of a spring
         follow each other, friction per torque is below 1, and Coulomb friction that drifts stays above 0.
         """
-        finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
-        turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
-        # Of a rigid joint the inertia of the rotor may be negative: motion tells its sum with the link alone.
-        signed = [MassNumbers.INERTIA, MassNumbers.OFFSET, MassNumbers.RISE, *_DRIFTS]
-        unsigned = np.delete(self.springs, SPRING_NUMBERS.index("cubic_stiffness"), axis=1)
-        least = min(float(np.min(np.delete(self.masses, signed, axis=1))), float(np.min(unsigned)))
-        risen = self.masses[:, MassNumbers.SPEED][self.masses[:, MassNumbers.RISE] != 0.0]
-        standing = self.masses[:, MassNumbers.COULOMB] + self.masses[:, MassNumbers.RISE]
-        spring = dict(zip(SPRING_NUMBERS, self.springs.T, strict=True))
-        slips = spring["hysteresis_torque"][spring["hysteresis_stiffness"] > 0.0]
-        third = spring["stiffness_3"] > 0.0
-        ascending = spring["torque_2"][third] > spring["torque_1"][third]
-        drift = self.masses[:, MassNumbers.COULOMB_DRIFT]
-        faded = (self.masses[:, MassNumbers.COULOMB] + drift * duration)[drift < 0.0]
-        positive = (turning, held, risen, slips, 1.0 - self.masses[:, MassNumbers.PER_TORQUE])
+        unsigned = [MassNumbers.VISCOUS, MassNumbers.COULOMB, MassNumbers.FORWARDS, MassNumbers.BACKWARDS]
+        late, held = np.append(self.delays, 0.0), self.springs[self.flexible, 0]
         return (
-            finite
-            and min(least, np.min(faded, initial=0.0), np.min(standing), np.min(self.delays, initial=0.0)) >= 0.0
-            and bool(np.max(self.delays, initial=0.0) <= duration)
-            and all(bool(np.all(each > 0.0)) for each in positive)
-            and bool(np.all(ascending))
+            all(bool(np.all(np.isfinite(values))) for values in self.arrays)
+            and min(float(np.min(self.masses[:, unsigned])), float(np.min(late))) >= 0.0
+            and bool(np.max(late) <= duration)
+            and bool(np.all(held > 0.0))
+            and is_possible(self.plant, duration, self.rotors.size)
         )
 
 
@@ -237,7 +224,7 @@ def spring_of(row: AnyArray, law: Spring | None) -> AnyArray:
 
 
 class NumberOf(IntEnum):
-    """Owner of a parameter: an array of `RobotNumbers`; or none, of a torque added to a controller's output."""
+    """Owner of a parameter: an array of `RobotNumbers`."""
 
     LINK = 0
     MASS = 1
@@ -245,7 +232,6 @@ class NumberOf(IntEnum):
     BESIDE = 3
     LOG = 4
     DELAY = 5
-    PUSH = 6
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,12 @@
 """Derivatives of a robot's torques by its parameters: by variation of a run, or as columns at a known motion.
 
-The variation is that of `kernels.robot_variation`.
+The variation is that of `kernels.variation`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +21,10 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import first_state
+from jointid.simulation.kernels.engine import HIGH
 from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
-from jointid.simulation.plant import IMAGINARY, slope
+from jointid.simulation.plant import IMAGINARY, pack_seeds, slope
 from jointid.simulation.robot_numbers import (
-    MassNumbers,
     NumberOf,
     NumberPlace,
     RobotNumbers,
@@ -34,22 +33,24 @@ from jointid.simulation.robot_numbers import (
     stribeck_share,
     with_values,
 )
-from jointid.simulation.robot_start import (
+from jointid.simulation.robots import (
     FirstSample,
+    MassMotion,
+    RobotRun,
     controllers_at,
     deflections,
-    friction_at,
     link_torques,
+    motion_at,
     own_torques,
-    speeds_at_start,
     spring_torques,
 )
-from jointid.simulation.robots import MassMotion, RobotRun, motion_at
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.robot_variation import Moved, Seeds
+    from jointid.simulation.kernels.variation import Seeds
 
-_RELATIVE = 1e-6  # of a number, or of 1 where that is more: differences of laws
+Start: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+
+_RELATIVE = 1e-5  # of a number: differences of what balances at the first sample
 _SMALL = 1e-7  # rad: differences of the load
 _NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
 
@@ -82,8 +83,6 @@ def respond_to_laws(
         Of each joint what its own law adds as the motion changes, (samples, changes); of each change the difference of
         the two laws along the motion of the run, (samples,).
     """
-    from jointid.simulation.kernels.robot_variation import Moved
-
     clock, n, count = run.experiment.clock, run.numbers.rotors.size, len(changes)
     position = motion_at(run, clock.lengths.size * np.arange(clock.steps)).position[:, run.numbers.rotors]
     pushes, direct = np.zeros((count, clock.steps)), list[FloatArray]()
@@ -96,10 +95,10 @@ def respond_to_laws(
         push[:] = clock.repeat(j, acts - before.output)
         shown = (to_log(one, seen_torque(one, of.output)) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
-    places = tuple(NumberPlace(NumberOf.PUSH, j, i) for i, (j, _) in enumerate(changes))
     still, states = np.zeros((len(run.numbers.masses), count)), run.experiment.sampled.feedback.A.shape[-1]
-    moved = Moved(still, still.copy(), np.zeros((n, states, count)), np.zeros((n, count)))
-    return _follow(run, places, moved, pushes), direct
+    pushing = [(i, j) for i, (j, _) in enumerate(changes)]
+    start = still, still, np.zeros((n, states, count))
+    return _follow(run, (), start, pushing, pushes), direct
 
 
 def _run_law(experiment: LoopInput, position: FloatArray, speed: float) -> LawRun:
@@ -110,31 +109,33 @@ def _run_law(experiment: LoopInput, position: FloatArray, speed: float) -> LawRu
 
 
 def _follow(
-    run: RobotRun, places: tuple[NumberPlace, ...], moved: Moved, pushes: FloatArray | None = None
-) -> list[FloatArray]:
+    run: RobotRun, places: tuple[NumberPlace, ...], start: Start, pushes: Sequence[tuple[int, int]] = (),
+    pushed: FloatArray | None = None,
+) -> list[FloatArray]:  # fmt: skip
     """Return the derivatives of the torques as the log shows them, by joint, (samples, parameters) each.
 
     Pushes, (pushes, clock), are torques added to controllers' outputs; in the result they are left out.
     """
-    from jointid.simulation.kernels import robot_variation as kernels
+    from jointid.simulation.kernels.drive_sensitivities import Moved, Slopes
+    from jointid.simulation.kernels.variation import follow
+    from jointid.simulation.plant import NO_LINKS
 
     experiment, clock, numbers = run.experiment, run.experiment.clock, run.experiment.carrying(run.numbers)
-    rows = rows_of(run.numbers, places)
-    command = np.zeros((len(experiment.experiments), clock.steps, len(rows)))
-    seeds = seeds_of(run.numbers, places)
-    seeds = seeds if pushes is None else seeds._replace(pushes=pushes)
-    kernels.differentiate_run(
-        experiment.tree, numbers.inertials, numbers.plant, experiment.sampled, run.before, run.command, run.excess,
-        run.tape, rows, seeds, moved, command, np.zeros((len(command), 0, 0)),
+    (n, _, elements), count = run.excess.shape, start[0].shape[1]
+    command = np.zeros((n, clock.steps, count))
+    moved = Moved(*start, np.zeros((n, 0, elements, 0)), count, np.zeros((n, elements, count)))
+    plant, seeds = numbers.plant, seeds_of(experiment.tree, numbers, places, pushes, pushed)
+    follow(
+        plant, experiment.tree, numbers.inertials, experiment.sampled, run.before, run.command, run.excess, run.tape,
+        seeds, moved, Slopes(command, np.zeros((0, 4, count)), NO_LINKS),
     )  # fmt: skip
-    for c, (kind, j, push) in enumerate(rows):
-        if kind == NumberOf.PUSH:
-            command[j, :, c] -= seeds.pushes[push]
+    for column, j in pushes:
+        command[j, :, column] -= seeds.pushed[column]
     found = []
     for j, each in enumerate(experiment.experiments):
         logged = to_log(each, clock.own(j, command[j], each.periods))
-        late = np.flatnonzero((rows[:, 0] == NumberOf.DELAY) & (rows[:, 1] == j))
-        if late.size and each.tap is Tap.MEASURED and each.timing is Timing.AVERAGED:
+        late = [c for c, place in enumerate(places) if place.of is NumberOf.DELAY and place.row == j]
+        if late and each.tap is Tap.MEASURED and each.timing is Timing.AVERAGED:
             # An edge that moves takes its height from the mean over the sample time it stands in.
             torque = acting(each, seen_torque(each, clock.own(j, run.command[j], each.periods)))
             edges = -np.diff(torque, prepend=torque[0])
@@ -143,39 +144,34 @@ def _follow(
     return found
 
 
-def rows_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> IntArray:
-    """Return of each parameter the array of the kernels, its row and its column."""
-    spring = np.cumsum(numbers.flexible) - 1
-    found = [(p.of, spring[p.row] if p.of is NumberOf.SPRING else p.row, p.column) for p in places]
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
-
-
-def seeds_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> Seeds:
+def seeds_of(
+    tree: Tree, numbers: RobotNumbers, places: Sequence[NumberPlace], pushes: Sequence[tuple[int, int]] = (),
+    pushed: FloatArray | None = None,
+) -> Seeds:  # fmt: skip
     """Return how the numbers that the kernels read depend on parameters, by a complex step: rational functions."""
-    from jointid.simulation.kernels.robot_variation import Seeds
-
-    plant = numbers.plant
-    masses = np.zeros((len(places), *plant.masses.shape[1:]))
-    springs = np.zeros((len(places), *plant.springs.shape[1:]))
+    spring, blocks = len(numbers.masses) - 1 + np.cumsum(numbers.flexible), []
     for c, place in enumerate(places):
         if place.of not in (NumberOf.MASS, NumberOf.SPRING):
             continue
         row = numbers.arrays[place.of][place.row].astype(np.complex128)
         row[place.column] += 1j * IMAGINARY
-        of_mass = place.of is NumberOf.MASS
-        own = mass_of(row, numbers.frictions[place.row]) if of_mass else spring_of(row, numbers.laws[place.row][1])
-        (masses if of_mass else springs)[c, : len(own)] = slope(own)
-    return Seeds(masses, springs, np.zeros((0, 0)))
+        if place.of is NumberOf.MASS:
+            blocks.append((c, place.row, slope(mass_of(row, numbers.frictions[place.row]))[:, :HIGH]))
+        else:
+            blocks.append((c, int(spring[place.row]), slope(spring_of(row, numbers.laws[place.row][1]))))
+    links = [(c, place.row, place.column) for c, place in enumerate(places) if place.of is NumberOf.LINK]
+    delays = [(c, place.row) for c, place in enumerate(places) if place.of is NumberOf.DELAY]
+    return pack_seeds(
+        numbers.plant, tree, blocks, links=links, delays=delays, pushes=pushes, pushed=pushed
+    )  # fmt: skip
 
 
-def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
-    """Return the derivatives at the first sample.
+def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Start:
+    """Return the derivatives at the first sample: of positions, velocities and controllers' states.
 
-    Of `robot_start.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
+    Of `robots.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
     has; ``K (qm - q) = load(q)``.
     """
-    from jointid.simulation.kernels.robot_variation import Moved
-
     experiment, numbers = run.experiment, run.experiment.carrying(run.numbers)
     n, rotors = numbers.rotors.size, numbers.rotors
     motors, speeds = run.start[rotors], experiment.speeds
@@ -192,11 +188,11 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> Moved:
     by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
     dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
     dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load, 0.0)[:, np.newaxis]
-    return Moved(dq, np.zeros_like(dq), dz, load)
+    return dq, np.zeros_like(dq), dz
 
 
 def slopes_at_start(
-    first: FirstSample, numbers: RobotNumbers, start: FloatArray, soft: FloatArray, places: tuple[NumberPlace, ...]
+    first: FirstSample, numbers: RobotNumbers, start: FloatArray, soft: FloatArray, places: Sequence[NumberPlace]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of the positions in steady motion, and of the motors' torques there.
 
@@ -210,71 +206,33 @@ def slopes_at_start(
     Returns:
         (masses, parameters) and (n, parameters).
     """
-    n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
-    motors, links, speeds, all_speeds = start[rotors], start[:n], first.speeds, speeds_at_start(first, numbers)
-    carried = spring_torques(first, numbers, link_torques(first, numbers, links))
-    compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
-    lines = np.array([law is None or law.linear for _, law in numbers.laws])
-    if not np.all(lines):
-        compliance = np.where(lines, compliance, _slope(lambda torque: deflections(numbers, torque), carried))
-    lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(speeds)  # share of the torque, lost to friction
-    carried = carried + np.where(numbers.flexible, 0.0, own_torques(first, numbers))
-    gain = 1.0 / (1.0 - lost * np.sign(carried))
-    here = link_torques(first, numbers, links)
-    shifted = [link_torques(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
-    turning = np.column_stack([(there - here) / _SMALL for there in shifted])
-    direct, own, stretched = (np.zeros((n, count)) for _ in range(3))
+    n, links = numbers.rotors.size, start[: numbers.rotors.size]
+
+    def carry(other: RobotNumbers, places: FloatArray) -> FloatArray:
+        return spring_torques(first, other, link_torques(first, other, places))
+
+    def balance(other: RobotNumbers) -> FloatArray:
+        return np.stack([carry(other, links), own_torques(first, other), deflections(other, load)])
+
+    load = carry(numbers, links)
+    turning = np.column_stack([(carry(numbers, links + _SMALL * unit) - load) / _SMALL for unit in np.eye(n)])
+    step = _RELATIVE * np.maximum(np.abs(load), 1.0)
+    compliance = (deflections(numbers, load + step) - deflections(numbers, load - step)) / (2.0 * step)
+    moved = np.zeros((3, n, len(places)))
     for c, place in enumerate(places):
-        if place.of is NumberOf.DELAY:  # a steady torque acts whenever
-            continue
-        if place.of is NumberOf.LINK:
-            unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
-            unit.inertials[place.row, place.column] = 1.0
-            direct[:, c] = link_torques(first, unit, links)
-        elif place.of is NumberOf.MASS:
-            joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
-            v = float(speeds[joint])
-            one_way = v * (v < 0.0 if place.column == MassNumbers.BACKWARDS else v >= 0.0)
-            constant = float(v != 0.0 or place.row == rotors[joint])
-            effects = [first.accelerations[joint], v, np.sign(v), constant, one_way, one_way]
-            if place.column == MassNumbers.PER_TORQUE:
-                effect = float(np.abs(carried[joint]) * np.sign(v))
-            elif place.column >= MassNumbers.RISE:
-                effect = _slope_by_number(lambda other: friction_at(other, all_speeds), numbers, place)
-            else:
-                effect = float(effects[place.column])
-            (own if place.row == rotors[joint] else direct)[joint, c] = effect
-        elif lines[place.row]:
-            stretched[place.row, c] = (motors - links)[place.row] if place.column == 0 else 0.0
-        elif compliance[place.row] > 0.0:
-            gives = _slope_by_number(lambda other: deflections(other, carried), numbers, place)
-            stretched[place.row, c] = -gives / compliance[place.row]
-    direct, turning = gain[:, np.newaxis] * direct, gain[:, np.newaxis] * turning
-    direct += np.where(numbers.flexible, 0.0, gain - 1.0)[:, np.newaxis] * own
-    moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
-    load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
-    dq = np.zeros((start.size, count))
-    of_motor = soft[:, np.newaxis] * (load + own)
-    dq[:n] = of_motor - compliance[:, np.newaxis] * (load - stretched)
-    dq[rotors] = of_motor
-    return dq, load + own
-
-
-def _slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """Return the derivative of a function that acts number by number."""
-    step = _RELATIVE * np.maximum(np.abs(at), 1.0)
-    return np.asarray((function(at + step) - function(at - step)) / (2.0 * step))
-
-
-def _slope_by_number(
-    function: Callable[[RobotNumbers], FloatArray], numbers: RobotNumbers, place: NumberPlace
-) -> float:
-    """Return the derivative of a function's entry for a row by one of the row's numbers."""
-
-    def change(value: FloatArray) -> FloatArray:
-        return function(with_values(numbers, (place,), value))[[place.row]]
-
-    return float(_slope(change, np.array([place.read(numbers)]))[0])
+        if place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING):
+            value = place.read(numbers)
+            by = _RELATIVE * max(abs(value), 0.1)
+            low, high = (balance(with_values(numbers, (place,), np.array([value + d]))) for d in (-by, by))
+            moved[:, :, c] = (high - low) / (2.0 * by)
+    direct, own, stretched = moved
+    given = turning @ (soft[:, np.newaxis] * own - stretched) + direct
+    torque = np.linalg.solve(np.eye(n) - turning * (soft - compliance), given)
+    dq = np.zeros((start.size, len(places)))
+    of_motor = soft[:, np.newaxis] * (torque + own)
+    dq[:n] = of_motor - compliance[:, np.newaxis] * torque - stretched
+    dq[numbers.rotors] = of_motor
+    return dq, torque + own
 
 
 def columns_of(

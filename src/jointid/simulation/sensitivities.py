@@ -32,7 +32,7 @@ from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torq
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
-_TAPED = 1000  # rows of the tape to begin with
+_TAPED = 1000  # rows of the tape to begin with, and one for 16 periods
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
 _ROOM = Room()
 _INITIAL = {
@@ -90,26 +90,14 @@ def simulate_sensitivities(
     At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
     velocity includes a load that moves along.
     """
-    return _differentiate(_run_with_tape(loop, experiment, values, names, initial), names, positions)
-
-
-def _run_with_tape(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    initial: Initial | None,
-) -> ClosedLoopRun:
-    """Run with a whole tape, in reused memory."""
-    own = _seeds(loop.joint)
+    own, rows = _seeds(loop.joint), _TAPED + experiment.periods // 16
     for name in names:
         if _is_of_law(own, name):
             number(loop.controller, name)
-    rows = taped_rows(experiment.periods)
     out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
-    if out.plant is None and out.counts[1] > rows:  # a joint that turns round and sticks all the time
-        out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
-    return out
+    if out.plant is None and out.trace.counts[1] > rows:  # a joint that turns round and sticks all the time
+        out = run(loop, experiment, values, initial, keep=True, taped=int(out.trace.counts[1]), room=_ROOM)
+    return _differentiate(out, names, positions)
 
 
 def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
@@ -135,7 +123,7 @@ def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) ->
         return zero_sensitivities(response, len(names), positions, flexible)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command)), prepend=out.before)
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out.trace.u)), prepend=out.before)
         torque[:, list(names).index("delay")] += averages(experiment, edges)
     return Sensitivities(
         response,
@@ -161,13 +149,14 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
     Shapes: (periods, lanes) and (periods * parts, 4, lanes).
     """
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
-    from jointid.simulation.plant import follow_plant, plant_of, plant_seeds
+    from jointid.simulation.kernels import variation
+    from jointid.simulation.plant import NO_LINKS, pack_seeds, plant_of, plant_seeds
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
     seeds, start = np.zeros((14, width)), np.zeros((4, width))
-    memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
-    explicit, by_name = [], _seeds(joint)
+    memory, limits = np.zeros((1, law.order, width)), np.zeros((1, law.limits.size, width))
+    explicit, by_name, delays = [], _seeds(joint), [(j, 0) for j, name in enumerate(names) if name == "delay"]
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
@@ -177,49 +166,46 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
         elif name in _INITIAL:
             at = _INITIAL[name]
             start[:, j] = _start_slope(out, *at[:2]) if any(at[:2]) else 0.0
-            memory[:, j] = _memory_slope(out, at)
-        elif name == "delay":
-            delay[j] = 1.0
-        else:
-            column, limits[:, j] = _explicit(out, name)
+            memory[0, :, j] = _memory_slope(out, at)
+        elif name != "delay":
+            column, limits[0, :, j] = _explicit(out, name)
             explicit.append(column)
-    periods, elements = len(out.command), law.limits.size
-    command = np.empty((width, periods))
-    states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
+    periods, elements = len(out.trace.u), law.limits.size
+    command = np.empty((1, periods, width))
+    states = _ROOM.array("moved", (len(out.trace.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
-    columns = sensitivity_kernels.Columns(explained, len(names) - len(explicit), delay, limits, start, memory)
-    slopes, rows = sensitivity_kernels.Slopes(command, states), int(out.counts[1])
+    side = np.arange(2) if out.plant is None else np.minimum(np.arange(len(out.plant.masses)), 1)
+    at_start = (start[2 * side], start[2 * side + 1], memory, explained[np.newaxis], len(names) - len(explicit), limits)
+    moved, slopes = sensitivity_kernels.Moved(*at_start), sensitivity_kernels.Slopes(command, states, NO_LINKS)
     if out.plant is None:
+        acts_later = np.array(delays, dtype=np.int64).reshape(-1, 2)
         sensitivity_kernels.follow(
-            experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes
-        )  # fmt: skip
+            experiment.sampled,
+            out.before,
+            out.trace,
+            int(out.trace.counts[1]),
+            out.drive,
+            seeds,
+            acts_later,
+            moved,
+            slopes,
+        )
     else:
-        make = partial(plant_of, joint)
-        follow_plant(
-            out.plant, [plant_seeds(make, out.values, name) if name in by_name else None for name in names],
-            experiment.sampled, out.before, out.command, out.excess, out.tape, columns, slopes,
+        blocks = plant_seeds(partial(plant_of, joint), {name: out.values[name] for name in by_name}, names)
+        packed = pack_seeds(out.plant, None, blocks, delays=delays)
+        variation.follow(
+            out.plant, None, NO_LINKS[0], experiment.sampled, np.array([out.before]), out.trace.u[np.newaxis],
+            out.trace.excess[np.newaxis], out.trace.tape, packed, moved, slopes,
         )  # fmt: skip
-    return command.T, states
-
-
-def taped_rows(samples: int) -> int:
-    """Usual number of tape rows for the events of so many periods."""
-    return _TAPED + samples // 16
-
-
-def coefficient_seeds(
-    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str]
-) -> dict[str, FloatArray]:
-    """Constant derivatives of kernel coefficients by the joint's parameters."""
-    nothing = dict.fromkeys(own, 0.0)
-    constant = coefficients(nothing)
-    return {name: coefficients(nothing | {name: 1.0}) - constant for name in own}
+    return command[0], states
 
 
 @lru_cache(maxsize=64)
 def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
-    """Cached `coefficient_seeds` of a joint."""
-    found = coefficient_seeds(joint.coefficients, [p.name for p in joint.parameters])
+    """Return the constant derivatives of the affine kernels' coefficients by a joint's parameters."""
+    nothing = dict.fromkeys((p.name for p in joint.parameters), 0.0)
+    constant = joint.coefficients(nothing)
+    found = {name: joint.coefficients(nothing | {name: 1.0}) - constant for name in nothing}
     for seed in found.values():
         seed.setflags(write=False)
     return found
@@ -262,11 +248,11 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     experiment, controller = out.experiment, out.loop.controller
     value = number(controller, name)
     if not math.isfinite(value):  # a limit that never acts
-        return np.zeros_like(out.excess), np.zeros(experiment.law.limits.size)
+        return np.zeros_like(out.trace.excess), np.zeros(experiment.law.limits.size)
     unit = experiment.law.period if name.endswith("delay") else 1.0
     steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
     inputs = experiment.inputs.copy()
-    inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
+    inputs[:, POSITION] = out.trace.states[:: experiment.lengths.size, 0]
     low, high = (experiment.law_of(with_numbers(controller, {name: value + by})) for by in steps)
     require_same_structure(low, high, name)
     held, width = _cut(out, inputs), steps[1] - steps[0]
@@ -290,11 +276,11 @@ def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
     """Return the excess over limits and gates, (periods, elements)."""
     law = out.experiment.law
     if law.limits.size > 1 or law.phases > 1 or out.experiment.kernel.driven.shape[1]:
-        return out.excess
+        return out.trace.excess
     if not np.any(law.F):
-        return np.zeros_like(out.excess)
+        return np.zeros_like(out.trace.excess)
     # One limit that is fed back: what it cut off is the difference of the output from the law's own.
-    output = out.command[:, np.newaxis]
+    output = out.trace.u[:, np.newaxis]
     back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
     return np.asarray(output - respond(back, inputs, _start_states(law, inputs, out), output))
 

@@ -14,10 +14,9 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Simulation
+from jointid.simulation.closed_loop import Initial, Simulation, require_success
 from jointid.simulation.closed_loop import simulate as simulate_joint
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
-from jointid.simulation.simulated import require_success
 
 if TYPE_CHECKING:  # a joint needs no kernel of a robot
     from jointid.simulation.robot_numbers import RobotNumbers

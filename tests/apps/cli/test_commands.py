@@ -409,7 +409,7 @@ def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture
     assert run("diagnose", EMPS, "--laws", "--record", record, "--json", out, "-q") == 3
     assert f'declare the joint with friction = "{law}" to identify it' in " ".join(capsys.readouterr().out.split())
     (frictions,) = json.loads(out.read_text(encoding="utf-8"))["laws"]
-    assert (frictions["type"], frictions["shown"]["name"]) == ("FrictionComparison", law)
+    assert (frictions["kind"], frictions["shown"]["name"]) == ("friction", law)
     keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
     assert run("identify", EMPS, "--record", record, *keys) == 0
     return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"])

@@ -10,20 +10,19 @@ import pytest
 from jointid.diagnostics.axis_faults import _explained
 from jointid.diagnostics.diagnose import _wait_for_cause, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.fault_tests import FaultTest
+from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.faults.other_laws import AVERAGED
 from jointid.diagnostics.identify import identify
-from jointid.diagnostics.robot_causes import RobotCause, find_robot_cause, find_springs
-from jointid.models.controllers import PD
+from jointid.diagnostics.robot_causes import RobotCause, find_robot_cause
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
-from tests.robots_plants import six, two
+from tests.robots_plants import two
 
 FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
 
@@ -150,48 +149,7 @@ def test_an_axis_without_a_residual_takes_nothing_from_what_faults_explain() -> 
     assert _explained(before, after, [slice(0, 1), slice(1, 3)]) == pytest.approx(0.875)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("hertz", "named"),
-    [
-        ((9.0, None), ("joint1",)),
-        ((None, 12.0), ("joint2",)),
-        ((None, None), None),
-    ],
-)
-def test_springs_that_are_not_declared_are_named_by_didim_and_wrong_gains_are_none(
-    hertz: tuple[float | None, float | None], named: tuple[str, ...] | None
-) -> None:
-    twin = two(hertz)
-    loop, drives = twin.loop(), twin.records(4.0, multisine=0.01)
-    records, _ = recorded(loop, drives, 0.005)
-    loop = replace(loop, robot=loop.robot.rigid)
-    if named is None:
-        first, second = loop.controllers
-        assert isinstance(first, PD)
-        loop = replace(loop, controllers=(replace(first, derivative_gain=1.5 * first.derivative_gain), second))
-    estimate = identify(records, loop)
-    assert estimate.fit.filtered_error > 0.15
-    found = estimate.checks.diagnosis
-    assert isinstance(found, Diagnosis)
-    cause = found.cause
-    assert (None if cause is None else cause.joints) == named
-    if named:
-        assert f"Do not rely on it yet: the torques have what a spring in {named[0]} makes" in estimate.sentence
-
-
-@pytest.mark.slow
-def test_springs_in_three_of_six_joints_are_named() -> None:
-    twin = six((True, True, True, False, False, False))
-    loop = twin.loop()
-    records, _ = recorded(loop, twin.records(6.0, multisine=0.005), 0.005)
-    rigid = replace(loop, robot=loop.robot.rigid)
-    cause = find_springs(rigid, records, identified(rigid, records).settings.filtering)
-    assert cause is not None and cause.joints == ("joint1", "joint2", "joint3")
-    assert "declare them, or identify below" in cause.words
-
-
-def test_a_copied_reference_is_named_before_springs() -> None:
+def test_a_copied_reference_is_named() -> None:
     twin = two((9.0, None))
     loop = replace(twin.loop(), robot=twin.loop().robot.rigid)
     records, _ = recorded(twin.loop(), twin.records(4.0, multisine=0.01), 0.005)

@@ -19,8 +19,9 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimates import identify
 from tests.robots_plants import Twin, two
@@ -40,7 +41,7 @@ def moved(seconds: float = 4.0, multisine: float = 4e-4) -> Record:
 def noisy(loop: RobotLoop, records: tuple[Record, ...], share: float = 0.02) -> tuple[Record, ...]:
     """Return the records of a simulation, with white noise of a share of each torque."""
     rng, found, run = np.random.default_rng(3), [], simulate(loop, records, steps=6)
-    assert run.outcome is RobotOutcome.FINISHED
+    assert run.outcome is Outcome.FINISHED
     for record in run.records(records):
         assert record.torque is not None
         torque = record.torque.values

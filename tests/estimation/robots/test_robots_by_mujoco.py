@@ -13,8 +13,7 @@ from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robot_start import begin
-from jointid.simulation.robots import prepare_robot, run_robot
+from jointid.simulation.robots import begin, prepare_robot, run_robot
 from tests.estimation.robots.test_rigid_robots import deviations
 from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, six, two

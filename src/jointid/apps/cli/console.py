@@ -130,7 +130,7 @@ class Options:
             outputs: what the command writes, beside the JSON.
             estimate: file of an estimate, whose choices hold.
             alone: whether the work is for a joint.
-            method: the method, whatever the file says.
+            method: of a joint, whatever the file says.
 
         Raises:
             JointFileError: it cannot be loaded.
@@ -144,7 +144,8 @@ class Options:
         spare((self.json, *outputs), joint, *self.records, estimate)
         choices = {} if estimate is None else read_choices(estimate)
         changes = [*self.changes, *(f"joint.friction={choices[one]}" for one in choices if one == "friction")]
-        method, file = choices.get("method", method), load(joint, changes, axis=self.axis)
+        file = load(joint, changes, axis=self.axis)
+        method = choices.get("method", "") if file.robot is not None else method
         if alone and file.robot is not None:
             raise MethodError(f"This takes one joint, and {joint} is a robot file; name one of its joints by --axis.")
         if method and file.method.name != method:
@@ -165,6 +166,7 @@ class Options:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
         from jointid import Estimate
+        from jointid.diagnostics.find_causes import explain_failure
         from jointid.estimation.identify import plan_windows
         from jointid.estimation.result.parts import IN_WINDOWS
 
@@ -177,7 +179,10 @@ class Options:
         try:
             return record, file.identify(record, progress, checks=checks, unchecked=known.append, **asked)
         except JointidError as error:
-            raise file.explain(error, record, progress) from error
+            if file.robot is not None:
+                raise
+            known_numbers, free = file.declared_numbers, getattr(file.method, "free", ())
+            raise explain_failure(error, record, file.loop, progress, known_numbers, free) from error
         except KeyboardInterrupt:
             if known:
                 show(known[0])

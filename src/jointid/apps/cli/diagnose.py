@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready
 from jointid.common.errors import MethodError, RecordError
@@ -80,10 +80,8 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Ex
 
 def _compare_laws(file: File, record: Record, options: Options) -> tuple[LawComparison, ...]:
     """Compare the laws of friction, and of a flexible joint those of its spring before."""
-    from jointid import compare
+    from jointid.diagnostics.law_comparison import compare_laws
 
-    known: dict[str, Any] = {
-        "filtering": file.filtering, "parameters": file.parameters, "didim": file.method, "progress": options.progress,
-    }  # fmt: skip
+    loop, *known = cast("Any", (file.loop, file.filtering, file.parameters, file.method, options.progress))
     kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
-    return tuple(compare(record, file.loop, kind, **known) for kind in kinds[file.joint.model == "rigid" :])
+    return tuple(compare_laws(record, loop, kind, *known) for kind in kinds[file.joint.model == "rigid" :])

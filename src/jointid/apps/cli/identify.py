@@ -64,6 +64,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             else, comments too, stays as it is, but for the paths of records, which from another folder lead to the same
             files.
     """
+    from jointid import learn_controller as run
     from jointid.config import controller_text, load, save_with_controller
 
     if write is not None and options.axis is not None:
@@ -74,7 +75,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     spare((options.json, write), joint, options.record)
     file = load(joint, options.changes, axis=options.axis, learn=True)
     spare((options.json, write), *file.inputs(options.record))
-    learned = file.learn_controller(file.record(options.record), options.progress)
+    learned = run(file.record(options.record), progress=options.progress, **file.learn_settings)
     learned = learned.beside(file.axis.drive_numbers(learned.controller))
     deliver(learned, options.json)
     show(f"\n{controller_text(learned.controller, file.axis).rstrip()}")

@@ -61,13 +61,13 @@ def design(
         require_room(out)
         outputs += [out / "test.csv"] if out.is_dir() else []  # the only one that may be a record
     spare((options.json, *outputs), motion)
-    file = options.load(joint, *outputs)
+    file = options.load(joint, *outputs, method="didim")
     if file.robot is None:
-        file = options.load(joint, *outputs, method="didim")
         _require_goal(file, goal)
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection, "within": within,
-        "progress": options.progress, "limits": file.limits, "motion": None if motion is None else file.driving(motion),
+        "progress": options.progress, "limits": file.limits,
+        "motion": None if motion is None else file.record(motion, driving=True),
     }  # fmt: skip
     if file.robot is None:
         record, estimate = options.identify(file, checks=False, whole=True)
@@ -94,7 +94,8 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
     from jointid import design
 
     # Of a motion that was never played nothing is logged: such a robot is predicted without.
-    asked = file.design_settings | asked | {"feed_forward": file.feed_forward.replace("logged", "none")}
+    asked |= {"filtering": file.filtering, "loop": None if file.method.name == "idim" else file.loop}
+    asked |= {"feed_forward": file.feed_forward.replace("logged", "none")}
     known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
     if options.record is not None or file.source.first is not None or not (known or asked["motion"]):
         try:

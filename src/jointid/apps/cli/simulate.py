@@ -60,13 +60,13 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     """Return the simulation of a joint, what its drive would log, and its document."""
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
-    from jointid.simulation.simulated import require_success
+    from jointid.simulation.closed_loop import require_success
     from jointid.simulation.synthesis import as_record
 
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
-    driven = replace(file.driving(options.record), begin=0.0)
+    driven = replace(file.record(options.record, driving=True), begin=0.0)
     values = file.axis.values() if estimate is None else estimate.require_values()
     ready(options.progress, derivatives=False)
     found = require_success(run(file.loop, driven, values))
@@ -80,10 +80,10 @@ def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> 
     """Return the simulation of a robot, what its drives would log, and its document."""
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
+    from jointid.simulation.closed_loop import require_success
     from jointid.simulation.robots import tracking_errors
-    from jointid.simulation.simulated import require_success
 
-    loop, driven = file.loop, file.driving(options.record)
+    loop, driven = file.loop, file.record(options.record, driving=True)
     robot = loop.robot
     if estimate is not None:
         loop = replace(loop, robot=estimate.require_robot().robot())

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
+from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation
@@ -24,7 +25,6 @@ from jointid.uncertainty.verdict import Reason
 
 if TYPE_CHECKING:
     from jointid.diagnostics.faults.findings import AxisFaults, Finding
-    from jointid.diagnostics.faults.trials import Trial
     from jointid.diagnostics.hypothesis_fits import Fit
 
 Shown: TypeAlias = Mapping[str, DriveNumber]
@@ -56,12 +56,10 @@ class Fault:
         title: noun phrase of a table, without an article.
         called: noun phrase of a sentence; "a" and the title if empty.
         describe: returns the clause that states the fault, its size and, on request, its interval.
-        vary: yields the signatures of this fault, and of others that share it.
-        along: yields the signatures along the motion of one axis, raw, of this fault and of others that share it.
-        try_mechanics: yields the joints that have it, of a flexible joint without it.
-        search: returns its signatures, whose shape is searched for beside the other tests.
-        softens: whether a joint with it, identified without it, may be far softer than it is.
-        applies: whether a joint can have a fault that is only searched for: the best of many shapes is large by chance.
+        columns: returns what it adds to the torque of an axis, in each of its shapes.
+        trials: yields the joints that have it, of a flexible joint without it.
+        tried: number of shapes that each of its columns is the best of.
+        parts: numbers that are fitted for a column: 2 of a wave of any phase.
         declared: value without the fault; None for a number of the controller, whose value is declared.
         one_sided: whether its size can only be positive.
         least: smallest size that is named: less is within what such a part is known to.
@@ -82,7 +80,6 @@ class Fault:
         must_leave: share of the declared error that a cause leaves at most.
         more_than_responses: times what free linear responses leave: a cause that leaves more is not all that is wrong.
         doubt: what else may be wrong where this explains the record.
-        refine: returns a better fit of its hypothesis.
         judge: returns its value and what is left, by a problem of its own; None where it is no cause. It gets the drive
             as declared, the best fit and the least error of the others.
     """
@@ -91,12 +88,10 @@ class Fault:
     title: str
     called: str = ""
     describe: Callable[[Finding, AxisFaults, bool], str] | None = None
-    vary: Callable[[ClosedLoopProblem, FloatArray], Iterable[FaultSignature]] | None = None
-    along: Callable[[AxisMotion], Iterable[FaultSignature]] | None = None
-    try_mechanics: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
-    search: Callable[[ClosedLoopProblem, FloatArray, Hint], Sequence[FaultSignature]] | None = None
-    softens: bool = False
-    applies: Callable[[Joint], bool] | None = None
+    columns: Callable[[Seen], Columns] | None = None
+    trials: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
+    tried: int = 1
+    parts: int = 1
     declared: float | None = 0.0
     one_sided: bool = False
     least: float = 0.0
@@ -117,7 +112,6 @@ class Fault:
     must_leave: float = 0.85
     more_than_responses: float = 1.15
     doubt: str = ""
-    refine: Callable[[Fit, ClosedLoop], Fit] | None = None
     judge: Callable[[Hypothesis, Fit | None, float], tuple[float | None, float] | None] | None = None
 
     @property
@@ -152,8 +146,6 @@ class FaultSignature:
         fault: that makes it.
         column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
         shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
-        tried: number of shapes that this one was chosen from.
-        parts: numbers of the fault that were fitted for this column: 2 of a wave of any phase.
         raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
     """
 
@@ -161,24 +153,19 @@ class FaultSignature:
     column: FloatArray
     shape: float | None = None
     raw: FloatArray | None = None
-    tried: int = 1
-    parts: int = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AxisMotion:
-    """Motion and torque of one axis, (samples,) each, and velocity and acceleration of the other axes by name.
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A fault of a given size: the joint with it, and the values that differ from those without it.
 
-    The limit, Hz, is that of the noise of a measured position on its fourth derivative; see `find_noise_limit`.
+    `shape` distinguishes the trials of one fault.
     """
 
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    torque: FloatArray
-    sample_time: float
-    limit: float
-    others: Mapping[str, tuple[FloatArray, FloatArray]]
+    joint: FlexibleJoint
+    values: Mapping[str, float]
+    size: float
+    shape: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,10 +181,9 @@ class FaultTest:
         statistic: their ratio.
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
-        opposite: those of `alike` whose size has the opposite sign.
     """
 
-    in_json = "name -fault -alike -opposite"
+    in_json = "name -fault -alike"
     fault: Fault
     alike: tuple[Fault, ...]
     declared: float
@@ -206,7 +192,6 @@ class FaultTest:
     statistic: float
     p_value: float
     shape: float | None = None
-    opposite: tuple[Fault, ...] = ()
 
     @property
     def name(self) -> str:
@@ -235,27 +220,6 @@ class FaultTest:
         size = number(abs(factor * self.size), 3 if spread else 2)
         interval = f" ± {number(2 * factor * self.std, 2)}" if spread else ""
         return f"{size}{interval} {unit}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hint:
-    """Test results before the search for the shape of a fault.
-
-    Attributes:
-        residual: (rows,) of the problem.
-        own: (rows, columns) of its free parameters and of corrected faults.
-        whiten: filter of both.
-        test: of the fault in the shapes so far; None without one.
-        level: largest p-value of a finding.
-        first: the likeliest fault so far; None where no test is significant.
-    """
-
-    residual: FloatArray
-    own: FloatArray
-    whiten: Callable[[FloatArray], FloatArray]
-    test: FaultTest | None
-    level: float
-    first: Fault | None = None
 
 
 def name_number(name: str) -> str:

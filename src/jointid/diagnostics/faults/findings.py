@@ -6,18 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from jointid.common.messages import Message
-from jointid.common.text import format_signed, join, number
+from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
-from jointid.diagnostics.faults.fault import Fault, FaultTest, Measure, Shown, call_number
+from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_number
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import FRICTIONS, StribeckFriction
-from jointid.records.record import Channel
 from jointid.uncertainty.verdict import Reason, Status
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
-_EXCLUDED, _WHOLE = 2.0, 1.0  # deviations; a share that says nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +36,6 @@ class OtherLaw:
         remedy: its declaration.
         controller: with that law.
         rate: of the law, Hz, if that differs.
-        reference: that it follows, where that is filled in between setpoints which the log repeats.
     """
 
     parts: tuple[Fault, ...]
@@ -46,7 +43,6 @@ class OtherLaw:
     remedy: str
     controller: Controller
     rate: float = 0.0
-    reference: Channel | None = None
 
     @property
     def fault(self) -> Fault:
@@ -95,11 +91,8 @@ class AxisFaults:
         units: of the joint's parameters by name, and of "torque", "position" and "velocity".
         side: of the transmission, on which all of these numbers are; None without one.
         undecided: another law that the record does not exclude, and that would shift a parameter out of its interval.
-        law: the controller's declared numbers.
         shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
-        compared: those that were compared on the record, the best first.
-        assumed: what the record does not show of the model, and what it may change; None where that is little.
         of_loop: whether faults of the loop were tested, which needs its simulation.
         excluded: where no fault was found, significant tests of faults that the motor position excludes.
         lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
@@ -114,11 +107,8 @@ class AxisFaults:
     units: Mapping[str, str]
     side: Side | None = None
     undecided: Finding | None = None
-    law: Mapping[str, float] = field(default_factory=dict)
     shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
-    compared: tuple[str, ...] = ()
-    assumed: Message | None = None
     of_loop: bool = True
     excluded: tuple[FaultTest, ...] = ()
     lacking: Mapping[str, float] = field(default_factory=dict)
@@ -146,29 +136,7 @@ class AxisFaults:
         if self.excluded:
             alike = self.call(*(one.fault for one in self.excluded))
             said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
-        assumed = self.assumed
-        also = {} if assumed is None else assumed.values
-        if excluded := self.excluded_sizes:
-            said += f"; it excludes {join([words for _, words in excluded.values()])} or more"
-            also = {**also, "excluded": {name: size for name, (size, _) in excluded.items()}}
-        said += "" if assumed is None else f"; {assumed}"
-        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least, **also}),)
-
-    @property
-    def excluded_sizes(self) -> dict[str, tuple[float, str]]:
-        """The least excluded size of each fault of the mechanics, in SI or as a share, and in words.
-
-        It is two deviations above the size that its test shows.
-        """
-        found = {}
-        for s in self.tests:
-            most = max(abs(s.size) + _EXCLUDED * s.std, 0.0)
-            if s.name == "backlash" and s.shape:
-                most *= 2 * s.shape
-                found[s.name] = most, f"a backlash of {number(most, 2)} {self.on_side('position')}"
-            elif s.fault.mechanical and s.fault.measure is Measure.SHARE and most < _WHOLE:
-                found[s.name] = most, f"a {s.title} by {number(100 * most, 2)} %"
-        return found
+        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -222,9 +190,8 @@ class AxisFaults:
         p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
         said, clause = f"{s.fault.describe(finding, self, True)} ({p_value})", s.fault.describe(finding, self, False)
         if s.alike:
-            also = self._name_alike(s)
-            said += f"{also}, which this loop cannot distinguish from {self.call(s.fault)}"
-            clause += also
+            also = f", or so is {self.call(*s.alike)}"
+            said, clause = f"{said}{also}, which this loop cannot distinguish", clause + also
         if finding.rivals:
             rivals = (self.call(rival.fault, *rival.alike) for rival in finding.rivals)
             said += f"; {' or '.join(rivals)} would explain nearly as much"
@@ -234,24 +201,13 @@ class AxisFaults:
         values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
         return Message(s.fault.reason, said, values, clause)
 
-    def _name_alike(self, s: FaultTest) -> str:
-        """Return the clauses on faults with the same effect: of the same sign, and of the opposite one."""
-        also, in_unit = "", self.in_drive(s.fault) is not None
-        if same := [one for one in s.alike if one not in s.opposite]:
-            also = f", or {self.call(*same)} is off by as much" if in_unit else f", or so is {self.call(*same)}"
-        if s.opposite:
-            gains = not any(self.in_drive(one) or one.measure is not Measure.DECLARED for one in (s.fault, *s.opposite))
-            less = "smaller" if s.size > 0 else "larger"
-            by = f"{less} by the same factor" if gains else "off by as much the other way"
-            also += f", or {self.call(*s.opposite)} is {by}"
-        return also
-
     def list_laws_with(self, finding: Finding) -> tuple[str, ...]:
-        """Return the laws that have a fault or its rivals, best first."""
+        """Return the laws that have a fault or its rivals."""
         fault = finding.test.fault
         named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
-        laws = dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws)
-        return (*(law for law in self.compared if law in laws), *(law for law in laws if law not in self.compared))
+        return (
+            *dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws),
+        )
 
     def _name_laws(self, finding: Finding) -> str:
         """Return the end of a sentence on the laws with the fault that was found; "" without any."""

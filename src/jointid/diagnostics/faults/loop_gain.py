@@ -14,9 +14,8 @@ from dataclasses import replace
 from functools import partial
 
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown, call_number
-from jointid.diagnostics.faults.numbers import is_small_factor, show
-from jointid.diagnostics.hypothesis_fits import FIRST, Fit, descend
+from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
+from jointid.diagnostics.faults.numbers import is_small_factor
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 
@@ -24,8 +23,7 @@ _DECADES = 4  # of the factor on the loop's gain, up and down
 _FACTORS = tuple(10 ** (k / 3) for k in range(-3 * _DECADES, 3 * _DECADES + 1))
 _SCALES = tuple(10 ** (k / 2) for k in range(-6, 7))  # of the torque, beside an injected signal
 _NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
-_RENAMED = 1.5  # times: a factor that is found so near to a known one may be that one
-_HARDLY_MORE = 1.03  # times the error that a factor leaves: a known one that leaves no more is as good
+_ROUGHLY = 0.3  # logarithm: unmodelled dynamics move a factor by so much; 75 is then 57.3, of an angle in degrees
 _UNITS = {"in degrees, not rad": 180 / math.pi, "in mm, not m": 1e3}  # of a reference, read without a factor
 
 
@@ -64,25 +62,6 @@ def _try_factors(declared: Hypothesis) -> Iterator[Hypothesis]:
     yield factors if declared.record.injected is None else replace(factors, fault=_LAW_BESIDE_INJECTED)
 
 
-def _prefer_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
-    """Return the fit with a known factor, if its residual is hardly larger.
-
-    Unmodelled dynamics shift a free factor; 75 is then 57.3, the factor of an angle in degrees.
-    """
-    if fit.number is None:
-        return fit
-    declared = numbers_of(loop.controller)["gain"]
-    near = sorted((abs(math.log(factor * declared / fit.number)), factor) for factor in _known_factors(loop))
-    for far, factor in near:
-        if far > math.log(_RENAMED):
-            break
-        held = fit.problem.keeping({"gain": factor * declared})
-        end = descend(replace(fit, problem=held, x=held.vector(fit.values)), FIRST)
-        if end is not None and end.error <= _HARDLY_MORE * fit.error:
-            return end
-    return fit
-
-
 def _explain_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
     """Yield the meanings that a signal in its own scale leaves: those of the torque, or of law and reference."""
     law = (LAW_GAIN, REFERENCE_SCALE)
@@ -97,35 +76,26 @@ def _explain_factor(value: float | None, loop: ClosedLoop, shown: Shown) -> Iter
     assert value is not None
     numbers, ratio = numbers_of(loop.controller), _gear_ratio(loop)
     factor = value / numbers["gain"]
-    times, by_gear = say_times(factor), ""
+    times = say_times(factor)
     size, other = ("large", "small") if factor > 1 else ("small", "large")
-    if ratio != 1.0 and _is(factor, ratio):
-        actual, read = ("load", "motor") if (factor > 1) is (ratio > 1) else ("motor", "load")
-        side = f"the reference, or the torque, is on the wrong side of the {ratio:g}:1 gear: it is the {actual}'s and"
-        yield GEAR_SIDE, f'{side} read as the {read}\'s (give its channel side = "{actual}")', factor
-    elif ratio != 1.0 and _is(factor, ratio**2):
-        side = f"the controller is on the wrong side of the {ratio:g}:1 gear (side of [controller])"
-        yield GEAR_SIDE, f"{side}, or torque and reference are both", factor
-    elif ratio != 1.0:
-        by_gear = f", as by another gear than {ratio:g}:1"
+    if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
+        actual = "load" if (factor > 1) is (ratio > 1) else "motor"
+        side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
+        yield GEAR_SIDE, f'{side} (give the channel side = "{actual}", or see side of [controller])', factor
     constant = getattr(loop.controller, "gain", 1.0)
     if constant != 1.0 and _is(factor, constant):
         yield TORQUE_CONSTANT, f"the torque constant ({constant:g}) is applied twice, or not at all", factor
-        by_gear = ""
     torque = (TORQUE_SCALE, f"the torque is {times} too {size}", factor)
-    unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by)), "")
-    reference = (REFERENCE_SCALE, f"the reference is {unit or f'{times} too {other}{by_gear}'}", 1 / factor)
-    leading, would = "velocity_gain", ""
-    names = " or ".join(name for name in (leading, "gain") if name in numbers)
-    if leading in numbers and (there := shown.get(leading)):
-        would = f", where {call_number(there.name)} would be {show(there, factor * numbers[leading])}"
-    law = (LAW_GAIN, f"the law's gain ({names}) is declared {times} too {other}{would}", factor)
+    unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by, _ROUGHLY)), "")
+    reference = (REFERENCE_SCALE, f"the reference is {unit or f'{times} too {other}'}", 1 / factor)
+    names = " or ".join(name for name in ("velocity_gain", "gain") if name in numbers)
+    law = (LAW_GAIN, f"the law's gain ({names}) is declared {times} too {other}", factor)
     yield from (reference, torque, law) if unit else (torque, law, reference)
 
 
-def _is(factor: float, other: float) -> bool:
+def _is(factor: float, other: float, near: float = _NEAR) -> bool:
     """Whether a factor, or its inverse, is another one."""
-    return min(abs(math.log(factor / other)), abs(math.log(factor * other))) < _NEAR
+    return min(abs(math.log(factor / other)), abs(math.log(factor * other))) < near
 
 
 def say_times(factor: float) -> str:
@@ -142,7 +112,6 @@ TORQUE_SCALE = Fault(
 REFERENCE_SCALE = Fault("reference_scale", "scale of the reference", negligible=is_small_factor)
 LAW_GAIN = Fault(
     "law_gain", "gain of the law", correct=_try_factors, meanings=_explain_factor, negligible=is_small_factor,
-    refine=_prefer_known_factor,
 )  # fmt: skip
 _LAW_BESIDE_INJECTED = replace(LAW_GAIN, meanings=partial(_explain_beside_injected, False))
 

@@ -17,9 +17,7 @@ import numpy as np
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import (
     MICROSECOND,
-    AxisMotion,
     Fault,
-    FaultSignature,
     FaultTest,
     Hypothesis,
     Measure,
@@ -30,6 +28,7 @@ from jointid.diagnostics.faults.fault import (
     words,
 )
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
+from jointid.diagnostics.seen import Columns, Seen
 from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop
@@ -37,7 +36,7 @@ from jointid.models.joints import ClosedLoop
 _FACTOR = "torque, reference, ratio or a gain is wrong by a"
 _DEGREES = 180 / math.pi
 _GAINS = (1e-3, 1 / _DEGREES, 0.1, 0.3, 0.6, 1.6, 3.0, 10.0, _DEGREES, 1e3)  # times a declared gain, units among them
-_INTEGRALS = (1e-3, 0.01, 0.1, 10.0, 100.0, 1e3)  # times a declared integral gain: its time may be in ms, read in s
+_INTEGRALS = (1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1e3)  # times a declared gain: its time may be in ms, read in s
 _NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
 _LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
 _HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
@@ -58,56 +57,39 @@ def show(there: DriveNumber, value: float) -> str:
 def describe_number(finding: Finding, check: AxisFaults, spread: bool) -> str:
     """Return the clause on the difference of a number from its declaration."""
     s = finding.test
-    there = check.in_drive(s.fault)
-    if there is None:
-        return _describe_difference(check.call(s.fault), s, spread=spread)
-    return describe_in_drive(there, s, spread=spread)
+    return describe_in_drive(check.in_drive(s.fault), s, spread=spread)
 
 
-def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
-    """Return the clause on a difference in percent of the declared value.
+def describe_in_drive(there: DriveNumber | None, s: FaultTest, *, spread: bool) -> str:
+    """Return a number and its declared value, both as the drive shows them; else its difference in percent.
 
     A sensitivity is no guide to a change as large as the number itself.
     """
-    scale = abs(s.declared)
-    share, deviation = s.size / scale, 2 * s.std / scale
-    if (no_size := _describe_no_size(name, share, deviation, share > 0)) is not None:
-        return no_size
-    if share > 1:
-        times = f"{number(1 + share, 2)} times"
-        return f"{_FACTOR} factor ({name} alone would be about {times} as large)"
-    if share - deviation <= -1:
-        return f"{name} is at least {number(100 * (abs(share) - deviation), 2)} % smaller than declared"
-    percent = number(100 * abs(share), 2) + (f" ± {number(100 * deviation, 2)}" if spread else "")
-    return f"{name} is {percent} % {'larger' if share > 0 else 'smaller'} than declared"
-
-
-def describe_in_drive(there: DriveNumber, s: FaultTest, *, spread: bool) -> str:
-    """Return a number and its declared value, both as the drive shows them: a time for a gain, for example."""
-    name, value = call_number(there.name), s.declared + s.size
+    name = s.fault.phrase if there is None else call_number(there.name)
     share, deviation = s.size / abs(s.declared), 2 * s.std / abs(s.declared)
-    if (no_size := _describe_no_size(name, share, deviation, (share > 0) is not there.inverse)) is not None:
-        return no_size
-    declared = f"declared {there.of(s.declared):.6g} {there.unit}"
+    smaller = (share < 0) is not (there is not None and there.inverse)
+    declared = "" if there is None else f", declared {there.of(s.declared):.6g} {there.unit}"
+    if share <= -1:
+        return f"{_FACTOR} large factor ({name} alone would have to change its sign)"
     if share > 1:
-        return f"{_FACTOR} factor ({name} alone would be about {show(there, value)}, {declared})"
-    if share - deviation <= -1:
-        bound = "least" if there.inverse else "most"
-        return f"{name} is at {bound} {show(there, value + 2 * s.std)}, {declared}"
+        would = f"{number(1 + share, 2)} times as large" if there is None else show(there, s.declared + s.size)
+        return f"{_FACTOR} factor ({name} alone would be about {would}{declared})"
+    if deviation >= abs(share):
+        return f"{name} is {'smaller' if smaller else 'larger'} than declared, by how much this record does not tell"
+    at_most = share - deviation <= -1
+    if there is None:
+        least = number(100 * (abs(share) - deviation), 2)
+        size = f"at least {least}" if at_most else number(100 * abs(share), 2)
+        interval = f" ± {number(100 * deviation, 2)}" if spread and not at_most else ""
+        return f"{name} is {size}{interval} % {'smaller' if smaller else 'larger'} than declared"
+    value = s.declared + s.size
+    if at_most:
+        return f"{name} is at {'least' if there.inverse else 'most'} {show(there, value + 2 * s.std)}{declared}"
     stated = there.of(value)
     far = max(abs(there.of(value + by) - stated) for by in (-2 * s.std, 2 * s.std))
     interval = f" ± {number(far, 2)}" if spread else ""
     digits = max(3, 1 + math.ceil(-math.log10(abs(share))))  # so many that the two are not the same
-    return f"{name} is {number(stated, digits)}{interval} {there.unit}, {declared}"
-
-
-def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> str | None:
-    """Return the clause on a difference of absurd or unknown size; else None."""
-    if share <= -1:
-        return f"{_FACTOR} large factor ({name} alone would have to change its sign)"
-    if share <= 1 and deviation >= abs(share):
-        return f"{name} is {'larger' if more else 'smaller'} than declared, by how much this record does not tell"
-    return None
+    return f"{name} is {number(stated, digits)}{interval} {there.unit}{declared}"
 
 
 def _describe_delay(what: str, than: str, finding: Finding, check: AxisFaults, spread: bool) -> str:
@@ -297,13 +279,14 @@ REFERENCE_DELAY = Fault(
 )  # fmt: skip
 
 
-def _along_log(motion: AxisMotion) -> Iterator[FaultSignature]:
-    yield FaultSignature(LOG_DELAY, -np.gradient(motion.torque, motion.sample_time))
+def _late(seen: Seen) -> Columns:
+    if seen.loop is None:  # of a loop its derivative is exact
+        yield None, -np.gradient(seen.torque, seen.sample_time)
 
 
 LOG_DELAY = Fault(
     "log_delay", "delay of the log", "the log delay",
-    partial(_describe_delay, "the logged torque is", "its time stamps say"), along=_along_log, declared=None,
+    partial(_describe_delay, "the logged torque is", "its time stamps say"), columns=_late, declared=None,
     measure=Measure.TIME,
 )  # fmt: skip
 LOG_GAIN = Fault("log_gain", "size of the logged torque", "the logged torque", describe_number, declared=None)

@@ -15,15 +15,14 @@ too. The change of the torque by the first of them at the same joint shows wheth
 
 A drive that is faster than its reference holds it, draws lines through it, or cubics. A held reference acts half of its
 period later than lines through it. So each way that is not declared is another law. A drive that waits for the next
-setpoint is late by one, or two. A log may repeat a setpoint that the drive fills in. A drive may also average the
-reference over a time, which makes it later by half of that; so the time follows from the delay that fits.
+setpoint sees its reference late. A drive may also average the reference over a time, which makes it later by half of
+that; so the time follows from the delay that fits.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
@@ -31,7 +30,7 @@ from typing import Any, cast
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis, Shown
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
@@ -40,10 +39,10 @@ from jointid.diagnostics.hypothesis_fits import MORE, Fit, follow, pose
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder, numbers_of, with_present_sample
-from jointid.models.controllers.servo_base import LONGEST_DELAY, DiagramController, Interpolation
+from jointid.models.controllers.servo_base import DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
-from jointid.records.resampling import default_interpolation, fill_in, update_interval
+from jointid.records.resampling import default_interpolation
 
 TIMES_FASTER = (2, 4, 8, 16)
 """Than the log: at these rates a drive may run whose period is not declared."""
@@ -51,7 +50,6 @@ _FASTER = (2, 4, 8)  # times the log's rate, of a hypothesis: further ones leave
 _SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
 _SOLVED = 1e-6  # far below a deviation
 _WAYS: tuple[Interpolation, ...] = ("hold", "linear", "cubic")
-_WAITS: tuple[tuple[Interpolation, int], ...] = (("linear", 0), ("linear", 1), ("cubic", 1), ("cubic", 2))  # setpoints
 _SCREENED = 4  # samples of the log: of a mean that shows whether the reference is late
 _PASSES = 3  # in which the time of a delay or a mean is found
 _NEARLY = 0.5  # periods
@@ -142,34 +140,6 @@ def other_interpolations(problem: ClosedLoopProblem, record: Record) -> Iterator
         )  # fmt: skip
 
 
-def late_interpolations(controller: Controller, record: Record, period: float) -> Iterator[OtherLaw]:
-    """Yield the law of a drive that interpolates its setpoints and waits for the next ones.
-
-    Args:
-        controller: as declared; there is none where its interpolation is declared.
-        record: whose reference may repeat each setpoint.
-        period: of the controller, s.
-    """
-    reference = record.reference
-    if reference is None or not isinstance(controller, DiagramController) or controller.interpolation is not None:
-        return
-    every = update_interval(reference.values)
-    setpoint = every * reference.sample_time
-    for way, wait in _WAITS[0 if every > 1 else 1 :]:
-        delay = controller.reference_delay + wait * setpoint
-        if setpoint < _SLOWER * period or delay > LONGEST_DELAY * period:
-            return
-        late = ("", ", one setpoint late", ", two setpoints late")[wait]
-        words = f"the drive interpolates a setpoint of {1e3 * setpoint:.4g} ms by {_BY[way]}{late}"
-        remedy = [f'interpolation = "{way}"', *([f"reference_delay = {delay:.6g}"] if wait else [])]
-        if every > 1:
-            remedy = [f"sample_time = {setpoint:.6g} of the reference's channel", *remedy]
-        filled = fill_in(reference, every, min(period, reference.sample_time), way) if every > 1 else None
-        law = replace(controller, interpolation=way, reference_delay=delay)
-        said = " and ".join(filter(None, (", ".join(remedy[:-1]), remedy[-1])))
-        yield OtherLaw((INTERPOLATIONS[way],), words, said, law, reference=filled)
-
-
 def screen_mean(problem: ClosedLoopProblem) -> OtherLaw | None:
     """Return the law with a short mean of its reference; None where it cannot have one, or has one."""
     controller = problem.loop.controller
@@ -195,18 +165,34 @@ def refit_late_references(problem: ClosedLoopProblem, x: FloatArray, record: Rec
         if abs(step) < _NEARLY * period or not late + step > controller.reference_delay:
             break
         late += step
-    mean, start = 2 * (late - controller.reference_delay) + period, delayed.x
-    for _ in range(_PASSES):
-        mean = period * max(round(mean / period), 2)
-        law = _average_reference(controller, mean)
+
+    def solve(law: OtherLaw, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, FloatArray]:
         other = prepare_anew(problem, law, record)
-        averaged = refit(problem, x, law, other, start)
-        start, step = averaged.x, _find_delay_step(other, averaged.x)
-        if abs(step) < _NEARLY * period:
-            break
-        mean += 2 * step
+        return other, descend(other, other.vector(values), _SOLVED).x
+
+    begin, values = 2 * (late - controller.reference_delay) + period, delayed.problem.values(start)
+    mean, other, found = _search_mean(controller, begin, period, values, solve)
+    averaged = refit(problem, x, _average_reference(controller, mean), other, found)
     yield averaged
     yield delayed
+
+
+def _search_mean(
+    controller: Any,
+    mean: float,
+    period: float,
+    values: Mapping[str, float],
+    solve: Callable[[OtherLaw, Mapping[str, float]], tuple[ClosedLoopProblem, FloatArray]],
+) -> tuple[float, ClosedLoopProblem, FloatArray]:
+    """Return the averaging time beside which the reference is not late, and the solved problem with it."""
+    for left in range(_PASSES, 0, -1):
+        mean = period * max(round(mean / period), 2)
+        problem, x = solve(_average_reference(controller, mean), values)
+        values, step = problem.values(x), _find_delay_step(problem, x)
+        if abs(step) < _NEARLY * period or left == 1:
+            break
+        mean += 2 * step
+    return mean, problem, x
 
 
 def _delay_reference(controller: Any, delay: float) -> OtherLaw:
@@ -255,9 +241,7 @@ def prepare_anew(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> C
     Raises:
         RecordError, MethodError: the record, or the law, cannot be at that period.
     """
-    return problem.under(
-        law.controller, record if law.reference is None else record.with_channels({"reference": law.reference})
-    )
+    return problem.under(law.controller, record)
 
 
 def refit(
@@ -371,42 +355,32 @@ def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hyp
         if way in _list_other_ways(law, declared.record, faster[0].period or 0.0):
             held = declared.under([replace(one, interpolation=way) for one in faster])
             yield replace(held, number=lambda problem: problem.experiment.law.period)
-    for one in late_interpolations(law, declared.record, declared.period):
-        if one.fault is INTERPOLATIONS[way]:
-            filled = {} if one.reference is None else {"reference": one.reference}
-            late = replace(declared.under([one.controller]), record=declared.record.with_channels(filled))
-            yield replace(late, fault=replace(one.fault, clause=f"{one.words}: declare {one.remedy}"))
 
 
 def _judge_mean(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float | None, float] | None:
     """Return the averaging time that fits best, and its residual."""
-    reference, controller = declared.record.reference, declared.controller
-    if best is None or reference is None or not hasattr(controller, "velocity_filter"):
+    if (
+        best is None
+        or best.hypothesis.fault is not REFERENCE_DELAY
+        or not hasattr(declared.controller, "velocity_filter")
+    ):
         return None
-    late = numbers_of(best.problem.loop.controller)[REFERENCE_DELAY.name] - controller.reference_delay
-    if best.hypothesis.fault is REFERENCE_DELAY:
-        late = (best.number or 0.0) - controller.reference_delay
-    elif late > 0 and (every := update_interval(reference.values)) > 1:  # lines and cubics are earlier than steps
-        late -= 0.5 * every * reference.sample_time
+    controller, loop = declared.controller, best.problem.loop
+    late = (best.number or 0.0) - controller.reference_delay
     if late < _NEARLY * declared.period:
         return None
-    mean, values, found = 2 * late + declared.period, best.values, math.inf
-    for _pass in range(_PASSES):
-        mean = declared.period * max(round(mean / declared.period), 2)
-        loop = replace(best.problem.loop, controller=replace(controller, reference_average=mean))
-        problem = pose(declared, loop)
-        if problem is None:
-            return None
-        try:
-            x = follow(problem, problem.vector(values), MORE).x
-            step = _find_delay_step(problem, x)
-        except (JointidError, np.linalg.LinAlgError):
-            return None
-        found, values = float(np.linalg.norm(problem.residual(x))) / problem.size, problem.values(x)
-        if abs(step) < _NEARLY * declared.period:
-            break
-        mean += 2 * step
-    return mean, found
+
+    def solve(law: OtherLaw, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, FloatArray]:
+        if (problem := pose(declared, replace(loop, controller=law.controller))) is None:
+            raise MethodError("The record has no such mean.")
+        return problem, follow(problem, problem.vector(values), MORE).x
+
+    try:
+        begin = 2 * late + declared.period
+        mean, problem, x = _search_mean(controller, begin, declared.period, best.values, solve)
+    except (JointidError, np.linalg.LinAlgError):
+        return None
+    return mean, float(np.linalg.norm(problem.residual(x))) / problem.size
 
 
 def _say_mean(value: float | None, _: ClosedLoop, __: Shown) -> str:
@@ -419,7 +393,6 @@ def _say_interpolation(way: Interpolation, period: float | None, _: ClosedLoop, 
     return said if period is None else f"{said}, and the controller's period, about {1e3 * period:.4g} ms"
 
 
-_BY: dict[Interpolation, str] = {"linear": "lines", "cubic": "cubics"}
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
 INTERPOLATIONS: dict[Interpolation, Fault] = {
     way: Fault(

@@ -78,7 +78,6 @@ def _explain_sign(*_: object) -> Iterator[Meaning]:
 
 TORQUE_SIGN = Fault(
     "torque_sign", "sign of the torque", correct=_invert_torque, meanings=_explain_sign,
-    describe=lambda *_: "the torque has the wrong sign: set torque.sign = -1 in joints.channels, or in record.channels",
 )  # fmt: skip
 
 

@@ -7,13 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
-from jointid.common.parallel import in_threads
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import AxisMotion, Fault, FaultSignature, Hint, Measure, words
+from jointid.diagnostics.faults.fault import Fault, Measure, Trial, words
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
-from jointid.diagnostics.faults.trials import Trial, list_trials, search
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.diagnostics.seen import Columns, Seen
 from jointid.models.joints import FlexibleJoint, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring, TwoPieceSpring
 from jointid.records.signals.position_noise import lowpass_below_noise
@@ -21,9 +18,6 @@ from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason
 
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
-_LEAST = 0.05  # of the load: a smaller part rings at any frequency that the noise has, and moves no other parameter
-_FITTED = 3  # numbers of a load that swings, which a search fits: share, frequency and damping
-_WORTH_A_SEARCH = 1.5  # deviations of a load that swings as tried
 
 
 def _largest_windup(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> float:
@@ -42,7 +36,7 @@ def _try_cubic(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float
             for start in law.starts(values, windup):
                 torque = law.torque({**values, **start}, np.array([windup]), np.zeros(1))
                 more = float(torque[0]) / (start["stiffness"] * windup) - 1.0
-                yield Trial(CUBIC_SPRING, replace(joint, spring=law), start, more, more)
+                yield Trial(replace(joint, spring=law), start, more, more)
 
 
 def _describe_cubic(finding: Finding, _: AxisFaults, spread: bool) -> str:
@@ -53,7 +47,7 @@ def _describe_cubic(finding: Finding, _: AxisFaults, spread: bool) -> str:
 
 
 CUBIC_SPRING = Fault(
-    "cubic_spring", "spring that is not linear", describe=_describe_cubic, try_mechanics=_try_cubic, mechanical=True,
+    "cubic_spring", "spring that is not linear", describe=_describe_cubic, trials=_try_cubic, mechanical=True,
     kin="spring law", measure=Measure.SHARE, reason=Reason.SPRING_NOT_LINEAR, table="spring",
     laws=(ThreePieceSpring.name, CubicSpring.name, TwoPieceSpring.name),
 )  # fmt: skip
@@ -64,14 +58,14 @@ def _try_backlash(joint: FlexibleJoint, run: Simulation, values: Mapping[str, fl
     for law in springs_beside(joint):
         if windup and isinstance(law, Backlash):
             for start in law.starts(values, windup):
-                yield Trial(BACKLASH, replace(joint, spring=law), start, 1.0, 0.5 * start["gap"])
+                yield Trial(replace(joint, spring=law), start, 1.0, 0.5 * start["gap"])
 
 
 BACKLASH = Fault(
-    "backlash", "backlash", try_mechanics=_try_backlash, mechanical=True, one_sided=True,
+    "backlash", "backlash", trials=_try_backlash, mechanical=True, one_sided=True,
     describe=lambda finding, check, _: "the transmission has a backlash of some "
     f"{number(2 * finding.test.size * (finding.test.shape or 0.0), 2)} {check.on_side('position')} or more",
-    softens=True, kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
+    kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
 )  # fmt: skip
 
 
@@ -82,50 +76,33 @@ def _try_second_mode(joint: FlexibleJoint, run: Simulation, values: Mapping[str,
             first = joint.frequencies(values)["free_free"]
             for times in _MODES:
                 start = law.start(values, _SHARE, times)
-                yield Trial(SECOND_MODE, replace(joint, spring=law), start, _SHARE, times * first)
-
-
-def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
-    """Return the signatures of an elastic load by short searches from three of the modes.
-
-    The tried modes are few, and an elastic load changes all other parameters. All of their numbers count as fitted.
-    """
-    test = hint.test
-    if test is None or test.p_value <= hint.level or test.strength < _WORTH_A_SEARCH:
-        return []
-    joint, found = problem.joint, []
-    assert isinstance(joint, FlexibleJoint)
-    trials = list_trials(problem, x, SECOND_MODE)[::2]
-    for end in in_threads(lambda trial: search(problem, x, trial), trials):
-        if end is not None and (share := end.values["swinging_share"]) > _LEAST:
-            raw, mode = end.change / share, joint.frequencies(end.values)["second_free_free"]
-            found.append(FaultSignature(SECOND_MODE, problem.filter(raw), mode, raw, parts=_FITTED))
-    return found
+                yield Trial(replace(joint, spring=law), start, _SHARE, times * first)
 
 
 SECOND_MODE = Fault(
-    "second_mode", "load that swings in itself", try_mechanics=_try_second_mode,
+    "second_mode", "load that swings in itself", trials=_try_second_mode,
     describe=lambda finding, *_: "a part of the load swings on a spring of its own, somewhere about "
     f"{number(finding.test.shape, 2)} Hz",
-    search=_search_second_mode, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    mechanical=True, one_sided=True, measure=Measure.SHARE,
     reason=Reason.LOAD_NOT_RIGID, table="spring", laws=(ElasticLoad.name,),
 )  # fmt: skip
 
 
-def _along_bend(motion: AxisMotion) -> Iterator[FaultSignature]:
+def _bends(seen: Seen) -> Columns:
     """Yield the second derivative of the acceleration, which a spring adds to a rigid joint's torque.
 
     Above the limit that derivative is noise of the position, as is a part of the residual, which it then follows.
     """
-    seen = lowpass_below_noise(motion.acceleration, motion.limit, motion.sample_time)
-    yield FaultSignature(COMPLIANCE, np.gradient(np.gradient(seen, motion.sample_time), motion.sample_time))
+    if seen.loop is None:
+        smooth = lowpass_below_noise(seen.acceleration, seen.limit, seen.sample_time)
+        yield None, np.gradient(np.gradient(smooth, seen.sample_time), seen.sample_time)
 
 
 COMPLIANCE = Fault(
     "compliance", "gear that bends", "changes of the acceleration: a gear that bends",
     lambda *_: "a part of the torque is what a spring in this joint makes, as where a gear bends: declare its spring, "
     "or identify below its mode by a lower filtering.cutoff",
-    along=_along_bend, mechanical=True, reason=Reason.LOAD_NOT_RIGID,
+    columns=_bends, mechanical=True, reason=Reason.LOAD_NOT_RIGID,
 )  # fmt: skip
 
 FAULTS = (CUBIC_SPRING, BACKLASH, SECOND_MODE, COMPLIANCE)

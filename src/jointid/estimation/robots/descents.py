@@ -14,7 +14,7 @@ from jointid.common.parameters import Quantity
 from jointid.estimation.descent import roughly
 from jointid.estimation.robots.fit import RobotFit, conclude
 from jointid.estimation.robots.problem import RobotProblem
-from jointid.simulation.robots import RobotOutcome
+from jointid.simulation.closed_loop import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Step, solve
 from jointid.uncertainty.covariance import white
@@ -97,7 +97,7 @@ class End:
         """Return the fit after so many evaluations; None where the robot cannot be simulated there."""
         x = self.solution.x
         run = self.problem.run(x)
-        if run.outcome is not RobotOutcome.FINISHED:
+        if run.outcome is not Outcome.FINISHED:
             return None
         J = -self.linearise()[1]
         return conclude(self.problem, x, run, J, J, made, self.solution.converged)

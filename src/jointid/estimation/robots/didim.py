@@ -60,8 +60,9 @@ from jointid.records.signals.filtering import (
     settle,
     window_torque,
 )
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
+from jointid.simulation.robots import MassMotion, RobotLoop, RobotRun
 
 
 def identify_rigid_robot(
@@ -112,7 +113,7 @@ def identify_rigid_robot(
             return fixed_point(parts[0], x, run, iterations, progress, settled)
         problem = add_problems(parts)
         runs = problem.run(x)
-        if runs.outcome is not RobotOutcome.FINISHED:
+        if runs.outcome is not Outcome.FINISHED:
             raise MethodError(
                 "The robot cannot be simulated along all logs from the start that the first gives: "
                 f"{runs.outcome.value}. Name a livelier record first."
@@ -155,7 +156,7 @@ def rigid_robot_start(
             continue
         x = _regress(problem, torques, positions)
         run = problem.run(x)
-        if run.outcome is RobotOutcome.FINISHED:
+        if run.outcome is Outcome.FINISHED:
             return x, run
         failures.append(f"at the {name} start {run.outcome.value}.")
     alone = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","

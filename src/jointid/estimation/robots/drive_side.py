@@ -43,6 +43,7 @@ from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_drive_side import (
     PARTS,
     MotorMotion,
@@ -54,7 +55,6 @@ from jointid.simulation.robot_drive_side import (
 )
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers, with_values
 from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import RobotOutcome
 
 _BEGINNINGS = 3  # steps to where the links are at the first sample, which the torques depend on nearly in a line
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
@@ -138,7 +138,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         places = tuple(place for place in self.parameters.places if place.of is NumberOf.BESIDE)
         numbers = replace(numbers, beside=self.parameters.base.beside)
         run = self.simulate(numbers)
-        if run.outcome is not RobotOutcome.FINISHED:
+        if run.outcome is not Outcome.FINISHED:
             return None
         error = self.error(run)
         weights = self.weights(error.size)
@@ -153,7 +153,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             for share in (1.0, 0.3, 0.1):
                 there = np.array([place.read(run.numbers) for place in places]) + share * step
                 tried = self.simulate(with_values(run.numbers, places, there))
-                left = self.error(tried) if tried.outcome is RobotOutcome.FINISHED else None
+                left = self.error(tried) if tried.outcome is Outcome.FINISHED else None
                 if left is not None and np.linalg.norm(left * weights) < np.linalg.norm(error * weights):
                     break
             else:

@@ -18,9 +18,10 @@ from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
 from jointid.models.robots.robot import Robot
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import robot_with
-from jointid.simulation.robots import RobotOutcome, RobotRun
+from jointid.simulation.robots import RobotRun
 from jointid.uncertainty.covariance import Covariance, robust, with_measured_motion
 from jointid.uncertainty.identifiability import find_separable
 
@@ -195,7 +196,7 @@ def _take_step(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run
     """Return the end of a step, halved until it can be simulated."""
     for _ in range(_HALVINGS):
         found = problem.run(after)
-        if found.outcome is RobotOutcome.FINISHED:
+        if found.outcome is Outcome.FINISHED:
             return after, found
         after = 0.5 * (x + after)
     return x, run

@@ -48,8 +48,9 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_numbers import RobotNumbers, robot_with
-from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
+from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
 
 _WORDS = {
     "ols": "ordinary least squares",
@@ -294,7 +295,7 @@ def robot_instruments(
 
     def columns(values: FloatArray) -> FloatArray:
         run = run_robot(experiment, _numbers(rigid, base, values), keep=True)
-        if run.outcome is not RobotOutcome.FINISHED:
+        if run.outcome is not Outcome.FINISHED:
             raise MethodError(
                 f"The instruments of IV come from a simulation, but with these values {run.outcome.value}; check the "
                 "controllers' gains, or use another estimator."

@@ -22,21 +22,12 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
 from jointid.records.signals.position_noise import noise_limit_of_computed
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import columns_of, differentiate_torques
-from jointid.simulation.robots import (
-    COARSE,
-    FINE,
-    RobotInput,
-    RobotLoop,
-    RobotOutcome,
-    RobotRun,
-    motion_at,
-    prepare_robot,
-    run_robot,
-)
+from jointid.simulation.robots import COARSE, FINE, RobotInput, RobotLoop, RobotRun, motion_at, prepare_robot, run_robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +46,10 @@ class RobotRuns:
         return self.each[0].numbers
 
     @property
-    def outcome(self) -> RobotOutcome:
+    def outcome(self) -> Outcome:
         """Outcome of the first unfinished run; FINISHED without any."""
-        failed = (run.outcome for run in self.each if run.outcome is not RobotOutcome.FINISHED)
-        return next(failed, RobotOutcome.FINISHED)
+        failed = (run.outcome for run in self.each if run.outcome is not Outcome.FINISHED)
+        return next(failed, Outcome.FINISHED)
 
 
 Run = TypeVar("Run", RobotRun, RobotDriveSideRun, RobotRuns)
@@ -160,7 +151,7 @@ class RobotProblem(ABC, Generic[Run]):
     def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> Run | None:
         """Simulate a robot with these numbers; None if it cannot be simulated."""
         run = self.simulate(numbers, keep=keep)
-        return run if run.outcome is RobotOutcome.FINISHED else None
+        return run if run.outcome is Outcome.FINISHED else None
 
     def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
@@ -235,7 +226,7 @@ class RobotProblem(ABC, Generic[Run]):
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
         run = self.run(x, keep=False)
-        if run.outcome is not RobotOutcome.FINISHED:
+        if run.outcome is not Outcome.FINISHED:
             return self._failure_residual()
         error = self.error(run)
         return np.asarray(error * self.weights(error.size))
@@ -243,7 +234,7 @@ class RobotProblem(ABC, Generic[Run]):
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
         run = self.run(x)
-        if run.outcome is not RobotOutcome.FINISHED:
+        if run.outcome is not Outcome.FINISHED:
             error = self._failure_residual()
             return error, np.zeros((error.size, x.size))
         error = self.error(run)
@@ -361,7 +352,7 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
     def predict(self, run: RobotRun) -> FloatArray:
         """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
         torque = run.torque
-        if any(self.seen) and run.outcome is RobotOutcome.FINISHED:
+        if any(self.seen) and run.outcome is Outcome.FINISHED:
             position = motion_at(run, run.experiment.clock.log_index).position[:, run.numbers.rotors]
             for j, seen in enumerate(self.seen):
                 if seen is not None:

@@ -44,6 +44,7 @@ from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import (
     MassNumbers,
@@ -54,7 +55,7 @@ from jointid.simulation.robot_numbers import (
     stribeck_share,
     with_values,
 )
-from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, motion_at
+from jointid.simulation.robots import RobotLoop, RobotRun, motion_at
 
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
@@ -340,7 +341,7 @@ def solve_again(part: SimulatedRobot, records: Sequence[Record], filtering: Filt
     problem: RobotProblem[Any] = replace(found, parameters=part.parameters)  # with those of the record
     x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
     run = problem.run(x)
-    if run.outcome is not RobotOutcome.FINISHED:
+    if run.outcome is not Outcome.FINISHED:
         raise MethodError(
             f"The identified robot cannot be simulated along the record: {run.outcome.value}; give the record that it "
             "was identified from."

@@ -22,8 +22,8 @@ from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.models.joints import spring_at
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
-from jointid.simulation.robots import RobotOutcome
 
 STIFFEST = 0.15
 """Of the sampling frequency: the highest mode that is searched."""
@@ -89,7 +89,7 @@ class StartOfSprings:
             costs = np.full(about.size, np.inf)
             start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
             run = problem.run(problem.parameters.to_search_variables(start.all_at(start.stiff)), keep=False)
-            if run.outcome is not RobotOutcome.FINISHED:
+            if run.outcome is not Outcome.FINISHED:
                 return start, False
             error = problem.error(run)
             return replace(start, costs=problem.norms(error * problem.weights(error.size))), True

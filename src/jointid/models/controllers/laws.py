@@ -303,5 +303,5 @@ class StateSpaceController(ServoController):
         return refer(law, self.ratio)
 
 
-LAWS: Mapping[str, type[Any]] = {"cascade": Cascade, "pd": PD, "pid": PID, "state_space": StateSpaceController}
+LAWS: Mapping[str, type[Any]] = {"cascade": Cascade, "pd": PD, "pid": PID}
 """The class of each law, by the word for it in a joint file."""

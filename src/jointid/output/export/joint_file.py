@@ -8,7 +8,7 @@ from typing import Literal
 
 from jointid.common.errors import MethodError
 from jointid.config import File, dumps, edit, loads, move_paths, replace_table
-from jointid.config.serialise import parameter_table
+from jointid.config.loading import parameter_table
 from jointid.estimation.result.parts import show_value
 from jointid.output.export.bodies import Model
 from jointid.output.export.joint_model import number

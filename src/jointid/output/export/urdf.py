@@ -53,7 +53,7 @@ def urdf(
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if model is not None:
-        root, more = _replace(read_model(model).decode("utf-8-sig"), bodies, locked)
+        root, more = _replace(read_model(model), bodies, locked)
         return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n', [*lost, *more]
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
         lost.append("how the base stands, and gravity other than 9.81 m/s2: turn it where the model is used")

@@ -97,17 +97,12 @@ class Filtering:
         cutoff = self.cutoff or allowed
         lowered = max(cutoff, allowed) / by_rate
         position = self.position_cutoff or (widest if lowered >= 1.0 else lowered * widest)
-        for name, value in (("position_cutoff", position), ("cutoff", cutoff)):
-            if value >= nyquist:
-                raise MethodError(
-                    f"{name} = {value:g} Hz is not below the Nyquist frequency of {nyquist:g} Hz; lower it."
-                )
         most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
-        if self.decimation is not None and self.decimation > most:
+        if max(position, cutoff) >= nyquist or (self.decimation or 1) > most:
             raise MethodError(
-                f"Keeping one sample in {self.decimation} puts the new Nyquist frequency at "
-                f"{nyquist / self.decimation:.4g} Hz, too close to the cut-off of {cutoff:g} Hz: keep at least one "
-                f"in {most}, or lower the cut-off."
+                f"Cut-offs are below the Nyquist frequency, {nyquist:g} Hz, and the decimation is at most {most} for "
+                f"this cut-off; got position_cutoff = {position:g} Hz, cutoff = {cutoff:g} Hz and decimation = "
+                f"{self.decimation}: lower what is above."
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
@@ -118,13 +113,7 @@ class Filtering:
             RecordError: too few of them are left to be filtered.
         """
         first, last = self.borders
-        left, needed = max(samples - first - last, 0), 3 * _ORDER
-        if left <= needed:
-            raise RecordError(
-                f"The record has {samples} samples, of which {left} are left between the borders of {first} and "
-                f"{last}, and the filter needs more than {needed}; log faster or longer, or give smaller "
-                "filtering.borders."
-            )
+        _require_samples(max(samples - first - last, 0), 3 * _ORDER)
         return slice(first, samples - last)
 
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
@@ -162,18 +151,18 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray
         cutoff: Hz.
         sample_time: seconds.
     """
-    from scipy.signal import sosfiltfilt
+    from scipy.signal import butter, sosfiltfilt
 
-    padding = 3 * _POSITION_ORDER
-    _require_samples(values, padding)
-    return np.asarray(sosfiltfilt(_design_butterworth(2 * cutoff * sample_time), values, axis=0, padlen=padding))
+    padding, sections = 3 * _POSITION_ORDER, butter(_POSITION_ORDER, 2 * cutoff * sample_time, output="sos")
+    _require_samples(len(values), padding)
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
-def _require_samples(values: FloatArray, padding: int) -> None:
-    if len(values) <= padding:
+def _require_samples(samples: int, padding: int) -> None:
+    if samples <= padding:
         raise RecordError(
-            f"A record of {len(values)} samples is too short to filter: more than {padding} are needed; "
-            "use a longer record."
+            f"A record of {samples} samples, without its borders, is too short to filter: more than {padding} are "
+            "needed; log faster or longer, or give smaller filtering.borders."
         )
 
 
@@ -202,7 +191,7 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
-    _require_samples(parts[0], padding)
+    _require_samples(samples, padding)
     sections, initial = _design_decimation(2 * filtering.cutoff * sample_time)
     rows = np.ascontiguousarray(np.column_stack(parts), dtype=np.float64)
     rows = np.pad(rows, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
@@ -232,14 +221,6 @@ def decimated_at(rows: int, samples: int, filtering: Filtering) -> NDArray[np.in
     """Return the samples of decimated rows, (rows,): the last, and every so many before it."""
     assert filtering.decimation is not None
     return np.asarray(samples - 1 - filtering.decimation * np.arange(rows)[::-1], dtype=np.intp)
-
-
-@lru_cache(maxsize=64)
-def _design_butterworth(cutoff: float) -> FloatArray:
-    """Second-order sections of a position filter; cut-off relative to Nyquist."""
-    from scipy.signal import butter
-
-    return np.asarray(butter(_POSITION_ORDER, cutoff, output="sos"))
 
 
 @lru_cache(maxsize=64)
@@ -302,23 +283,8 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
             f"The torque acts {delay:g} s after its sample, and the record has {period * len(values):g} s; give "
             "another delay, or the estimate that identify wrote."
         )
-    weights, first = _window_weights(1, _BEGINS[channel.timing] + delay / period, 0)
-    padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
-    begin = first + max(-first, 0)
-    return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
-
-
-def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
-    """Weights of parts in the window of `window_parts`, and the first index."""
-    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
-    edges = np.arange(first, last + 1) / parts + late
-    inside = np.clip(edges, -2.0, 2.0)
-    before = (
-        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window before an edge
-        (2.0 - np.abs(inside)) / 4.0,
-        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
-    )[order]
-    return np.diff(before), first
+    late = _BEGINS[channel.timing] + delay / period
+    return window_parts(values[:, np.newaxis], 1, late)[: values.size, 0]
 
 
 def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *, curved: bool = False) -> FloatArray:
@@ -334,7 +300,15 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *
     Returns:
         The signals, or their derivatives, (samples, columns), each contiguous; exact, and smooth in `late`.
     """
-    weights, first = _window_weights(parts, late, order)
+    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
+    edges = np.arange(first, last + 1) / parts + late
+    inside = np.clip(edges, -2.0, 2.0)
+    before_edges = (
+        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window
+        (2.0 - np.abs(inside)) / 4.0,
+        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
+    )
+    weights = np.diff(before_edges[order])
     if curved:
         weights, first = np.convolve(weights, (-1 / 12, 7 / 6, -1 / 12)), first - 1
     cells, before, behind = len(columns), max(-first, 0), max(first + weights.size, 0)

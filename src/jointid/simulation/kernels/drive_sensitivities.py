@@ -25,49 +25,49 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.drive import Feedback, SampledLoop, SmallLaw, Trace, observe
+from jointid.simulation.kernels.drive import Feedback, IntArray, SampledLoop, SmallLaw, Trace, observe
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
 
 
-class Columns(NamedTuple):
-    """Derivatives of what drives a joint and of its first state.
+class Moved(NamedTuple):
+    """Derivatives of a run's first state and of its controllers, (..., parameters) each.
 
     Attributes:
-        explicit: (periods, elements, n) how the controller's elements depend on the parameters of columns
-            `first_explicit` and on, with the motor position and what limits and gates take away held.
-        first_explicit: the first of them.
-        delay: (columns,) of the controller's delay.
-        limits: (elements, columns) of its limits.
-        start: (4, columns) of the first state of the drive.
-        memory: (nz, columns) of the first state of the law.
+        dq, dv: (masses, ...) of positions and velocities.
+        dz: (axes, states, ...) of the controllers' states, overwritten.
+        explicit: (axes, periods, elements, n) of the controllers' elements, the motion and what limits take away held,
+            by n parameters from column `first` on.
+        limits: (axes, elements, ...).
     """
 
+    dq: FloatArray
+    dv: FloatArray
+    dz: FloatArray
     explicit: FloatArray
-    first_explicit: int
-    delay: FloatArray
+    first: int
     limits: FloatArray
-    start: FloatArray
-    memory: FloatArray
 
 
 class Slopes(NamedTuple):
     """Derivatives of a run, filled.
 
     Attributes:
-        u: (columns, periods) of the torque that acts.
-        states: (periods * parts, 4, columns) at the start of every part; or (0, 4, columns).
+        command: (axes, clock, parameters) of the torques that act; or (axes, clock, 0) of motors that are moved.
+        states: (parts of all steps, 4, parameters) of position and velocity of two masses as each begins; or none.
+        links: (axes, parts of all steps, parameters) mean over each: what the links' change of motion adds to the
+            torque that a prescribed motion takes of a motor; or none.
     """
 
-    u: FloatArray
+    command: FloatArray
     states: FloatArray
+    links: FloatArray
 
 
-LANES = 8  # columns followed at a time: one vector of a wide machine, two of others; `_write_output` names each
+LANES = 8  # columns followed at a time: one vector of a wide machine, two of others
 
 _ORDER = 11  # of the Taylor series
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
-_AT_REST = 4  # the mode of both masses
 _LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
 NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
@@ -194,11 +194,9 @@ def _step(
 
 @inline_kernel
 def _write_output(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
-    """Write the derivatives of the law's output: all are read first, so that the machine need not fear an overlap."""
-    a, b, c, d = q[_OUT], q[_OUT + 1], q[_OUT + 2], q[_OUT + 3]
-    e, f, g, h = q[_OUT + 4], q[_OUT + 5], q[_OUT + 6], q[_OUT + 7]
-    du[0, at], du[1, at], du[2, at], du[3, at] = a, b, c, d
-    du[4, at], du[5, at], du[6, at], du[7, at] = e, f, g, h
+    """Write the derivatives of the law's output."""
+    for j in range(LANES):
+        du[at, j] = q[_OUT + j]
 
 
 @inline_kernel
@@ -234,28 +232,6 @@ def _glide(
             q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
             q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
             q[_OUT + j] = d
-        _write_output(q, at, du)
-        k += 1
-    return k
-
-
-@inline_kernel
-def _rest(
-    q: FloatArray, law: SmallLaw, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int16], u: FloatArray,
-    explicit: FloatArray, first_explicit: int, du: FloatArray,
-) -> int:  # fmt: skip
-    """Do what `_glide` does while both masses are at rest: the law alone goes on."""
-    for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
-        q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
-    while k < end and modes[k] == mode and abs(u[k]) < limit:
-        at = np.uint64(k)
-        for i in range(explicit.shape[2]):
-            q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
-        for j in range(LANES):
-            a0, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
-            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
-            q[_OUT + j] = (law.d * a0 + q[_EXPLICIT + j]) + z0
         _write_output(q, at, du)
         k += 1
     return k
@@ -336,44 +312,53 @@ def control_small(
 
 @compile_kernel
 def control_slopes(
-    q: FloatArray, z: FloatArray, e: FloatArray, feedback: Feedback, excess: FloatArray, explicit: FloatArray,
-    first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray,
+    laws: Feedback, axis: int, own: int, cut: FloatArray, moved: FloatArray, dz: FloatArray, fresh: FloatArray,
+    raw: FloatArray, taken: FloatArray, explicit: FloatArray, first: int, dlimits: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Do the same for any law; `z` are its states' derivatives, with their next values below, `e` its excesses'.
+    """Write the derivatives of the output of any law in a period of its own, and move those of its states, `dz`.
 
-    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes.
+    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes. `moved` are those
+    of the motor's position, `cut` is what limits and gates take away; `fresh`, `raw` and `taken` are scratch.
     """
-    phase, nz, elements = at % feedback.A.shape[1], feedback.A.shape[2], e.shape[0]
-    for i in range(elements):
-        for j in range(LANES):
-            q[_W + j] = feedback.D[0, phase, i] * q[_S + j]
-        for j in range(explicit.shape[2]):
-            q[_W + first_explicit + j] += explicit[at, i, j]
-        for other in range(nz):
-            for j in range(LANES):
-                q[_W + j] += feedback.C[0, phase, i, other] * z[other, j]
-        for other in range(i):
-            for j in range(LANES):
-                q[_W + j] += feedback.E[0, phase, i, other] * e[other, j]
-        cut = excess[at, i]
-        acts = 0.0 if cut == 0.0 else 1.0
-        sign = -math.copysign(1.0, cut) if feedback.gates[0, i] < 0 else 0.0
-        for j in range(LANES):
-            e[i, j] = acts * (sign * dlimits[i, j] - q[_W + j])
-            q[_OUT + j] = q[_W + j] + e[i, j]
-        if i == feedback.output[0]:
-            assign(du[:, at], q[_OUT : _OUT + LANES])
-    for i in range(nz):
-        for j in range(LANES):
-            z[nz + i, j] = feedback.Bq[0, phase, i] * q[_S + j]
-        for other in range(nz):
-            for j in range(LANES):
-                z[nz + i, j] += feedback.A[0, phase, i, other] * z[other, j]
-        for other in range(elements):
-            for j in range(LANES):
-                z[nz + i, j] += feedback.F[0, phase, i, other] * e[other, j]
-    for i in range(nz):
-        assign(z[i], z[nz + i])
+    phase, elements, states, count = own % laws.A.shape[1], cut.size, len(dz), moved.size
+    A, F, C, E = laws.A[axis, phase], laws.F[axis, phase], laws.C[axis, phase], laws.E[axis, phase]
+    for e in range(elements):
+        for c in range(count):
+            raw[e, c] = laws.D[axis, phase, e] * moved[c]
+        for i in range(explicit.shape[2]):
+            raw[e, first + i] += explicit[own, e, i]
+        for s in range(states):
+            weight = C[e, s]
+            if weight != 0.0:
+                for c in range(count):
+                    raw[e, c] += weight * dz[s, c]
+        for other in range(e):
+            weight = E[e, other]
+            if cut[other] != 0.0 and weight != 0.0:
+                for c in range(count):
+                    raw[e, c] += weight * taken[other, c]
+        if cut[e] != 0.0:
+            sign = -math.copysign(1.0, cut[e]) if laws.gates[axis, e] < 0 else 0.0
+            for c in range(count):
+                taken[e, c] = sign * dlimits[e, c] - raw[e, c]
+        if e == laws.output[axis]:
+            for c in range(count):
+                out[c] = raw[e, c] + (taken[e, c] if cut[e] != 0.0 else 0.0)
+    for s in range(states):
+        for c in range(count):
+            fresh[s, c] = laws.Bq[axis, phase, s] * moved[c]
+        for other in range(states):
+            weight = A[s, other]
+            if weight != 0.0:
+                for c in range(count):
+                    fresh[s, c] += weight * dz[other, c]
+        for e in range(elements):
+            weight = F[s, e]
+            if cut[e] != 0.0 and weight != 0.0:
+                for c in range(count):
+                    fresh[s, c] += weight * taken[e, c]
+    for s in range(states):
+        assign(dz[s], fresh[s])
 
 
 @inline_kernel
@@ -419,7 +404,8 @@ def follow(
     rows: int,
     drive: FloatArray,
     seeds: FloatArray,
-    columns: Columns,
+    delays: IntArray,
+    moved: Moved,
     slopes: Slopes,
 ) -> None:
     """Fill LANES columns of derivatives of a finished run.
@@ -431,13 +417,14 @@ def follow(
         rows: of the tape that are filled.
         drive: (14,) of `kernels.drive.run`.
         seeds: (14, columns) derivatives of the drive's coefficients.
-        columns: of what else depends on the parameters.
+        delays: (some, 2) columns of the controller's delay, and 0.
+        moved: how the first state and the controller depend on the parameters.
         slopes: out.
     """
     lengths, lags, feedback, post = loop.lengths, loop.lags[0], loop.feedback, loop.post[0]
     u, excess, states, modes, tape = trace.u, trace.excess, trace.states, trace.modes, trace.tape
-    explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
-    S, Z, du, dstates = columns.start, columns.memory, slopes.u, slopes.states
+    explicit, first_explicit, dlimits = moved.explicit[0], moved.first, moved.limits[0]
+    Z, du, dstates = moved.dz[0], slopes.command[0], slopes.states
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[2], feedback.limits.size
     side, dside, spring = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, LANES)), drive[2:4]
     _fill_modes(drive, seeds, side, dside)
@@ -445,22 +432,19 @@ def follow(
     phi = np.empty((9 * parts, 4 * _INPUTS))
     M = aligned_zeros(9 * parts * _INPUTS * _WIDE).reshape((9 * parts, _INPUTS * _WIDE))
     filled = np.zeros(9 * parts, dtype=np.bool_)
-    q, scratch, z = aligned_zeros(SCRATCH), aligned_zeros(SCRATCH), np.zeros((2 * nz, LANES))
-    e = np.zeros((elements, LANES))
+    q, scratch, fresh = aligned_zeros(SCRATCH), aligned_zeros(SCRATCH), np.zeros((nz, LANES))
+    raw, taken = np.zeros((elements, LANES)), np.zeros((elements, LANES))
     for one in (q, scratch):
         for i in range(2):
             for j in range(LANES):
                 one[_INERTIA + i * LANES + j] = seeds[i, j] / drive[i]
                 one[_SPRING + i * LANES + j] = seeds[2 + i, j]
-    for i in range(4):
-        assign(q[_S + i * LANES : _S + (i + 1) * LANES], S[i])
-    for i in range(nz):
-        assign(z[i], Z[i])
+    for i in range(2):
+        assign(q[_S + 2 * i * LANES : _S + (2 * i + 1) * LANES], moved.dq[i])
+        assign(q[_S + (2 * i + 1) * LANES : _S + (2 * i + 2) * LANES], moved.dv[i])
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
     law, limit = begin_small(q, feedback, nz if small else 0, Z, dlimits), feedback.limits[0, 0]
-    delayed = False
-    for j in range(LANES):
-        delayed = delayed or ddelay[j] != 0.0
+    delayed = delays.shape[0] > 0
     keep = dstates.shape[0] > 0
     plain = small and parts == 1 and lags[0] == 0 and not keep and not delayed
     row, last = 0, before
@@ -476,9 +460,6 @@ def follow(
             end = min(k - k % OFTEN + OFTEN, n)
             if row < rows:
                 end = min(end, int(tape[row, 0]))
-            if mode == _AT_REST:
-                k = _rest(q, law, mode, k, end, limit, modes, u, explicit, first_explicit, du)
-                continue
             if not filled[mode]:
                 filled[mode] = True
                 _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
@@ -487,7 +468,10 @@ def follow(
         if small:
             control_small(q, law, u[k], limit, explicit, first_explicit, k, du)
         else:
-            control_slopes(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du)
+            control_slopes(
+                feedback, 0, k, excess[k], q[_S : _S + LANES], Z, fresh, raw, taken, explicit, first_explicit, dlimits,
+                du[k],
+            )  # fmt: skip
         for part in range(parts):
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
@@ -496,7 +480,7 @@ def follow(
             s = u[source] + post[source] if source >= 0 else before
             origin = np.uint64(max(source, 0))
             for j in range(LANES):
-                q[_DS + j] = du[j, origin]
+                q[_DS + j] = du[origin, j]
             if keep:
                 for i in range(4):
                     for j in range(LANES):
@@ -506,8 +490,8 @@ def follow(
                 was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
                 kick = _acceleration(side, 0, was, last + force, x1)
                 kick -= _acceleration(side, 0, mode // 3, s + force, x1)
-                for j in range(LANES):
-                    q[_S + LANES + j] += kick * ddelay[j]
+                for i in range(delays.shape[0]):
+                    q[_S + LANES + delays[i, 0]] += kick
             last = s
             if row < rows and tape[row, 0] == at:
                 row = _through_events(q, at, row, s, tape, rows, spring, side, dside)

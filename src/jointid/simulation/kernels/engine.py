@@ -137,15 +137,15 @@ def place_force(cosine: float, sine: float, rate: float, wave: float, q: float) 
 @inline_kernel
 def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
-    M: FloatArray, L: FloatArray, order: IntArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
+    M: FloatArray, L: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
     grip: FloatArray, pull: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill the accelerations, what friction holds in masses at rest, and the most that it can; False if M is no mass.
 
-    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, L and order are scratch
-    of its root, and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes
-    are the directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, L is scratch of its root,
+    and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the
+    directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are
     those of their bands and pieces.
     """
     nd = q.size
@@ -184,46 +184,37 @@ def accelerate(
         a[i] = push * mobility[i] if mode != 0.0 else 0.0
     positive = True
     if tree is not None:
-        positive = _solve_links(bias.size, M, L, order, modes, held, a)
+        positive = _solve_links(bias.size, M, L, modes, held, a)
     return positive
 
 
 @inline_kernel
-def _solve_links(
-    links: int, M: FloatArray, L: FloatArray, order: IntArray, modes: FloatArray, held: FloatArray, a: FloatArray
-) -> bool:
-    """Fill the accelerations of links that move, and take what these need from what holds the others."""
-    free, positive = 0, True
+def _solve_links(links: int, M: FloatArray, L: FloatArray, modes: FloatArray, held: FloatArray, a: FloatArray) -> bool:
+    """Fill the accelerations of links that move, and take what these need from what holds the others.
+
+    L is the root of the mass matrix, with one over its diagonal; one at rest has the row of the identity.
+    """
+    positive = True
     for i in range(links):
-        if modes[i] != 0.0:
-            order[0, free], order[1, free] = i, 0
-            free += 1
-    for x in range(free):
-        i = order[0, x]
-        total, begin = held[i], 0
-        while begin < x and M[i, order[0, begin]] == 0.0:  # as of two arms on one base
-            begin += 1
-        order[1, x] = begin
-        for y in range(begin, x):
-            cell = M[i, order[0, y]]
-            for k in range(max(begin, order[1, y]), y):
-                cell -= L[x, k] * L[y, k]
-            L[x, y] = cell * L[y, y]
-            total -= L[x, y] * a[order[0, y]]
-        pivot = M[i, i]
-        for k in range(begin, x):
-            pivot -= L[x, k] * L[x, k]
+        moves = modes[i] != 0.0
+        a[i], pivot = (held[i], M[i, i]) if moves else (0.0, 1.0)
+        for j in range(i):
+            cell = M[i, j] if moves and modes[j] != 0.0 else 0.0
+            for k in range(j):
+                cell -= L[i, k] * L[j, k]
+            L[i, j] = cell * L[j, j]
+            a[i] -= L[i, j] * a[j]
+            pivot -= L[i, j] * L[i, j]
         if not pivot > 0.0:
             positive = False
             break
-        L[x, x] = 1.0 / math.sqrt(pivot)
-        a[i] = total * L[x, x]
-    for x in range(free - 1 if positive else -1, -1, -1):
-        total = a[order[0, x]] * L[x, x]
-        a[order[0, x]] = total
-        for y in range(order[1, x], x):
-            a[order[0, y]] -= L[x, y] * total
-    for i in range(links if free < links else 0):
+        L[i, i] = 1.0 / math.sqrt(pivot)
+        a[i] *= L[i, i]
+    for i in range(links - 1 if positive else -1, -1, -1):
+        a[i] *= L[i, i]
+        for j in range(i):
+            a[j] -= L[i, j] * a[i]
+    for i in range(links):
         if modes[i] == 0.0:
             for j in range(links):
                 held[i] -= M[i, j] * a[j]
@@ -482,12 +473,14 @@ def run(
     )  # fmt: skip
     second, third, pull, pull1 = np.zeros(nd), np.zeros(nd), np.zeros(ns), np.zeros(ns)
     w, w1, modes = np.zeros(nd + ns), np.zeros(nd + ns), np.zeros(nd + ns)
-    at, order = np.zeros(nd + ns, dtype=np.int64), np.zeros((2, links), dtype=np.int64)
+    at = np.zeros(nd + ns, dtype=np.int64)
     mass, spring, bounds = np.zeros((nd, MASS + 1)), np.zeros((ns, SPRING)), np.zeros((nd + ns, 2))
     M, L, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
     fresh, out, cut = np.empty(z.shape[1]), np.zeros(w_in.shape[1]), np.zeros(w_in.shape[1])
-    period, longest = 0.0, 0.0
+    period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
+    for i in range(nd):
+        coupled = coupled or (carriers[i] < 0 and masses[i, 0, PER_TORQUE] > 0.0)
     for part in range(parts):
         period += lengths[part]
         longest = max(longest, lengths[part])
@@ -497,7 +490,12 @@ def run(
     for j in range(axes):
         drive[motors[j]] = before[j]
     watched = _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
-    guards, ends = np.zeros(watched.size), np.zeros(watched.size)
+    guards, ends, fastest, winds, cubic = np.zeros(watched.size), np.zeros(watched.size), rate, False, False
+    for i in range(nd):
+        winds = winds or masses[i, 0, WINDING] > 0.0
+    for s in range(ns):
+        winds, cubic = winds or springs[s, 0, SLIDING] > 0.0, cubic or springs[s, 0, CUBIC] != 0.0
+    varies = winds or cubic or places.shape[0] > 0  # how fast the motion changes by itself, between two events
     for i in range(nd + ns):
         _enter(i, masses, springs, at, mass, spring, bounds)
     if tree is not None:
@@ -505,7 +503,7 @@ def run(
         for i in range(links):
             M[i, i] += mass[i, INERTIA]
     if not accelerate(
-        mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive, 0.0, q, v, w, a, held,
+        mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive, 0.0, q, v, w, a, held,
         grip, pull,
     ):  # fmt: skip
         return NOT_POSITIVE
@@ -531,14 +529,18 @@ def run(
         counts[3] += 1 if limited else 0
         time, before_period = k * period, events
         for part in range(parts):
+            left, settles = lengths[part], coupled
+            for i in range(nd):
+                settles = settles or modes[i] == 0.0 or v[i] == 0.0
             for j in range(axes):
-                source = k - lags[j, part]
-                drive[motors[j]] = command[j, source] + post[j, source] if source >= 0 else before[j]
-            left, settles = lengths[part], True
+                source, motor = k - lags[j, part], motors[j]
+                torque = command[j, source] + post[j, source] if source >= 0 else before[j]
+                a[motor] += (torque - drive[motor]) * mobility[motor]  # all that changes, unless a mass settles
+                drive[motor] = torque
             while left > 0.0 and status == FINISHED:
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
-                        mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive, time,
+                        mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive, time,
                         q, v, w, a, held, grip, pull,
                     ):  # fmt: skip
                         status = NOT_POSITIVE
@@ -547,8 +549,7 @@ def run(
                         break
                 if settles:
                     _turn_sliders(spring, pairs, modes, v, a)
-                fastest = rate
-                if rate == 0.0:
+                if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = _fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
                 if not steps_left <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
@@ -575,9 +576,9 @@ def run(
                                 between = second[i] + third[i]
                                 q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
                                 v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
-                        for i in range(nd):
+                        for i in range(nd if winds else 0):
                             w1[i] = winding(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
-                        for s in range(ns):
+                        for s in range(ns if winds else 0):
                             one, two = pairs[s, 0], pairs[s, 1]
                             e = (q1[two] - q1[one]) - (q[two] - q[one])
                             w1[nd + s] = winding(w[nd + s], modes[nd + s], e, spring[s, SLIDING])
@@ -587,7 +588,7 @@ def run(
                                 M[i, i] += mass[i, INERTIA]
                         then = time + (0.5 * d if stage < 2 else d)
                         if not accelerate(
-                            mass, spring, places, pairs, carriers, tree, M, L, order, bias, mobility, modes, drive,
+                            mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive,
                             then, q1, v1, w1, a1, held1, grip1, pull1,
                         ):  # fmt: skip
                             status = NOT_POSITIVE

@@ -1,22 +1,35 @@
 """The derivatives of a simulation by its parameters, along the steps of `kernels.engine`, compiled.
 
-The run has left a tape of its steps. Within a step the variational equation is linear; its coefficients are taken at
-the mean of the motion, where a Taylor series of order 4 follows a column of derivatives per parameter. What winds up
-has the derivative of its closed form. At an event the forces go on where they were, so nothing changes, except where a
-mass stops: the derivative of its velocity is scaled by the acceleration after over that before; and where a damper acts
-on one side of an edge only: the accelerations' jump kicks the velocities as the time of the event moves. A delay moves
-the edges of the torque, and each kicks the motor's velocity by the difference of the accelerations.
+The run has left a tape of its steps. Along each the deviations of all masses obey linear equations::
+
+    M da + C dv + K dq = G
+
+with M, C and K the derivatives of the equations of motion by acceleration, velocity and position, and G, negative, by
+the parameters and by the motors' torques. They are taken at the mean of the step. The masses of a joint then follow a
+Taylor series of order 4; those of a tree the implicit midpoint rule, of order 2. What winds up has the derivative of
+its closed form. A mass at rest stays there. An event moves in time with what it takes to zero, so velocities jump
+(M. A. Aizerman and F. R. Gantmacher: On the stability of periodic motions, Journal of Applied Mathematics and
+Mechanics 22, 1958)::
+
+    dv+ = dv- + (a+ - a-) dv_i- / a_i-
+
+A delay moves the edges of a torque, and each kicks the velocities by the difference of the accelerations. Controllers
+are linear between limits, and where one acts its element follows the limit.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
+from jointid.models.robots.dynamics import regressor
+from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
+from jointid.models.robots.robot import Tree
 from jointid.simulation.kernels.drive import IntArray, SampledLoop
 from jointid.simulation.kernels.drive_sensitivities import (
     LANES,
@@ -25,7 +38,7 @@ from jointid.simulation.kernels.drive_sensitivities import (
     OFTEN,
     POSITION,
     SCRATCH,
-    Columns,
+    Moved,
     Slopes,
     aligned_zeros,
     begin_small,
@@ -52,7 +65,6 @@ from jointid.simulation.kernels.engine import (
     SIN,
     SLIDING,
     SLIPS,
-    SPRING,
     STATE,
     STIFFNESS,
     VISCOUS,
@@ -67,71 +79,75 @@ from jointid.simulation.kernels.engine import (
     winding,
 )
 
-_MASSES, _SPRINGS = 3, 2
-# Rows of the derivatives, LANES long: positions and velocities of the masses, what is wound up of masses and springs,
-# the torque, and what forces that follow a position give each mass, with its rate.
-_Q, _V, _W, _TORQUE, _PLACED, _MOVES = (LANES * row for row in (0, 3, 6, 11, 12, 15))
-_MASS_SEEDS, _SPRING_SEEDS = 18, 18 + _MASSES * MASS
-_ROWS = _SPRING_SEEDS + _SPRINGS * SPRING
+MASSES, SPRINGS = 3, 2  # of a joint at most: its rows are as many
+# Rows of a joint's derivatives, LANES long: positions and velocities of the masses; the forces that are given on masses
+# and in springs in the middle of a step, their rates, and what is wound up otherwise; how far the masses have gone.
+_Q, _V, _GIVEN, _RATE, _GONE = (LANES * row for row in (0, 3, 6, 11, 21))
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of masses, then of springs, how the derivative of what is wound up enters the force, what of it is left at the
 # end, what it gains with the place and with the rate of winding; of springs stiffness and damping, the torque and its
 # rate.
-GOES, DRAG, STIFF, TAKES, HALF, WINDS, LEFT, GAINS, TURNS, PULL, DAMP, PULLED, GROWS = range(13)
-FACTORS = 13
+_GOES, _DRAG, _STIFF, _TAKES, _HALF, _WINDS, _LEFT, _GAINS, _TURNS, _PULL, _DAMP, _PULLED, _GROWS = range(13)
+_FACTORS = 13
 # Rows of the mean motion of a step.
-PLACE, SPEED, CHANGE, JERK = range(4)
+_PLACE, _SPEED, _CHANGE, _JERK = range(4)
+_TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
+
+Three: TypeAlias = tuple[float, float, float]
 
 
-Five: TypeAlias = tuple[float, float, float, float, float]
+class Seeds(NamedTuple):
+    """How the numbers of a plant depend on parameters: a list of derivatives that are not 0.
 
+    Attributes:
+        begin: (masses, springs and places, bands + 1) the first of a mass in a band, a spring in a piece, a place.
+        numbers, columns, values: (derivatives,) of which number by which parameter.
+        links: (some parameters, 3) which is the number of which link, in which column of its inertial ones.
+        delays: (some parameters, 2) which is by how much the torque of which axis acts later.
+        pushes: (some parameters, 2) which is a torque added to the output of which axis' controller.
+        pushed: (the same, clock) that torque.
+    """
 
-@inline_kernel
-def _five(of: FloatArray, i: int, begin: int) -> Five:
-    """Return five numbers of a row, which then stay in registers."""
-    return of[i, begin], of[i, begin + 1], of[i, begin + 2], of[i, begin + 3], of[i, begin + 4]
-
-
-@inline_kernel
-def _by_five(k: Five, seeds: FloatArray, row: int, j: int) -> float:
-    """Return the sum of five factors times five rows of derivatives, of one column."""
-    at = row * LANES + j
-    first = (k[0] * seeds[at] + k[1] * seeds[at + LANES]) + k[2] * seeds[at + 2 * LANES]
-    return float(first + (k[3] * seeds[at + 3 * LANES] + k[4] * seeds[at + 4 * LANES]))
+    begin: IntArray
+    numbers: IntArray
+    columns: IntArray
+    values: FloatArray
+    links: IntArray
+    delays: IntArray
+    pushes: IntArray
+    pushed: FloatArray
 
 
 @inline_kernel
 def _wind(f: FloatArray, i: int, w: float, way: float, x: float, rate: float, force: float) -> float:
     """Write the factors of what is wound up in a step; return that of its rate in the force, half way through."""
-    f[HALF, i], f[WINDS, i], f[LEFT, i], f[GAINS, i], f[TURNS, i] = 0.0, 0.0, 0.0, 0.0, 0.0
+    f[_HALF, i], f[_WINDS, i], f[_LEFT, i], f[_GAINS, i], f[_TURNS, i] = 0.0, 0.0, 0.0, 0.0, 0.0
     if w == way:
         return 0.0
     half, left = math.exp(min(-0.5 * way * x * rate, 1.0)), math.exp(min(-way * x * rate, 1.0))
     slope = (way - w) * way
-    f[HALF, i], f[WINDS, i], f[LEFT, i] = force * half, force * slope * half * rate, left
-    f[GAINS, i], f[TURNS, i] = slope * left * rate, slope * left * x
+    f[_HALF, i], f[_WINDS, i], f[_LEFT, i] = force * half, force * slope * half * rate, left
+    f[_GAINS, i], f[_TURNS, i] = slope * left * rate, slope * left * x
     return force * slope * half
 
 
 @inline_kernel
-def mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray) -> None:
+def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray) -> None:
     """Fill the means of positions, velocities, accelerations and their rates over a step, from its row and the next."""
     h, inverse, then = tape[row, LENGTH], 1.0 / tape[row, LENGTH], row + 1
     for i in range(nd):
         q, v = tape[row, STATE + i], tape[row, STATE + nd + i]
         q1, v1 = tape[then, STATE + i], tape[then, STATE + nd + i]
         middle = 0.5 * (q + q1) + 0.125 * h * (v - v1)
-        mean[PLACE, i], mean[SPEED, i] = (q + 4.0 * middle + q1) / 6.0, (q1 - q) * inverse
-        mean[CHANGE, i] = (v1 - v) * inverse
-        mean[JERK, i] = (tape[row, STATE + 3 * nd + i] - tape[row, STATE + 2 * nd + i]) * inverse
+        mean[_PLACE, i], mean[_SPEED, i] = (q + 4.0 * middle + q1) / 6.0, (q1 - q) * inverse
+        mean[_CHANGE, i] = (v1 - v) * inverse
+        mean[_JERK, i] = (tape[row, STATE + 3 * nd + i] - tape[row, STATE + 2 * nd + i]) * inverse
 
 
 @inline_kernel
-def fill_factors(
+def _fill_factors(
     masses: FloatArray, springs: FloatArray, pairs: IndexArray, carriers: IntArray, tape: FloatArray, row: int,
-    mean: FloatArray,
-    drive: FloatArray, time: float, first: int, f: FloatArray, k: FloatArray, later: FloatArray, ks: FloatArray,
-    slater: FloatArray,
+    mean: FloatArray, drive: FloatArray, time: float, first: int, f: FloatArray, k: FloatArray, later: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the factors of a step, a row of the tape, and those of the numbers in the forces, with their rates.
 
@@ -141,35 +157,30 @@ def fill_factors(
     nd, ns, h = masses.shape[0], pairs.shape[0], tape[row, LENGTH]
     modes, at, wound = STATE + 4 * nd, STATE + 5 * nd + ns, STATE + 6 * nd + 2 * ns
     for s in range(ns):
-        one, two, piece = pairs[s, 0], pairs[s, 1], int(tape[row, at + nd + s])
+        one, two, piece, x = pairs[s, 0], pairs[s, 1], int(tape[row, at + nd + s]), first + s
         p, side = np.uint64(abs(piece)), (0.0 if piece == 0 else math.copysign(1.0, piece))
-        e, de = mean[PLACE, two] - mean[PLACE, one], mean[SPEED, two] - mean[SPEED, one]
-        dde = mean[CHANGE, two] - mean[CHANGE, one]
+        e, de = mean[_PLACE, two] - mean[_PLACE, one], mean[_SPEED, two] - mean[_SPEED, one]
+        dde = mean[_CHANGE, two] - mean[_CHANGE, one]
         w, way = tape[row, wound + nd + s], tape[row, modes + nd + s]
-        slides, slips = springs[s, p, SLIDING], springs[s, p, SLIPS]
+        slides, slips, damping = springs[s, p, SLIDING], springs[s, p, SLIPS], springs[s, p, DAMPING]
         half = winding(w, way, 0.5 * de * h, slides)
         turns = slides * (de - abs(de) * half)
-        pull, damping, x = (
-            springs[s, p, STIFFNESS] + 3.0 * springs[s, p, CUBIC] * e * e,
-            springs[s, p, DAMPING],
-            first + s,
-        )
-        f[PULLED, x] = side * springs[s, p, HELD] + spring_torque(
+        pull = springs[s, p, STIFFNESS] + 3.0 * springs[s, p, CUBIC] * e * e
+        f[_PULLED, x] = side * springs[s, p, HELD] + spring_torque(
             springs[s, p, STIFFNESS], springs[s, p, CUBIC], damping, slips, e, de, half
         )
-        f[GROWS, x] = pull * de + damping * dde + slips * turns
-        f[WINDS, x], ks[s, SLIDING] = 0.0, 0.0
+        f[_GROWS, x] = pull * de + damping * dde + slips * turns
+        f[_WINDS, x], k[x, SLIDING] = 0.0, 0.0
         if slips > 0.0:
-            ks[s, SLIDING] = 0.5 * _wind(f, x, w, way, de * h, slides, slips) * de * h
-        f[PULL, x], f[DAMP, x] = pull + f[WINDS, x], damping
-        ks[s, STIFFNESS], ks[s, DAMPING], ks[s, CUBIC], ks[s, SLIPS], ks[s, HELD] = e, de, e * e * e, half, side
-        slater[s, STIFFNESS], slater[s, DAMPING], slater[s, CUBIC] = de, dde, 3.0 * e * e * de
-        slater[s, SLIPS] = turns
+            k[x, SLIDING] = 0.5 * _wind(f, x, w, way, de * h, slides, slips) * de * h
+        f[_PULL, x], f[_DAMP, x] = pull + f[_WINDS, x], damping
+        k[x, STIFFNESS], k[x, DAMPING], k[x, CUBIC], k[x, SLIPS], k[x, HELD] = e, de, e * e * e, half, side
+        later[x, STIFFNESS], later[x, DAMPING], later[x, CUBIC], later[x, SLIPS] = de, dde, 3.0 * e * e * de, turns
     for i in range(nd):
-        mode, speed, rate, band = tape[row, modes + i], mean[SPEED, i], mean[CHANGE, i], np.uint64(tape[row, at + i])
+        mode, speed, rate, band = tape[row, modes + i], mean[_SPEED, i], mean[_CHANGE, i], np.uint64(tape[row, at + i])
         carried, grows = drive[i], 0.0
         if carriers[i] >= 0:
-            carried, grows = f[PULLED, first + carriers[i]], f[GROWS, first + carriers[i]]
+            carried, grows = f[_PULLED, first + carriers[i]], f[_GROWS, first + carriers[i]]
         way = math.copysign(1.0, speed) if mode == FREE else mode
         back, moves = (1 if way < 0.0 else 0), (1.0 if mode != 0.0 else 0.0)
         # A torque that goes through 0 within the step: the mean of its size, and of its sign.
@@ -179,16 +190,16 @@ def fill_factors(
             sign, size = (abs(high) - abs(low)) / (high - low), (high * high + low * low) / (2.0 * abs(high - low))
         share, turns, winds, x = way, 0.0, masses[i, 0, WINDING], speed * h
         grip = masses[i, band, COULOMB + back] + masses[i, 0, COULOMB_DRIFT] * time + masses[i, 0, PER_TORQUE] * size
-        f[STIFF, i], k[i, WINDING] = 0.0, 0.0
+        f[_STIFF, i], k[i, WINDING] = 0.0, 0.0
         if winds > 0.0:
             share = winding(tape[row, wound + i], mode, 0.5 * x, winds)
             turns = winds * (speed - abs(speed) * share)
             gain = _wind(f, i, tape[row, wound + i], mode, x, winds, -grip)
-            f[STIFF, i], k[i, WINDING] = f[WINDS, i], 0.5 * gain * x
-        f[GOES, i] = moves
-        f[DRAG, i] = masses[i, band, VISCOUS + back] + masses[i, 0, VISCOUS_DRIFT] * time
-        f[TAKES, i] = 1.0 + share * masses[i, 0, PER_TORQUE] * sign
-        k[i, INERTIA], later[i, INERTIA], k[i, OFFSET] = -rate, -mean[JERK, i], -1.0
+            f[_STIFF, i], k[i, WINDING] = f[_WINDS, i], 0.5 * gain * x
+        f[_GOES, i] = moves
+        f[_DRAG, i] = masses[i, band, VISCOUS + back] + masses[i, 0, VISCOUS_DRIFT] * time
+        f[_TAKES, i] = 1.0 + share * masses[i, 0, PER_TORQUE] * sign
+        k[i, INERTIA], later[i, INERTIA], k[i, OFFSET] = -rate, -mean[_JERK, i], -1.0
         k[i, VISCOUS + back], later[i, VISCOUS + back] = -speed, -rate
         k[i, VISCOUS + 1 - back], later[i, VISCOUS + 1 - back] = 0.0, 0.0
         k[i, COULOMB + back], later[i, COULOMB + back] = -share, -turns
@@ -199,231 +210,422 @@ def fill_factors(
 
 
 @inline_kernel
-def _follow_places(places: FloatArray, dplaces: FloatArray, mean: FloatArray, f: FloatArray, s: FloatArray) -> None:
-    """Write the derivatives of position-dependent forces on each mass, and add their stiffness."""
-    for i in range(2 * _MASSES * LANES):
-        s[_PLACED + i] = 0.0
+def _fill_places(
+    places: FloatArray, first: int, mean: FloatArray, f: FloatArray, k: FloatArray, later: FloatArray
+) -> None:
+    """Fill the factors of the numbers of forces that follow a position, and add the stiffness of these."""
     for force in range(places.shape[0]):
-        i = int(places[force, WHERE])
-        place, speed, wave = mean[PLACE, i], mean[SPEED, i], places[force, WAVE]
+        i, x, wave = int(places[force, WHERE]), first + force, places[force, WAVE]
+        place, speed = mean[_PLACE, i], mean[_SPEED, i]
         cos, sin = math.cos(wave * place), math.sin(wave * place)
-        cosine, sine, rate = places[force, COS], places[force, SIN], places[force, RATE]
-        f[STIFF, i] -= place_force(cosine, sine, rate, wave, place)[1]
-        for j in range(LANES):
-            dcos, dsin, drate = dplaces[force, COS, j], dplaces[force, SIN, j], dplaces[force, RATE, j]
-            s[_PLACED + i * LANES + j] -= cos * dcos + sin * dsin + place * drate
-            s[_MOVES + i * LANES + j] -= speed * (wave * (cos * dsin - sin * dcos) + drate)
+        f[_STIFF, i] -= place_force(places[force, COS], places[force, SIN], places[force, RATE], wave, place)[1]
+        k[x, COS], k[x, SIN], k[x, RATE] = -cos, -sin, -place
+        later[x, COS], later[x, SIN], later[x, RATE] = speed * wave * sin, -speed * wave * cos, -speed
 
 
 @inline_kernel
-def _move(
-    h: float, f: FloatArray, mobility: FloatArray, k: FloatArray, later: FloatArray, ks: FloatArray,
-    slater: FloatArray, s: FloatArray,
+def _add_seeds(
+    seeds: Seeds, row: int, band: int, to: int, winds: int, f: FloatArray, k: FloatArray, later: FloatArray,
+    given: FloatArray, rate: FloatArray, turned: FloatArray,
 ) -> None:  # fmt: skip
-    """Move the derivatives over a step: a Taylor series of their linear equation about its beginning.
+    """Add what parameters change in a law; `winds` is the number of which something is wound up otherwise."""
+    for e in range(seeds.begin[row, band], seeds.begin[row, band + 1]):
+        number, c, value = seeds.numbers[e], seeds.columns[e], seeds.values[e]
+        given[to, c] += k[row, number] * value
+        rate[to, c] += later[row, number] * value
+        if number == winds:
+            turned[to, c] += f[_TURNS, row] * value
+
+
+@compile_kernel
+def _solve(A: FloatArray, rows: FloatArray) -> None:
+    """Solve A x = rows in place by elimination with pivots; both are overwritten."""
+    n = len(A)
+    for k in range(n):
+        at = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[at, k]):
+                at = i
+        if at != k:
+            for j in range(n):
+                A[k, j], A[at, j] = A[at, j], A[k, j]
+            for c in range(rows.shape[1]):
+                rows[k, c], rows[at, c] = rows[at, c], rows[k, c]
+        for i in range(k + 1, n):
+            factor = A[i, k] / A[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    A[i, j] -= factor * A[k, j]
+                for c in range(rows.shape[1]):
+                    rows[i, c] -= factor * rows[k, c]
+    for k in range(n - 1, -1, -1):
+        share = 1.0 / A[k, k]
+        for c in range(rows.shape[1]):
+            rows[k, c] *= share
+        for i in range(k):
+            factor = A[i, k]
+            if factor != 0.0:
+                for c in range(rows.shape[1]):
+                    rows[i, c] -= factor * rows[k, c]
+
+
+@inline_kernel
+def _three(of: FloatArray, row: int, begin: int) -> Three:
+    """Return three numbers of a row, which then stay in registers."""
+    return of[row, begin], of[row, begin + 1], of[row, begin + 2]
+
+
+@inline_kernel
+def _move(h: float, f: FloatArray, mobility: FloatArray, s: FloatArray) -> None:
+    """Move the derivatives of a joint over a step: a Taylor series of their linear equation about its beginning.
 
     The loop is long on purpose, so that the compiler makes vectors of the lanes.
     """
     back, h2, h3, h4 = 0.5 * h, h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
-    goes, drag, stiff, takes = _five(f, GOES, 0), _five(f, DRAG, 0), _five(f, STIFF, 0), _five(f, TAKES, 0)
+    goes, drag, stiff, takes = _three(f, _GOES, 0), _three(f, _DRAG, 0), _three(f, _STIFF, 0), _three(f, _TAKES, 0)
     moves0, moves1, moves2 = goes[0] * mobility[0], goes[1] * mobility[1], goes[2] * mobility[2]
-    pull, damp, held0, held1 = _five(f, PULL, 0), _five(f, DAMP, 0), ks[0, HELD], ks[1, HELD]
-    half, winds, left = _five(f, HALF, 0), _five(f, WINDS, 0), _five(f, LEFT, 0)
-    gains, turns = _five(f, GAINS, 0), _five(f, TURNS, 0)
-    k0, k1, k2, k3, k4, k5 = (
-        _five(k, 0, 0),
-        _five(k, 0, 5),
-        _five(k, 1, 0),
-        _five(k, 1, 5),
-        _five(k, 2, 0),
-        _five(k, 2, 5),
-    )
-    l0, l1, l2, l3 = _five(later, 0, 0), _five(later, 0, 5), _five(later, 1, 0), _five(later, 1, 5)
-    l4, l5, n0, n1 = _five(later, 2, 0), _five(later, 2, 5), _five(ks, 0, 0), _five(ks, 1, 0)
-    o0, o1 = _five(slater, 0, 0), _five(slater, 1, 0)
+    pull0, pull1 = f[_PULL, MASSES], f[_PULL, MASSES + 1]
+    damp0, damp1 = f[_DAMP, MASSES], f[_DAMP, MASSES + 1]
     for j in range(LANES):
         q0, q1, q2 = s[_Q + j], s[_Q + LANES + j], s[_Q + 2 * LANES + j]
         # A velocity that was not let begin does not come back.
         v0, v1, v2 = goes[0] * s[_V + j], goes[1] * s[_V + LANES + j], goes[2] * s[_V + 2 * LANES + j]
-        w0, w1, w3, w4 = s[_W + j], s[_W + LANES + j], s[_W + 3 * LANES + j], s[_W + 4 * LANES + j]
-        # What is given in the middle of the step, its rate, and so what is at the beginning.
-        r0 = (_by_five(l0, s, _MASS_SEEDS, j) + _by_five(l1, s, _MASS_SEEDS + 5, j)) + s[_MOVES + j]
-        r1 = (_by_five(l2, s, _MASS_SEEDS + MASS, j) + _by_five(l3, s, _MASS_SEEDS + MASS + 5, j)) + s[
-            _MOVES + LANES + j
-        ]
-        r2 = _by_five(l4, s, _MASS_SEEDS + 2 * MASS, j) + _by_five(l5, s, _MASS_SEEDS + 2 * MASS + 5, j)
-        t0, t1 = _by_five(o0, s, _SPRING_SEEDS, j), _by_five(o1, s, _SPRING_SEEDS + SPRING, j)
-        g0 = (_by_five(k0, s, _MASS_SEEDS, j) + _by_five(k1, s, _MASS_SEEDS + 5, j)) + (s[_PLACED + j] - back * r0)
-        g1 = (_by_five(k2, s, _MASS_SEEDS + MASS, j) + _by_five(k3, s, _MASS_SEEDS + MASS + 5, j)) + (
-            s[_PLACED + LANES + j] - back * r1
-        )
-        g2 = (_by_five(k4, s, _MASS_SEEDS + 2 * MASS, j) + _by_five(k5, s, _MASS_SEEDS + 2 * MASS + 5, j)) - back * r2
-        g0 += (2.0 - takes[0]) * s[_TORQUE + j] + (half[0] * w0 - winds[0] * q0)
-        g1 += half[1] * w1 - winds[1] * q1
-        d0 = (_by_five(n0, s, _SPRING_SEEDS, j) - back * t0) + (half[3] * w3 - winds[3] * (q1 - q0))
-        d1 = (_by_five(n1, s, _SPRING_SEEDS + SPRING, j) - back * t1) + (half[4] * w4 - winds[4] * (q2 - q1))
-        d0 += held0 * s[(_SPRING_SEEDS + HELD) * LANES + j]
-        d1 += held1 * s[(_SPRING_SEEDS + SPRING + HELD) * LANES + j]
+        # What is given at the beginning, from the middle of the step and its rate.
+        r0, r1, r2 = s[_RATE + j], s[_RATE + LANES + j], s[_RATE + 2 * LANES + j]
+        t0, t1 = s[_RATE + 3 * LANES + j], s[_RATE + 4 * LANES + j]
+        g0, g1 = s[_GIVEN + j] - back * r0, s[_GIVEN + LANES + j] - back * r1
+        g2 = s[_GIVEN + 2 * LANES + j] - back * r2
+        d0, d1 = s[_GIVEN + 3 * LANES + j] - back * t0, s[_GIVEN + 4 * LANES + j] - back * t1
         # The derivatives of the velocities by time: the first, the second, the third, the fourth.
-        near, far = pull[3] * (q1 - q0) + damp[3] * (v1 - v0) + d0, pull[4] * (q2 - q1) + damp[4] * (v2 - v1) + d1
+        near, far = pull0 * (q1 - q0) + damp0 * (v1 - v0) + d0, pull1 * (q2 - q1) + damp1 * (v2 - v1) + d1
         a0 = moves0 * (((stiff[0] * q0 - drag[0] * v0) + g0) + near)
         a1 = moves1 * (((stiff[1] * q1 - drag[1] * v1) + g1) + (far - takes[1] * near))
         a2 = moves2 * (((stiff[2] * q2 - drag[2] * v2) + g2) - takes[2] * far)
-        near, far = pull[3] * (v1 - v0) + damp[3] * (a1 - a0) + t0, pull[4] * (v2 - v1) + damp[4] * (a2 - a1) + t1
+        near, far = pull0 * (v1 - v0) + damp0 * (a1 - a0) + t0, pull1 * (v2 - v1) + damp1 * (a2 - a1) + t1
         b0 = moves0 * (((stiff[0] * v0 - drag[0] * a0) + r0) + near)
         b1 = moves1 * (((stiff[1] * v1 - drag[1] * a1) + r1) + (far - takes[1] * near))
         b2 = moves2 * (((stiff[2] * v2 - drag[2] * a2) + r2) - takes[2] * far)
-        near, far = pull[3] * (a1 - a0) + damp[3] * (b1 - b0), pull[4] * (a2 - a1) + damp[4] * (b2 - b1)
+        near, far = pull0 * (a1 - a0) + damp0 * (b1 - b0), pull1 * (a2 - a1) + damp1 * (b2 - b1)
         c0 = moves0 * ((stiff[0] * a0 - drag[0] * b0) + near)
         c1 = moves1 * ((stiff[1] * a1 - drag[1] * b1) + (far - takes[1] * near))
         c2 = moves2 * ((stiff[2] * a2 - drag[2] * b2) - takes[2] * far)
-        near, far = pull[3] * (b1 - b0) + damp[3] * (c1 - c0), pull[4] * (b2 - b1) + damp[4] * (c2 - c1)
+        near, far = pull0 * (b1 - b0) + damp0 * (c1 - c0), pull1 * (b2 - b1) + damp1 * (c2 - c1)
         e0 = moves0 * ((stiff[0] * b0 - drag[0] * c0) + near)
         e1 = moves1 * ((stiff[1] * b1 - drag[1] * c1) + (far - takes[1] * near))
         e2 = moves2 * ((stiff[2] * b2 - drag[2] * c2) - takes[2] * far)
         m0, m1 = (h * v0 + h2 * a0) + (h3 * b0 + h4 * c0), (h * v1 + h2 * a1) + (h3 * b1 + h4 * c1)
         m2 = (h * v2 + h2 * a2) + (h3 * b2 + h4 * c2)
+        s[_GONE + j], s[_GONE + LANES + j], s[_GONE + 2 * LANES + j] = m0, m1, m2
         s[_Q + j], s[_Q + LANES + j], s[_Q + 2 * LANES + j] = q0 + m0, q1 + m1, q2 + m2
         s[_V + j] = v0 + ((h * a0 + h2 * b0) + (h3 * c0 + h4 * e0))
         s[_V + LANES + j] = v1 + ((h * a1 + h2 * b1) + (h3 * c1 + h4 * e1))
         s[_V + 2 * LANES + j] = v2 + ((h * a2 + h2 * b2) + (h3 * c2 + h4 * e2))
-        s[_W + j] = left[0] * w0 + (gains[0] * m0 + turns[0] * s[(_MASS_SEEDS + WINDING) * LANES + j])
-        s[_W + LANES + j] = left[1] * w1 + (gains[1] * m1 + turns[1] * s[(_MASS_SEEDS + MASS + WINDING) * LANES + j])
-        s[_W + 3 * LANES + j] = left[3] * w3 + (
-            gains[3] * (m1 - m0) + turns[3] * s[(_SPRING_SEEDS + SLIDING) * LANES + j]
-        )
-        s[_W + 4 * LANES + j] = left[4] * w4 + (
-            gains[4] * (m2 - m1) + turns[4] * s[(_SPRING_SEEDS + SPRING + SLIDING) * LANES + j]
-        )
 
 
 @inline_kernel
-def _take_seeds(
-    dmasses: FloatArray, dsprings: FloatArray, tape: FloatArray, row: int, at: int, masses: int, pairs: int,
-    taken: IntArray, s: FloatArray,
+def _move_tree(
+    h: float, masses: FloatArray, pairs: IndexArray, carriers: IntArray, f: FloatArray, M: FloatArray, K: FloatArray,
+    C: FloatArray, left: FloatArray, rows: FloatArray, dq: FloatArray, dv: FloatArray, given: FloatArray,
+    gone: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the derivatives of the numbers in the bands and pieces of a step where the loop over columns reads them."""
-    for i in range(masses + pairs):
-        now = int(abs(tape[row, at + i]))
-        if now == taken[i]:
-            continue
-        taken[i] = now
-        if i < masses:
-            begin = (_MASS_SEEDS + i * MASS) * LANES
-            assign(s[begin : begin + MASS * LANES], dmasses[i, now].reshape(-1))
-        else:
-            begin = (_SPRING_SEEDS + (i - masses) * SPRING) * LANES
-            assign(s[begin : begin + SPRING * LANES], dsprings[i - masses, now].reshape(-1))
+    """Move the derivatives of a tree over a step, by the implicit midpoint rule.
+
+    The unknowns are the rates in its middle, those of the rotors behind springs first: each is tied to its link alone.
+    """
+    nd, n, count, half = len(dq), len(M), dq.shape[1], 0.5 * h
+    last = nd - 1
+    for i in range(nd):
+        for j in range(nd):
+            left[i, j] = 0.0
+    for i in range(nd):
+        inert, stiff, at = 2.0 / h * masses[i, 0, INERTIA], f[_STIFF, i], last - i
+        left[at, at] = inert + f[_DRAG, i] - half * stiff
+        for c in range(count):
+            rows[at, c] = given[i, c] + inert * dv[i, c] + stiff * dq[i, c]
+    for i in range(n):
+        for j in range(n):
+            inert, stiff = 2.0 / h * M[i, j], K[i, j]
+            left[last - i, last - j] += inert + C[i, j] + half * stiff
+            if inert != 0.0 or stiff != 0.0:  # not as of two arms on one base
+                for c in range(count):
+                    rows[last - i, c] += inert * dv[j, c] - stiff * dq[j, c]
+    for s in range(len(pairs)):
+        one, two, x = int(pairs[s, 0]), int(pairs[s, 1]), nd + s
+        for i, other, push in ((one, two, 2.0 - f[_TAKES, one]), (two, one, -1.0)):
+            stiff, tie = abs(push) * f[_PULL, x], abs(push) * (f[_DAMP, x] + half * f[_PULL, x])
+            left[last - i, last - i] += tie
+            left[last - i, last - other] -= tie
+            for c in range(count):
+                rows[last - i, c] += push * given[x, c] - stiff * (dq[i, c] - dq[other, c])
+    for i in range(nd):
+        if f[_GOES, i] == 0.0:
+            for j in range(nd):
+                left[last - i, j] = 1.0 if j == last - i else 0.0
+            for c in range(count):
+                rows[last - i, c] = 0.0
+    _solve(left, rows)
+    for i in range(nd):
+        for c in range(count):
+            mean = rows[last - i, c]
+            gone[i, c] = h * mean
+            dq[i, c] += h * mean
+            dv[i, c] = f[_GOES, i] * (2.0 * mean - dv[i, c])
+
+
+@compile_kernel
+def _shift_edges(
+    masses: FloatArray, rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int,
+    jumps: NDArray[np.bool_], M: FloatArray, left: FloatArray, kicks: FloatArray, dv: FloatArray,
+) -> None:  # fmt: skip
+    """Add to the velocities what later edges of the torques, as a step begins, take from them.
+
+    An edge of one motor's torque is all that changes in the equation of the mass that it drives, which may come loose.
+    It lies between the last step before and the first that lasts.
+    """
+    n, nd = len(M), len(masses)
+    after, before, modes = STATE + 2 * nd, STATE + 3 * nd, STATE + 4 * nd
+    for i in range(n):
+        held = tape[row, modes + i] == 0.0
+        for j in range(n):
+            left[i, j] = M[i, j] if not held else 0.0
+        left[i, i] += 1.0 if held else masses[i, 0, INERTIA]
+    for d in range(len(delays)):
+        c, j, r = delays[d, 0], delays[d, 1], rotors[delays[d, 1]]
+        for i in range(n):
+            kicks[i, d] = 0.0
+        if jumps[j] and r >= n:
+            dv[r, c] -= tape[row, after + r] - tape[last, before + r]
+        elif jumps[j] and tape[row, modes + r] != 0.0:
+            for i in range(n):
+                kicks[r, d] -= left[r, i] * (tape[row, after + i] - tape[last, before + i])
+    _solve(left, kicks)
+    for d in range(len(delays)):
+        for i in range(n):
+            dv[i, delays[d, 0]] += kicks[i, d]
+
+
+@compile_kernel
+def _add_moved_links(
+    rotors: IndexArray, f: FloatArray, ties: IntArray, M: FloatArray, C: FloatArray, K: FloatArray, h: float,
+    whole: float, dq: FloatArray, gone: FloatArray, gained: FloatArray, moved_links: FloatArray,
+) -> None:  # fmt: skip
+    """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
+
+    A motor feels them by its spring, or, of a rigid joint, by the links that hang on others.
+    """
+    n, count = rotors.size, dq.shape[1]
+    for i in range(n):
+        for j in range(n):
+            if rotors[j] == j or (rotors[i] != i and i != j):  # it is moved as prescribed, or on another's spring
+                continue
+            inert = M[i, j] / whole if rotors[i] == i else 0.0
+            damping = (C[i, j] if ties[i] < 0 else -f[_DAMP, ties[i]]) / whole
+            stiffness = h / whole * (K[i, j] if ties[i] < 0 else -f[_PULL, ties[i]])
+            for c in range(count):
+                middle = dq[j, c] - 0.5 * gone[j, c]
+                moved_links[i, c] += inert * gained[j, c] + damping * gone[j, c] + stiffness * middle
 
 
 @inline_kernel
 def _pass_event(
-    tape: FloatArray, row: int, masses: FloatArray, pairs: IndexArray, dsprings: FloatArray, s: FloatArray
-) -> None:
-    """Change the derivatives at the event that ended a step, from its row and the next."""
-    nd, event, then = masses.shape[0], int(tape[row, EVENT]), row + 1
-    every = nd + pairs.shape[0]
-    after, before, modes = STATE + 2 * nd, STATE + 3 * nd, STATE + 4 * nd
-    if event < nd and tape[row, modes + event] != 0.0 and masses[event, 0, WINDING] == 0.0:
-        # Friction grows where a mass turns round, so the ratio is between 0 and 1; grazing leaves 0/0.
-        slowing = tape[row, before + event]
-        ratio = min(max(tape[then, after + event] / slowing, 0.0), 1.0) if slowing != 0.0 else 0.0
-        for j in range(LANES):
-            s[_V + event * LANES + j] *= ratio
-    elif event >= every + nd:
-        spring, at = event - every - nd, modes + event
-        one, two, old, new = pairs[spring, 0], pairs[spring, 1], tape[row, at], tape[then, at]
-        edge, side = int(max(abs(old), abs(new))), math.copysign(1.0, old + new)
+    tape: FloatArray, row: int, nd: int, pairs: IndexArray, seeds: Seeds, springs: int, dq: FloatArray, dv: FloatArray,
+    lead: FloatArray,
+) -> None:  # fmt: skip
+    """Change the velocities at the event that ended a step: by `lead`, s, it comes earlier."""
+    event, every, after, before = int(tape[row, EVENT]), nd + len(pairs), STATE + 2 * nd, STATE + 3 * nd
+    modes, then, moves, count = STATE + 4 * nd, row + 1, False, dq.shape[1]
+    if event < nd and tape[row, modes + event] != 0.0:
+        largest, slowing = 0.0, tape[row, before + event]
+        for i in range(nd):
+            largest = max(largest, abs(tape[row, before + i]))
+        moves = abs(slowing) > _TURNING * largest
+        for c in range(count if moves else 0):
+            lead[c] = dv[event, c] / slowing
+    elif event >= every + nd:  # the damper may act on one side of the edge only
+        s, at = event - every - nd, modes + event
+        one, two = pairs[s, 0], pairs[s, 1]
         rate = tape[then, STATE + nd + two] - tape[then, STATE + nd + one]
-        for j in range(LANES if rate != 0.0 else 0):
-            moved = s[_Q + two * LANES + j] - s[_Q + one * LANES + j]
-            lead = (moved - side * dsprings[spring, edge, BEGIN, j]) / rate
-            for i in range(nd):
-                s[_V + i * LANES + j] += (tape[then, after + i] - tape[row, before + i]) * lead
+        moves = rate != 0.0
+        old, new = tape[row, at], tape[then, at]
+        edge, side = int(max(abs(old), abs(new))), math.copysign(1.0, old + new)
+        for c in range(count if moves else 0):
+            lead[c] = (dq[two, c] - dq[one, c]) / rate
+        for e in range(seeds.begin[springs + s, edge], seeds.begin[springs + s, edge + 1] if moves else 0):
+            if seeds.numbers[e] == BEGIN:
+                lead[seeds.columns[e]] -= side * seeds.values[e] / rate
+    for i in range(nd if moves else 0):
+        jump = tape[then, after + i] - tape[row, before + i]
+        for c in range(count):
+            dv[i, c] += jump * lead[c]
 
 
 @compile_kernel
 def follow(
-    plant: Plant, dmasses: FloatArray, dsprings: FloatArray, dplaces: FloatArray, loop: SampledLoop, before: float,
-    u: FloatArray, excess: FloatArray, tape: FloatArray, columns: Columns, slopes: Slopes,
+    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, torques_before: FloatArray,
+    torques: FloatArray, excess: FloatArray, tape: FloatArray, seeds: Seeds, moved: Moved, slopes: Slopes,
 ) -> None:  # fmt: skip
-    """Fill the derivatives as `kernels.drive_sensitivities.follow` does, of a joint's run of `kernels.engine`.
+    """Fill the derivatives of a finished run; of a joint there are `LANES` parameters.
 
     Args:
-        plant: of the run, as it left it.
-        dmasses: (masses, bands, MASS, columns) derivatives of its masses.
-        dsprings: (springs, pieces, SPRING, columns) of its springs.
-        dplaces: (forces, 5, columns) of its forces that follow a position.
-        loop: what drove the run.
-        before: torque that acted before its first period.
-        u: (periods,) that acted.
-        excess: (periods, elements) what limits and gates took away.
-        tape: its steps.
-        columns: of what else depends on the parameters.
+        plant: of `kernels.engine.run`, as the run left it.
+        tree: the same.
+        inertials: the same.
+        loop: the same.
+        torques_before: the same.
+        torques: (axes, clock) what it wrote.
+        excess: the same.
+        tape: the same, its filled rows.
+        seeds: how the numbers of the plant depend on the parameters.
+        moved: how its first state and the controllers do.
         slopes: out.
     """
-    masses, springs, places, pairs, _, carriers = plant
-    lengths, lags, feedback, post = loop.lengths, loop.lags[0], loop.feedback, loop.post[0]
-    explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
-    S, Z, du, dstates = columns.start, columns.memory, slopes.u, slopes.states
-    n, parts, nz, elements = masses.shape[0], lengths.size, feedback.A.shape[2], feedback.limits.size
-    s, scratch = aligned_zeros(_ROWS * LANES), aligned_zeros(SCRATCH)
-    f, k, later = np.zeros((FACTORS, _MASSES + _SPRINGS)), np.zeros((_MASSES, MASS)), np.zeros((_MASSES, MASS))
-    ks, slater, mean = np.zeros((_SPRINGS, SPRING)), np.zeros((_SPRINGS, SPRING)), np.zeros((4, _MASSES))
-    taken, drive, mobility = np.full(_MASSES + _SPRINGS, -1), np.zeros(_MASSES), np.zeros(_MASSES)
-    for i in range(n):
+    masses, springs, places, pairs, rotors, carriers = plant
+    lags, every, post, lengths, laws = loop.lags, loop.every, loop.post, loop.lengths, loop.feedback
+    command, states, moved_links, dz = slopes.command, slopes.states, slopes.links, moved.dz
+    n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), moved.dq.shape[1]
+    parts, steps, states_of_law, elements = lags.shape[1], torques.shape[1], dz.shape[1], excess.shape[2]
+    controlled, prescribed = command.shape[2] > 0, moved_links.shape[1] > 0
+    md, ms = (MASSES, SPRINGS) if tree is None else (nd, ns)
+    every_row, last_row = md + ms, len(tape) - 1
+    begin, end = 2 * md, 2 * md + 3 * every_row
+    s = aligned_zeros((end + md) * count)
+    x = s.reshape((end + md, count))
+    dq, dv, given, rate = x[:md], x[md:begin], x[begin : begin + every_row], x[begin + every_row : end - every_row]
+    turned, gone, dw, dtau = x[end - every_row : end], x[end:], np.zeros((every_row, count)), np.zeros((axes, count))
+    lead, gained = np.zeros(count), np.zeros((n, count))
+    fresh, raw, taken = np.zeros((states_of_law, count)), np.zeros((elements, count)), np.zeros((elements, count))
+    mean, drive, mobility = np.zeros((4, md)), np.zeros(md), np.zeros(md)
+    f, k, later = (
+        np.zeros((_FACTORS, every_row)),
+        np.zeros((every_row + len(places), MASS)),
+        np.zeros((every_row + len(places), MASS)),
+    )
+    room, Y, M, K, C = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    of_links, left, rows = np.zeros((n, 10 * n)), np.zeros((md, md)), np.zeros((md, count))
+    kicks, of_edge, jumps = np.zeros((n, len(seeds.delays))), np.zeros((n, n)), np.zeros(axes, dtype=np.bool_)
+    ties = np.full(n, -1)
+    for i in range(nd):
         mobility[i] = 1.0 / masses[i, 0, INERTIA]
-    z, e = np.zeros((2 * nz, LANES)), np.zeros((elements, LANES))
-    for i in range(nz):
-        assign(z[i], Z[i])
-    small = nz <= 2 and feedback.D.size == 1
-    law = begin_small(scratch, feedback, nz if small else 0, Z, dlimits)
-    for i in range(n):  # what swings begins with the load
-        assign(s[_Q + i * LANES : _Q + (i + 1) * LANES], S[2 * min(i, 1)])
-        assign(s[_V + i * LANES : _V + (i + 1) * LANES], S[2 * min(i, 1) + 1])
-    period, row, last, limit, at_bands = 0.0, 1, before, feedback.limits[0, 0], STATE + 5 * n + springs.shape[0]
-    for part in range(parts):
-        period += lengths[part]
-    for at in range(u.size):
-        if at % OFTEN == 0:
-            for i in range(_TORQUE):
+        assign(dq[i], moved.dq[i])
+        assign(dv[i], moved.dv[i])
+    for i in range(ns if tree is not None else 0):
+        ties[pairs[i, 0]] = nd + i
+    # A joint's law of two states at most has numbers that stay in registers.
+    small = tree is None and controlled and states_of_law <= 2 and laws.D.size == 1
+    scratch = aligned_zeros(SCRATCH)
+    law = begin_small(scratch, laws, states_of_law if small else 0, dz[0], moved.limits[0, :, :LANES])
+    limit = laws.limits[0, 0]
+    period, row = np.sum(lengths), 1
+    for step in range(steps):
+        if step % OFTEN == 0:
+            for i in range(2 * md * count):
                 s[i] = s[i] if abs(s[i]) > NOTHING else 0.0
             for i in range(2 * LANES):
                 scratch[MEMORY + i] = scratch[MEMORY + i] if abs(scratch[MEMORY + i]) > NOTHING else 0.0
-        for j in range(LANES):
-            scratch[POSITION + j] = s[_Q + j]
-        if small:
-            control_small(scratch, law, u[at], limit, explicit, first_explicit, at, du)
-        else:
-            control_slopes(scratch, z, e, feedback, excess, explicit, first_explicit, dlimits, at, du)
-        time = at * period
+        for j in range(axes if controlled else 0):
+            own = step // every[j]
+            if step % every[j] != 0:  # this controller holds
+                assign(command[j, step], command[j, step - 1])
+                continue
+            if small:
+                assign(scratch[POSITION : POSITION + LANES], dq[0])
+                control_small(scratch, law, torques[0, step], limit, moved.explicit[0], moved.first, step, command[0])
+            else:
+                control_slopes(
+                    laws, j, own, excess[j, own], dq[rotors[j]], dz[j], fresh, raw, taken, moved.explicit[j],
+                    moved.first, moved.limits[j], command[j, step],
+                )  # fmt: skip
+        for i in range(len(seeds.pushes)):
+            command[seeds.pushes[i, 1], step, seeds.pushes[i, 0]] += seeds.pushed[i, step]
+        time = step * period
         for part in range(parts):
-            place, source = at * parts + part, at - lags[part]
-            drive[0] = u[source] + post[source] if source >= 0 else before
-            for j in range(LANES):
-                s[_TORQUE + j] = du[j, max(source, 0)]
-            if dstates.shape[0] > 0:
-                for i in range(min(n, 2)):
-                    assign(dstates[place, 2 * i], s[_Q + i * LANES : _Q + (i + 1) * LANES])
-                    assign(dstates[place, 2 * i + 1], s[_V + i * LANES : _V + (i + 1) * LANES])
-            if drive[0] != last and row < tape.shape[0]:
-                kick = tape[row - 1, STATE + 3 * n] - tape[row, STATE + 2 * n]
-                for j in range(LANES):
-                    s[_V + j] += kick * ddelay[j]
-            last = drive[0]
-            while row + 1 < tape.shape[0] and tape[row, PART] == place:
+            at = step * parts + part
+            for i in range(min(nd, 2) if len(states) > 0 else 0):
+                assign(states[at, 2 * i], dq[i])
+                assign(states[at, 2 * i + 1], dv[i])
+            if row >= last_row:
+                return
+            for j in range(axes):
+                source = step - lags[j, part]
+                jumps[j] = source != (step - lags[j, part - 1] if part > 0 else step - 1 - lags[j, parts - 1])
+                drive[rotors[j]] = torques[j, source] + post[j, source] if source >= 0 else torques_before[j]
+                if controlled:
+                    assign(dtau[j], command[j, max(source, 0)])
+            last, edge = row - 1, len(seeds.delays) > 0 and row > 1
+            while tape[row, PART] == at:
+                if row >= last_row:
+                    return
                 h = tape[row, LENGTH]
+                for i in range(n if prescribed else 0):
+                    for c in range(count):
+                        gained[i, c], gone[i, c] = -dv[i, c], 0.0
                 if h > 0.0:
-                    _take_seeds(dmasses, dsprings, tape, row, at_bands, n, springs.shape[0], taken, s)
-                    mean_motion(tape, row, n, mean)
-                    fill_factors(
-                        masses, springs, pairs, carriers, tape, row, mean, drive, time + 0.5 * h, _MASSES, f, k, later,
-                        ks, slater,
-                    )  # fmt: skip
-                    if places.shape[0] > 0:
-                        _follow_places(places, dplaces, mean, f, s)
-                    _move(h, f, mobility, k, later, ks, slater, s)
-                if tape[row, EVENT] >= 0.0:
-                    _pass_event(tape, row, masses, pairs, dsprings, s)
+                    _mean_motion(tape, row, nd, mean)
+                    if tree is not None:
+                        place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
+                        linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
+                    if edge:
+                        _shift_edges(masses, rotors, seeds.delays, tape, last, row, jumps, M, of_edge, kicks, dv)
+                        edge = False
+                    _fill_factors(
+                        masses, springs, pairs, carriers, tape, row, mean, drive, time + 0.5 * h, md, f, k, later
+                    )
+                    _fill_places(places, every_row, mean, f, k, later)
+                    for i in range(begin * count, end * count):
+                        s[i] = 0.0
+                    bands = STATE + 5 * nd + ns
+                    for i in range(nd):
+                        _add_seeds(seeds, i, int(tape[row, bands + i]), i, WINDING, f, k, later, given, rate, turned)
+                        if f[_HALF, i] != 0.0 or f[_WINDS, i] != 0.0:
+                            for c in range(count):
+                                given[i, c] += f[_HALF, i] * dw[i, c] - f[_WINDS, i] * dq[i, c]
+                    for spring in range(ns):
+                        i, piece = md + spring, int(abs(tape[row, bands + nd + spring]))
+                        one, two = pairs[spring, 0], pairs[spring, 1]
+                        _add_seeds(seeds, i, piece, i, SLIDING, f, k, later, given, rate, turned)
+                        if f[_HALF, i] != 0.0 or f[_WINDS, i] != 0.0:
+                            for c in range(count):
+                                stretched = dq[two, c] - dq[one, c]
+                                given[i, c] += f[_HALF, i] * dw[i, c] - f[_WINDS, i] * stretched
+                    for i in range(len(places)):
+                        _add_seeds(seeds, every_row + i, 0, int(places[i, WHERE]), -1, f, k, later, given, rate, turned)
+                    for j in range(axes if controlled else 0):
+                        r = rotors[j]
+                        for c in range(count):
+                            given[r, c] += (2.0 - f[_TAKES, r]) * dtau[j, c]
+                    if tree is None:
+                        _move(h, f, mobility, s)
+                    else:
+                        if len(seeds.links) > 0 and len(tree.joints) > 0:
+                            joints = tree.joints
+                            regressor(
+                                tree, of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn),
+                                of_links,
+                            )  # fmt: skip
+                            for c in range(10 * n):
+                                assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
+                        elif len(seeds.links) > 0:
+                            regressor(tree, place, speed, turn, Y)
+                        for e in range(len(seeds.links)):
+                            for i in range(n):
+                                given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
+                        _move_tree(h, masses, pairs, carriers, f, M, K, C, left, rows, dq, dv, given, gone)
+                    for i in range(nd):
+                        if masses[i, 0, WINDING] > 0.0:
+                            for c in range(count):
+                                dw[i, c] = f[_LEFT, i] * dw[i, c] + (f[_GAINS, i] * gone[i, c] + turned[i, c])
+                    for spring in range(ns):
+                        i, one, two = md + spring, pairs[spring, 0], pairs[spring, 1]
+                        if springs[spring, 0, SLIDING] > 0.0 or f[_TURNS, i] != 0.0:
+                            for c in range(count):
+                                stretched = gone[two, c] - gone[one, c]
+                                dw[i, c] = f[_LEFT, i] * dw[i, c] + (f[_GAINS, i] * stretched + turned[i, c])
                 time += h
+                if tape[row, EVENT] >= 0.0:
+                    _pass_event(tape, row, nd, pairs, seeds, md, dq, dv, lead)
+                if prescribed:
+                    for i in range(n):
+                        for c in range(count):
+                            gained[i, c] += dv[i, c]
+                    _add_moved_links(rotors, f, ties, M, C, K, h, lengths[part], dq, gone, gained, moved_links[:, at])
                 row += 1

@@ -1,0 +1,253 @@
+"""Score test of each fault alone, beside the parameters of a solved problem.
+
+The signature of a fault is one column: the change of the filtered torque per unit of its size, at fixed parameters of
+the joint. With J the sensitivities of the free parameters and c the column of a fault, the residual e of the problem is
+regressed on both. The last coefficient is the size of the fault, and its ratio to its deviation the statistic. Before
+that, e, J and c go through one filter that makes the noise nearly white: the prediction error of an autoregressive
+model of the part of e that no fault explains. So the statistic is nearly that of the likelihood. It distinguishes the
+gains of a law from each other and from that of the log; plain least squares, in a loop that shapes the noise, does not.
+The noise model need not be right: the deviation is the autocorrelation-robust one of `uncertainty`, widened for a
+position-dependent residual (`position_dependent_error`). It is scaled to the residual before the fit, frequency by
+frequency: a slow motion has few of them, and the remainder of a dozen columns there is too small.
+A random force in the loop is no small noise of each row while friction holds the motor. So such forces are simulated,
+each with noise on the log, in the shares of the residual's spectrum. A fault is compared with the sizes that they alone
+show, if these are clearly larger.
+
+All tests of loop and log are one family, and all of the mechanics another, at a tenth of its level: p-values are
+multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns are collinear,
+given the joint's parameters, are one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
+from jointid.uncertainty.covariance import robust, smoothed_spectrum
+from jointid.uncertainty.position_dependent_error import Cells, widen
+
+RARER = 10
+"""Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
+
+_ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
+_RANK = 1e-10  # of the largest singular value of columns
+_COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the joint's parameters is rounding
+_SAME = 0.999  # cosine of two collinear columns
+_MANY = 1e9  # degrees of freedom: a normal distribution
+_MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
+_KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
+_WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
+
+Filter: TypeAlias = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """One Gauss-Newton step along the signature of a fault.
+
+    Attributes:
+        signature: with the best of its shapes.
+        size: of the step.
+        alone: (rows,) its whitened column, orthogonal to the other columns.
+        gain: decrease of the squares of the residual.
+    """
+
+    signature: FaultSignature
+    size: float
+    alone: FloatArray
+    gain: float
+
+
+def score(
+    residual: FloatArray,
+    own: FloatArray,
+    signatures: Sequence[FaultSignature],
+    declared: Mapping[Fault, float],
+    where: Callable[[], Cells],
+    by_forces: Callable[[], Sequence[FloatArray]] = tuple,
+    widened: float = _WIDENED,
+    blocks: Sequence[slice] = (slice(None),),
+) -> tuple[FaultTest, ...]:
+    """Test each fault alone, the strongest first of those that are significant.
+
+    Args:
+        residual: (rows,) of a solved problem, in the order of time.
+        own: (rows, free) columns of its free parameters, and of faults already corrected.
+        signatures: of all faults: none of them is noise.
+        declared: value of each fault to be tested.
+        where: returns the rows' cells; called only where a deviation is widened.
+        by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
+            only where a test is significant.
+        widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
+        blocks: rows of each axis, where each column of a fault is 0 in all of them but one.
+    """
+    common, rest = _find_common_basis(own, signatures, blocks), residual.copy()
+    for rows, part in common:
+        rest[rows] -= part @ (part.T @ residual[rows])
+    whiten = fit_whitener(_give_back(rest, _fitted_share(residual.size, *(part for _, part in common))))
+    basis, error = orthonormal_basis(whiten(own), _RANK), whiten(residual)
+    left, taken = error - basis @ (basis.T @ error), _fitted_share(residual.size, basis)
+    best: dict[Fault, _Step] = {}
+    shapes = dict.fromkeys(declared, 0)
+    for one in signatures:
+        if one.fault in shapes:
+            shapes[one.fault] += one.fault.tried
+            step = _step_along(one, whiten, basis, left)
+            if one.fault not in best or step.gain > best[one.fault].gain:
+                best[one.fault] = step
+    groups = _group_identical(best.values())
+
+    @cache
+    def simulate_forces() -> FloatArray:
+        return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
+
+    of_mechanics = [group[0].signature.fault.mechanical for group in groups]
+    families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
+    tests = (
+        _test_group(group, left, taken, shapes[fault] * family, declared[fault], where, simulate_forces, widened)
+        for group, family in zip(groups, families, strict=True)
+        for fault in [group[0].signature.fault]
+    )
+    return rank_tests(tests, _WIDENED)
+
+
+def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
+    """Return tests, the strongest first of those that are significant, then the others by their p-values."""
+    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -strength_of(test))))
+
+
+def strength_of(test: FaultTest) -> float:
+    """Return the strength of a test beside others.
+
+    A shape that is the best of many is strong by chance: the fault is as strong as a single test of its p-value.
+    """
+    from scipy.stats import norm
+
+    if test.fault.tried == 1 or test.p_value <= 0.0:
+        return test.strength
+    return min(test.strength, float(norm.isf(0.5 * test.p_value)))
+
+
+def fit_whitener(residual: FloatArray) -> Filter:
+    """Return the filter that makes a residual nearly white, of signals (rows,) or (rows, columns) alike.
+
+    It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
+    its variance added as white noise.
+    """
+    from scipy.linalg import solve_toeplitz
+    from scipy.signal import lfilter
+
+    rows = residual.size
+    order = min(_ORDER, rows // 4)
+    products = np.array([residual[lag:] @ residual[: rows - lag] for lag in range(order + 1)]) / rows
+    if not products[0] > 0:
+        return lambda signals: signals
+    products[0] *= 1 + _FLOOR
+    weights = solve_toeplitz(products[:-1], products[1:])
+    scale = math.sqrt(products[0] - weights @ products[1:])
+    taps = np.concatenate([[1.0], -weights]) / scale
+    return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
+
+
+def _find_common_basis(
+    own: FloatArray, signatures: Sequence[FaultSignature], blocks: Sequence[slice]
+) -> list[tuple[slice, FloatArray]]:
+    """Return an orthonormal basis of the free parameters' columns and of those of all faults: rows and parts of it.
+
+    The basis of what is in one block is that block's, so what all blocks share has only the parameters' columns.
+    """
+    shared, parts = own / column_norms(own), []
+    for block in blocks:
+        columns = [one.column[block] for one in signatures if np.any(one.column[block])]
+        if columns:
+            part = orthonormal_basis(np.column_stack(columns), _RANK)
+            for _ in range(2):  # one pass leaves rounding of the size of what it takes
+                shared[block] -= part @ (part.T @ shared[block])
+            parts.append((block, part))
+    return [*parts, (slice(None), orthonormal_basis(shared, _RANK, 1.0))]
+
+
+def _fitted_share(rows: int, *bases: FloatArray) -> FloatArray:
+    """Return the share of a residual at each frequency, (rows // 2 + 1,), that orthonormal columns fit.
+
+    Columns that are 0 outside of a block are given in it.
+    """
+    taken = np.sum([smoothed_spectrum(basis, rows, rows)[0] for basis in bases], axis=0)
+    return np.concatenate([taken[:1], taken])
+
+
+def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
+    """Return a residual, (rows,), scaled at each frequency to its size before the fit of a share `taken`."""
+    return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - taken, _KEPT)), residual.size)
+
+
+def _step_along(signature: FaultSignature, whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
+    """Return the step along a signature; `left`, (rows,), is the residual beside the basis of the other columns."""
+    column = whiten(signature.column)
+    alone = column - basis @ (basis.T @ column)
+    square = float(alone @ alone)
+    # A column in the span of the joint's parameters is not identifiable.
+    size = float(alone @ left) / square if square > _COLLINEAR * float(column @ column) else 0.0
+    gain = 0.0 if signature.fault.one_sided and size < 0.0 else size**2 * square
+    return _Step(signature, size, alone, gain)
+
+
+def _group_identical(steps: Iterable[_Step]) -> list[list[_Step]]:
+    ordered, groups = sorted(steps, key=lambda one: one.signature.fault.last), dict[int, list[_Step]]()
+    units = np.array([one.alone / max(float(np.linalg.norm(one.alone)), np.finfo(float).tiny) for one in ordered])
+    same = np.abs(units @ units.T) > _SAME if ordered else np.zeros((0, 0))
+    for i, step in enumerate(ordered):
+        alike = [] if step.signature.fault.one_sided else [first for first in groups if same[i, first]]
+        groups.setdefault(alike[0] if alike else i, []).append(step)
+    return list(groups.values())
+
+
+def _test_group(
+    group: Sequence[_Step],
+    left: FloatArray,
+    taken: FloatArray,
+    tests: int,
+    declared: float,
+    where: Callable[[], Cells],
+    simulate_forces: Callable[[], FloatArray],
+    widened: float,
+) -> FaultTest:
+    """Return the test of a fault, its p-value adjusted for so many tests.
+
+    Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh).
+    """
+    from scipy.stats import f, t
+
+    step, fault = group[0], group[0].signature.fault
+    alone = step.alone[:, np.newaxis]
+    after = _give_back(left - step.size * step.alone, taken + _fitted_share(left.size, alone / column_norms(alone)))
+    alike = tuple(other.signature.fault for other in group[1:])
+
+    def judge(std: float, degrees: float = _MANY) -> FaultTest:
+        ratio = step.size / std if std > 0 else 0.0
+        tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
+        if fault.parts > 1:  # a size that its coefficients make has no sign
+            tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
+        p_value = min(float(tail) * tests, 1.0) if abs(step.size) >= fault.least else 1.0
+        return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, step.signature.shape)
+
+    covariance = robust(alone, alone, after)
+    test = judge(float(covariance.std[0]))
+    if test.p_value > widened:
+        return test
+    test = judge(float(widen(covariance, alone, alone, after, where())[0].std[0]))
+    if test.p_value > _WIDENED or not simulate_forces().size:
+        return test
+    shown = simulate_forces() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
+    # A spectrum shows the size of force and noise roughly, and with them the fault: the remainder has their size.
+    scale = float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1))))
+    spread = scale * float(np.sqrt(np.mean(shown**2)))
+    # A fault of another kind may look like a force: so its size stands, and its place among those that are significant.
+    return replace(test, p_value=judge(spread, shown.size).p_value) if spread > _MORE * test.std else test

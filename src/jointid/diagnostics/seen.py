@@ -1,0 +1,142 @@
+"""What can be asked of one axis that was solved: its motion, and what a force on it changes of its torque."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.friction import Part
+from jointid.models.joints import FlexibleJoint
+from jointid.records.record import Tap
+from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.loop_input import to_log
+
+Columns: TypeAlias = Iterable[tuple[float | None, FloatArray | None]]
+"""Shapes of a fault, and what each adds to the torque per unit of its size, (samples,); None where that fails."""
+
+_FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One axis of a loop or of a robot.
+
+    Attributes:
+        position, velocity, acceleration: (samples,) of its motor.
+        asked, torque: (samples,) of its controller, and with what is added to that.
+        through: (samples,) torque that loads its gear.
+        sample_time: of all of these, s.
+        limit: Hz, of the noise of a measured position on its fourth derivative; see `find_noise_limit`.
+        others: velocity and acceleration of the other axes, by name.
+        respond: returns the change of the logged torque by a force on the motor, (samples,); None where that is not
+            known.
+        loop: its problem and solution where it was simulated as a loop of its own.
+        residual, own: (rows,) of that problem, and (rows, free) columns of its parameters.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    asked: FloatArray
+    torque: FloatArray
+    through: FloatArray
+    sample_time: float
+    respond: Callable[[FloatArray], FloatArray | None]
+    limit: float = np.inf
+    others: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    loop: tuple[ClosedLoopProblem, FloatArray] | None = None
+    residual: FloatArray = field(default_factory=lambda: np.zeros(0))
+    own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @cached_property
+    def _known(self) -> dict[bytes, FloatArray | None]:
+        return {}
+
+    def force(self, force: FloatArray) -> FloatArray | None:
+        """Return the change of the logged torque by a force on the motor; one that was asked for before is kept."""
+        known = force.tobytes()
+        if known not in self._known:
+            self._known[known] = self.respond(force)
+        return self._known[known]
+
+    @property
+    def fastest(self) -> float:
+        """The greatest speed."""
+        return float(np.max(np.abs(self.velocity), initial=0.0))
+
+    @cached_property
+    def values(self) -> Mapping[str, float]:
+        """The parameters of a loop's joint, by name."""
+        return {} if self.loop is None else self.loop[0].values(self.loop[1])
+
+    def friction(self, part: Part) -> float:
+        """Return the mean friction of both directions on all masses of a loop's joint; 1 of another axis."""
+        if self.loop is None:
+            return 1.0
+        law, sides = self.loop[0].joint.friction, ("motor_", "load_") if self.is_flexible else ("",)
+        return float(sum(by * self.values[name] for side in sides for name, by in law.mean(part, side).items()))
+
+    @property
+    def has_linear_friction(self) -> bool:
+        """Test whether the axis is none of a loop whose friction has another law than lines."""
+        return self.loop is None or self.loop[0].joint.friction.linear
+
+    @property
+    def is_flexible(self) -> bool:
+        """Test whether the axis is a loop with a spring."""
+        return self.loop is not None and isinstance(self.loop[0].joint, FlexibleJoint)
+
+    def limited(self, level: float) -> FloatArray | None:
+        """Return the change of the torque by a limit of the output; None where there is none to change."""
+        if self.loop is None:
+            return np.asarray(np.sign(self.asked) * np.maximum(np.abs(self.asked) - level, 0.0))
+        problem, x = self.loop
+        taken = not hasattr(problem.loop.controller, "limit") or any(p.name == "limit" for p in problem.free)
+        if taken or not level < problem.experiment.law.limit:
+            return None
+        return problem.torque(x, lambda e: e.with_law(e.law.with_limit(level))) - problem.torque(x)
+
+
+def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, own: FloatArray) -> Seen:
+    """Return what can be asked of a joint's loop: each force on it is simulated."""
+    run, added = problem.simulate(x), problem.experiment.after_limit
+    output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
+
+    def respond(force: FloatArray) -> FloatArray | None:
+        if force.size != added.size:
+            return None  # a force at the controller's instants needs the motion there
+        largest = float(np.max(np.abs(force), initial=0.0)) or 1.0
+        small = _FORCE * float(np.max(np.abs(problem.measured))) / largest
+
+        def simulate(by: float) -> FloatArray:
+            return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + by * force))
+
+        try:
+            raw = (simulate(small) - simulate(-small)) / (2 * small)
+        except JointidError:  # a loop that is unstable with it is not that of the record
+            return None
+        # The force itself is not in a measured torque.
+        return raw - to_log(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else raw
+
+    return Seen(
+        run.motor_position, run.motor_velocity, run.motor.acceleration, output,
+        output + added if output.size == added.size else output, _torque_through(problem, x, run),
+        problem.sample_time, respond, loop=(problem, x), residual=residual, own=own,
+    )  # fmt: skip
+
+
+def _torque_through(problem: ClosedLoopProblem, x: FloatArray, run: Simulation) -> FloatArray:
+    """Return the torque through a joint's spring, (samples,), or of a rigid joint that on its mass."""
+    joint = problem.joint
+    if not isinstance(joint, FlexibleJoint):
+        return run.push
+    assert run.load_position is not None and run.load_velocity is not None
+    wound, rate = run.motor_position - run.load_position, run.motor_velocity - run.load_velocity
+    return joint.spring.torque(problem.values(x), wound, rate)
