@@ -165,16 +165,17 @@ def identify_payload(
             f"The estimate without the payload is by {empty.settings.method}, and the record with it is identified by "
             f"{name}; expected one method for both: give the record without the payload."
         )
+    logs = [log for log in (empty, loaded) if not isinstance(log, EstimateParts)]
+    if any(record.payload for log in logs for record in log):
+        raise MethodError(
+            "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
+            "Record.payload, out."
+        )
     each, said_of = list[EstimateParts](), list[tuple[str, ...]]()
     for log in (empty, loaded):
         if isinstance(log, EstimateParts):
             each.append(log)
             continue
-        if any(record.payload for record in log):
-            raise MethodError(
-                "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
-                "Record.payload, out."
-            )
         each.append(fit_robot(log, model, method, filtering=filtering, progress=progress))
         said_of.append((*each[-1].checks.warnings, *robot_record_warnings(log, robot)))
     found = payload_difference(*each)
