@@ -66,7 +66,7 @@ def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate
         law = loop.controller.law(PERIOD)
         margins = joint_set(interval.joint, interval.at(points), law).margins(law)
         stated = np.array([getattr(loop.worst, name) for name in NAMES])
-        assert np.all(margins >= 0.995 * stated)
+        assert np.all(margins >= 0.98 * stated)
         assert np.all(np.min(margins, axis=0) <= 1.05 * stated)  # and it is no smaller than it must be
 
 

@@ -35,7 +35,7 @@ _WIDTHS = 8  # of a resonance, on each side of the modes
 _STABLE = 1.0 - 1e-12
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
 _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode
-_DIRECTIONS = 40  # random ones for each parameter
+_DIRECTIONS = 300  # random ones
 
 NAMES = ("gain", "reduction", "phase", "delay", "modulus")
 """The margins in the order of the arrays."""
@@ -241,31 +241,18 @@ class Interval:
         values = np.maximum(center + points @ self.factor.T, self.lower)
         return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
 
-    def sample(self, points: FloatArray, law: SampledLaw) -> JointSet:
-        """Sample the joints for a law, at points of the unit ball, (points, names)."""
-        return joint_set(self.joint, self.at(points), law)
+    def sample(self, seed: int, law: SampledLaw) -> JointSet:
+        """Sample the joints for a law: the estimate first, then those at `points`."""
+        return joint_set(self.joint, self.at(self.points(seed)), law)
 
     def points(self, seed: int) -> FloatArray:
         """Centre, both ends of every axis and random surface points, (points, names)."""
         count = len(self.names)
         if not count:
             return np.zeros((1, 0))
-        drawn = np.random.default_rng(seed).standard_normal((_DIRECTIONS * count, count))
+        drawn = np.random.default_rng(seed).standard_normal((_DIRECTIONS, count))
         drawn /= np.linalg.norm(drawn, axis=1)[:, np.newaxis]
         return np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count), drawn])
-
-    def find_worst(self, law: SampledLaw, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Find the worst margins at given points, and where each falls most steeply.
-
-        Returns:
-            The smallest of each margin, (5,), and the points of the unit ball with it, (found, names).
-        """
-        margins = self.sample(points, law).margins(law)
-        for _ in range(2):  # the second slope is that of more points near the worst
-            if len(more := _find_downhill(points, margins)):
-                margins = np.concatenate([margins, self.sample(more, law).margins(law)])
-                points = np.concatenate([points, more])
-        return np.min(margins, axis=0), points[np.unique(np.argmin(margins, axis=0))]
 
 
 def possible_joints(estimate: Estimate, confidence: float) -> Interval:
@@ -309,17 +296,3 @@ def ellipsoid_radius(parameters: int, confidence: float) -> float:
     from scipy.special import gammaincinv
 
     return math.sqrt(2.0 * float(gammaincinv(parameters / 2.0, confidence))) if parameters else 0.0
-
-
-def _find_downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
-    """Return, for every margin, the surface point at which its linear part is smallest."""
-    found = []
-    for one in margins.T:
-        stable = np.isfinite(one) & (margins[:, -1] > 0)
-        if np.sum(stable) <= points.shape[1] + 1:
-            continue
-        columns = np.column_stack([np.ones(int(np.sum(stable))), points[stable]])
-        slope = np.linalg.lstsq(columns, one[stable], rcond=None)[0][1:]
-        if size := float(np.linalg.norm(slope)):
-            found.append(-slope / size)
-    return np.array(found).reshape(-1, points.shape[1])

@@ -22,8 +22,6 @@ from jointid.tuning.margins import Interval, Margins, crossover, possible_joints
 from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, feedforward, lumped_parameters
 from jointid.tuning.tuned import Gain, LoopMargins, Tuned
 
-_ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
-_NEARLY = 0.995  # of a margin
 _DOUBTED = {
     "fit": "the model does not explain the torque, so all of this may be of another joint",
     "loop": "loop or log are not as declared, and all of this is of the declared one",
@@ -73,10 +71,11 @@ def tune(
             "[controller] to the joint file, or learn it with jointid learn-controller, and identify by DIDIM."
         )
     interval = possible_joints(estimate, settings.confidence)
-    work = Work(progress, "tuning", 2 + _ROUNDS, "steps")
+    work = Work(progress, "tuning", 3, "steps")
     present = _evaluate(estimate, interval, controller, settings)
     work.add()
-    layout, refusal = _propose(estimate, interval, controller, settings, work)
+    layout, refusal = _propose(estimate, interval, controller, settings)
+    work.add()
     proposed = None if layout is None else _evaluate(estimate, interval, layout.controller, settings)
     notch = None if layout is None else layout.notch
     period, in_drive = controller.law(estimate.data.sample_time).period, {one.number: one for one in shown}
@@ -108,16 +107,15 @@ def tune(
 
 def _evaluate(estimate: Estimate, interval: Interval, controller: Controller, settings: Tuning) -> LoopMargins:
     """Return the margins of a loop at the estimate, and the worst."""
-    law, points = controller.law(estimate.data.sample_time), interval.points(settings.seed)
-    sampled = interval.sample(points, law)
-    response = sampled.response(law)
-    at, (worst, _) = sampled.first.margins(law)[0], interval.find_worst(law, points)
-    highest = crossover(response, sampled.hertz)
-    return LoopMargins(controller, Margins(*at.tolist()), Margins(*worst.tolist()), highest, sampled.hertz, response[0])
+    law = controller.law(estimate.data.sample_time)
+    joints = interval.sample(settings.seed, law)
+    margins, response = joints.margins(law), joints.response(law)
+    at, worst = Margins(*margins[0].tolist()), Margins(*np.min(margins, axis=0).tolist())
+    return LoopMargins(controller, at, worst, crossover(response, joints.hertz), joints.hertz, response[0])
 
 
 def _propose(
-    estimate: Estimate, interval: Interval, controller: Controller, settings: Tuning, work: Work
+    estimate: Estimate, interval: Interval, controller: Controller, settings: Tuning
 ) -> tuple[Layout | None, list[str]]:
     """Return the stiffest loop that keeps the margins, or the reasons for none."""
     if not isinstance(controller, Cascade | PD):
@@ -128,19 +126,10 @@ def _propose(
     band, mode = None if flexible else estimate.settings.filtering.cutoff, None
     if flexible and interval.names and settings.notch:
         mode = FlexibleJoint.frequencies(interval.nominal)["free_free"]
-    points = interval.points(settings.seed)
-    for _ in range(_ROUNDS):
-        seen = interval.sample(points, controller.law(sample_time))
-        layout = StiffestLoop(seen, inertia, sample_time, settings, band).find(controller, mode)
-        if layout is None:
-            break
-        worst, at = interval.find_worst(layout.controller.law(sample_time), interval.points(settings.seed))
-        if settings.is_met(worst[np.newaxis], _NEARLY):
-            return layout, []
-        work.add()
-        points = np.concatenate([points, at])
+    joints = interval.sample(settings.seed, controller.law(sample_time))
+    layout = StiffestLoop(joints, inertia, sample_time, settings, band).find(controller, mode)
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
-    return None, [f"{said}; ask for less, or narrow the interval"]
+    return layout, [] if layout else [f"{said}; ask for less, or narrow the interval"]
 
 
 def _list_gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, DriveNumber]) -> tuple[Gain, ...]:
