@@ -10,7 +10,7 @@ from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
+from jointid.estimation.problems.inverse_model import joint_columns, motion_along
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
@@ -57,12 +57,10 @@ class Bench:
         resolved = filtering.resolve(PERIOD, "flexible")
 
         def regression(delay: float) -> tuple[float, np.ndarray]:
-            model = inverse_model(JOINT, self.torque(current), (self.motor, self.load), resolved, delay)
-            ones = np.ones((1, model.columns.shape[1], 1))
-            zero = np.concatenate([-ones, ones])
-            wider = InverseModel(model.torque, np.concatenate([model.columns, zero], axis=2), model.inside, model.motor)
+            motion = motion_along(self.torque(current), np.column_stack([self.motor, self.load]), resolved, delay)
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
-            Y, W = wider.decimate(resolved, PERIOD, np.zeros(len(names)))
+            W = motion.decimate_columns(joint_columns(JOINT, motion.q, motion.v, motion.a, zeros=True))
+            Y = motion.thinned_torque()
             values = least_squares(W, Y, names)
             return float(np.linalg.norm(Y - W @ values)), values
 

@@ -21,13 +21,14 @@ from jointid.diagnostics.faults.fault import FaultSignature
 from jointid.diagnostics.faults.registry import list_signatures
 from jointid.diagnostics.seen import Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
-from jointid.estimation.robots.regression import RobotMotion, base_rows, motion_of_robot
+from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.simulated import SimulatedRobot, solve_again
 from jointid.estimation.unknown_timing import read_as
 from jointid.models.robots.base_parameters import inverse_columns
@@ -145,7 +146,7 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     return replace(found, springs=bends.reshape(len(robot), len(ROTORS), *bends.shape[1:]))
 
 
-def _bend(part: InverseModelRobot, motion: RobotMotion) -> FloatArray:
+def _bend(part: InverseModelRobot, motion: MeasuredMotion) -> FloatArray:
     """Return the torques of a compliance in each joint, (samples, n, n shares).
 
     The links behind it turn back by the torque that winds it. That moves them all, and not the motors. What share of

@@ -16,7 +16,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
-from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, motion_of
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, joint_columns, motion_of, through_window
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
@@ -73,19 +73,20 @@ def predict_joint(estimate: Estimate, record: Record) -> Predicted:
     assert record.torque is not None
     joint, filtering, zeros = settings.joint, settings.filtering, settings.joint.model == "flexible"
     names = [p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ()))]
-    model = motion_of(record, settings.delay, filtering, joint, zeros=zeros)
+    motion = motion_of(record, settings.delay, filtering, joint)
+    raw = joint_columns(joint, motion.q, motion.v, motion.a, zeros=zeros)
     values = np.array([known.get(name, 0.0) for name in names])
-    error, columns = model.decimate(filtering, record.torque.sample_time, values)
-    whole = error + columns @ values
+    columns, whole = motion.decimate_columns(raw), motion.thinned_torque()
+    error = whole - columns @ values
     zero = np.array([name == ENCODER_OFFSET.name for name in names])  # counted from elsewhere in each record
     step = np.linalg.lstsq(columns[:, zero], error, rcond=None)[0]
     values[zero] += step
-    motor = model.motor
+    predicted = through_window(raw[:, :1], filtering) @ values
     return Predicted(
-        record.torque.sample_time, filtering.borders, model.torque[0][:, np.newaxis],
-        (model.columns[0] @ values)[:, np.newaxis], (error - columns[:, zero] @ step)[np.newaxis], whole[np.newaxis],
-        [one[:, np.newaxis] for one in (motor.position, motor.velocity, motor.acceleration)],
-        lambda: _fit_columns(columns, whole[np.newaxis]), equations=len(model.torque),
+        record.torque.sample_time, filtering.borders, motion.torque[:, :1],
+        predicted, (error - columns[:, zero] @ step)[np.newaxis], whole[np.newaxis],
+        [one[:, :1] for one in (motion.q, motion.v, motion.a)],
+        lambda: _fit_columns(columns, whole[np.newaxis]), equations=raw.shape[1],
     )  # fmt: skip
 
 

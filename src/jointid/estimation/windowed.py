@@ -28,7 +28,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, motion_of
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, MeasuredMotion, joint_columns, motion_of
 from jointid.estimation.problems.log_windows import (
     InverseWindow,
     LoopWindow,
@@ -50,7 +50,7 @@ from jointid.estimation.result.estimate import fingerprint
 from jointid.estimation.result.parts import EstimatedParameter, Params, RecordFit, Settings
 from jointid.estimation.robots.idim import InverseModelRobot, drives, identify_robot
 from jointid.estimation.robots.problem import RobotProblem
-from jointid.estimation.robots.regression import base_rows, motion_of_robot
+from jointid.estimation.robots.regression import base_columns, motion_of_robot
 from jointid.estimation.robots.simulated import (
     SimulatedRobot,
     identify_simulated_robot,
@@ -220,7 +220,11 @@ def joint_in_windows(
         wanted = (*adjust_parameters(joint.parameters, changes), *((ENCODER_OFFSET,) if zeros else ()))
         kept = np.array([0.0 if p.free else p.start or 0.0 for p in wanted])
         free = [i for i, p in enumerate(wanted) if p.free]
-        regress = partial(_regress_joint, joint, fit.settings.delay, fit.settings.filtering, zeros)
+
+        def regress(records: Sequence[Record]) -> Regression:
+            motion = motion_of(records[0], fit.settings.delay, fit.settings.filtering, joint)
+            return _regress(motion, joint_columns(joint, motion.q, motion.v, motion.a, zeros=zeros))
+
         rings = ringing(fit.settings.filtering, fit.data.sample_time)
         window = InverseWindow(tuple(wanted[i] for i in free), free, kept, regress, speeds_of(regress(records)), rings)
         return window, np.array([found[wanted[i].name].value for i in free], dtype=np.float64)
@@ -243,23 +247,17 @@ def _require_sums(method: IDIM, estimators: Sequence[str | None]) -> None:
         raise MethodError(f"IDIM by {method.estimator} needs all rows at once; identify a part of the record.")
 
 
-def _regress_joint(
-    joint: Joint, delay: float, filtering: Filtering, zeros: bool, records: Sequence[Record]
-) -> Regression:
-    """Return the regression of a window."""
-    (record,) = records
-    assert record.torque is not None and filtering.decimation is not None
-    model, sample_time = motion_of(record, delay, filtering, joint, zeros=zeros), record.torque.sample_time
-    equations, samples, parameters = model.columns.shape
-    Y, W = model.decimate(filtering, sample_time, np.zeros(parameters))
-    sides = [model.motor, *([] if model.load is None else [model.load])]
+def _regress(motion: MeasuredMotion, columns: FloatArray) -> Regression:
+    """Return the regression of a window, from columns of its motion, (samples, n, parameters)."""
+    n, filtering = columns.shape[1], motion.filtering
+    assert filtering.decimation is not None
     return Regression(
-        Y.reshape(equations, -1),
-        W.reshape(equations, -1, parameters),
-        model.rows_at(filtering, sample_time),
-        samples,
+        motion.thinned_torque().reshape(n, -1),
+        motion.decimate_columns(columns).reshape(n, -1, columns.shape[2]),
+        motion.rows_at(),
+        len(motion.q),
         filtering.decimation,
-        [(side.position, side.velocity) for side in sides],
+        list(zip(motion.q.T, motion.v.T, strict=True)),
     )
 
 
@@ -312,7 +310,11 @@ def _by_inverse_model(
         parameters = tuple(
             known.get(part.names[i]) or Parameter(part.names[i], rows[i].symbol, Quantity.RATIO) for i in free
         )
-        regress = partial(_regress_robot, part, fit.settings.filtering)
+
+        def regress(records: Sequence[Record]) -> Regression:
+            motion = motion_of_robot(part.model, records, fit.settings.filtering)
+            return _regress(motion, base_columns(part.model, part.base, motion.q, motion.v, motion.a))
+
         rings = ringing(fit.settings.filtering, fit.data.sample_time)
         return InverseWindow(parameters, free, kept, regress, speeds_of(regress(records)), rings), part.values[free]
 
@@ -343,18 +345,6 @@ def _by_inverse_model(
         return Told(params, _windows_of(fit.settings), part, negative=negative)
 
     return Windowed(fit_window, pose, answer, filtering, "equations")
-
-
-def _regress_robot(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> Regression:
-    """Return the regression of a window."""
-    robot = part.model
-    motion = motion_of_robot(robot, records, filtering)
-    rows, n = base_rows(robot, part.base, motion), len(robot)
-    W, samples = rows.W.reshape(n, -1, rows.W.shape[1]), len(motion.q)
-    assert filtering.decimation is not None
-    at = decimated_at(W.shape[1], motion.inside.stop, filtering)
-    axes = list(zip(motion.q.T, motion.v.T, strict=True))
-    return Regression(rows.by_equation(rows.Y), W, at, samples, filtering.decimation, axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

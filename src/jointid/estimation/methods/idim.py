@@ -1,16 +1,18 @@
 """IDIM: the inverse dynamic model regressed on measured positions, by the estimator of choice.
 
-Torque and columns are those of `inverse_model`; the estimators, ordinary or weighted least squares or
+Torque and columns are those of `problems.inverse_model`; the estimators, ordinary or weighted least squares or
 instruments from a simulated loop, those of `linear`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, setting
@@ -18,17 +20,19 @@ from jointid.estimation.methods.linear import (
     Estimator,
     Rows,
     Solution,
-    simulated_instruments,
+    instruments_of,
+    not_simulated,
     solve_rows,
 )
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
-    InverseModel,
+    MeasuredMotion,
     idim_channels,
+    joint_columns,
     motion_of,
-    noise_limit_of,
+    through_window,
 )
 from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
@@ -36,10 +40,12 @@ from jointid.estimation.result.build_result import build_data, build_rows
 from jointid.estimation.result.estimate import relative_error
 from jointid.estimation.result.parts import Checks, Fit, Params, Settings
 from jointid.models.controllers import Controller
-from jointid.models.joints import Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
+from jointid.simulation.closed_loop import Initial, Outcome, simulate
+from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import conditioning
 
 _VARIANTS = {
@@ -92,31 +98,31 @@ class IDIM(Method):
         assert record.torque is not None
         sample_time, estimator = record.torque.sample_time, self.estimator or "ols"
         delay = loop.controller.law(sample_time).delay if loop else 0.0
-        limit = noise_limit_of(record, joint, idim_channels(joint.model)[1:])
-        filtering = task.filtering.resolve(sample_time, joint.model, limit)
+        motion = motion_of(record, delay, task.filtering, joint)
+        filtering = motion.filtering
 
         def solve_with(zeros: bool) -> _Found:
             parameters = (*task.parameters, *((ENCODER_OFFSET,) if zeros else ()))
             require_free(parameters)
-            model = motion_of(record, delay, filtering, joint, zeros=zeros)
-            Y, W = model.decimate(filtering, sample_time, np.zeros(len(parameters)))
-            rows = Rows(Y, W, tuple(p.name for p in parameters), len(model.torque))
-            columns = None
+            of = partial(joint_columns, joint, zeros=zeros)
+            columns, by_loop = of(motion.q, motion.v, motion.a), None
+            names = tuple(p.name for p in parameters)
+            rows = Rows(motion.thinned_torque(), motion.decimate_columns(columns), names, columns.shape[1])
             if estimator == "iv" and loop is not None:
-                columns = simulated_instruments(record, loop, model, parameters, filtering)
-            return _Found(
-                parameters, model, rows, solve_rows(rows, estimator, {p.name: p for p in parameters}, columns)
-            )
+                by_loop = instruments_of(motion, _simulate_loop(record, loop, motion, task.parameters), of)
+            solution = solve_rows(rows, estimator, {p.name: p for p in parameters}, by_loop)
+            return _Found(parameters, columns, rows, solution)
 
         found = solve_with(joint.model == "flexible" and _zeros_differ(solve_with))
-        model, solved, covariance = found.model, found.solution, found.solution.covariance
+        solved, covariance = found.solution, found.solution.covariance
         held = solved.held
         parameters = [p.fix(held[p.name]) if p.name in held else p for p in found.parameters]
         free = [i for i, p in enumerate(parameters) if p.free]
         values = dict(zip(found.rows.names, map(float, solved.values), strict=True))
         std = {found.rows.names[i]: float(covariance.std[i]) for i in free}
         correlation = covariance.correlation[np.ix_(free, free)]
-        measured, predicted = model.torque[0], model.columns[0] @ solved.values
+        measured = motion.torque[:, 0]
+        predicted = through_window(found.columns[:, :1], filtering)[:, 0] @ solved.values
         read = ["torque", *(loop.controller.channels if loop is not None and estimator == "iv" else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
         return FitResult(
@@ -139,8 +145,8 @@ class IDIM(Method):
             ),
             checks=Checks(
                 warnings=(
-                    *describe_noise_limit(filtering, limit, sample_time, joint.model),
-                    *_of_rest(model),
+                    *describe_noise_limit(filtering, motion.limit, sample_time, joint.model),
+                    *_of_rest(motion),
                     *_warnings(record, filtering),
                 ),
                 tests=() if solved.test is None else (solved.test,),
@@ -155,12 +161,12 @@ class _Found:
     """A regression and its solution.
 
     Attributes:
-        parameters: of the joint, and perhaps of the encoders' zeros, in the order of the model's columns.
-        model: torque and columns, raw. rows: of all parameters. solution: of these.
+        parameters: of the joint, and perhaps of the encoders' zeros, in the order of the columns.
+        columns: (samples, equations, parameters) raw. rows: of all parameters. solution: of these.
     """
 
     parameters: tuple[Parameter, ...]
-    model: InverseModel
+    columns: FloatArray
     rows: Rows
     solution: Solution
 
@@ -177,12 +183,35 @@ def _zeros_differ(solve_with: Callable[[bool], _Found]) -> bool:
     return bool(abs(solution.values[at]) > least)
 
 
-def _of_rest(model: InverseModel) -> tuple[str, ...]:
+def _simulate_loop(
+    record: Record, loop: ClosedLoop, motion: MeasuredMotion, parameters: Sequence[Parameter]
+) -> Callable[[FloatArray], FloatArray]:
+    """Return a function from the values of parameters to the positions that the loop makes, (samples, sides).
+
+    The simulation starts at the measured position and velocity. Instruments need not be perfect: values outside their
+    bounds are simulated at the bound.
+
+    Raises:
+        RecordError: the record lacks a channel the controller reads.
+    """
+    experiment, initial = prepare(loop, record), Initial(float(motion.q[0, 0]), float(motion.v[0, 0]))
+
+    def run_loop(values: FloatArray) -> FloatArray:
+        pairs = zip(parameters, values, strict=False)
+        run = simulate(loop, experiment, {p.name: min(max(float(x), p.lower), p.upper) for p, x in pairs}, initial)
+        if run.outcome is not Outcome.FINISHED:
+            raise not_simulated(run.outcome.value)
+        return np.column_stack([run.motor_position, *([] if run.load_position is None else [run.load_position])])
+
+    return run_loop
+
+
+def _of_rest(motion: MeasuredMotion) -> tuple[str, ...]:
     """Return a sentence on a record in which the motor rests."""
-    if model.resting <= SAID:
+    if motion.resting <= SAID:
         return ()
     return (
-        f"the motor rests in {100 * model.resting:.0f} % of the record, where friction takes what it must and the "
+        f"the motor rests in {100 * motion.resting:.0f} % of the record, where friction takes what it must and the "
         "torque says nothing of it: these rows are left out",
     )
 

@@ -29,12 +29,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, InverseModel, inverse_model
-from jointid.models.joints import ClosedLoop
-from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.loop_input import prepare
+from jointid.estimation.problems.inverse_model import MeasuredMotion, filter_motion
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
 from jointid.uncertainty.covariance import robust as robust_covariance
@@ -114,7 +109,7 @@ def solve_rows(
         rows: of all parameters.
         estimator: its name; one equation needs no weights.
         known: values and bounds by name; of others there are none.
-        instruments: of "iv" alone, as from `simulated_instruments`.
+        instruments: of "iv" alone, as from `instruments_of`.
 
     Raises:
         MethodError: all parameters are fixed, or the rows do not determine those that are not.
@@ -233,43 +228,34 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     return Solution(found, rows.Y - rows.W @ found, covariance)
 
 
-def simulated_instruments(
-    record: Record,
-    loop: ClosedLoop,
-    model: InverseModel,
-    parameters: Sequence[Parameter],
-    filtering: Filtering,
+def instruments_of(
+    motion: MeasuredMotion,
+    simulate: Callable[[FloatArray], FloatArray],
+    columns: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
 ) -> Instruments:
-    """Return a function from parameters to the regressor on the simulated motion.
+    """Return a function from the values of all parameters to the columns on the simulated motion.
 
-    The simulation starts at the measured position and velocity.
-
-    Raises:
-        RecordError: the record lacks a channel the controller reads.
+    Args:
+        motion: that was measured; rows at which its masses rest or turn round are left out of both.
+        simulate: from the values to the raw positions, (samples, n).
+        columns: on positions, velocities and accelerations, (samples, n) each.
     """
-    assert record.torque is not None
-    experiment = prepare(loop, record)
-    sample_time, size = record.torque.sample_time, model.torque.shape[1]
-    initial = Initial(float(model.motor.position[0]), float(model.motor.velocity[0]))
-    names = [p.name for p in loop.joint.parameters]
-    torque = Channel(np.zeros(size), record.torque.unit, sample_time, record.torque.timing)
+    size = len(motion.q)
 
-    def columns(values: FloatArray) -> FloatArray:
-        pairs = zip(parameters, values, strict=True)
-        possible = {p.name: min(max(float(value), p.lower), p.upper) for p, value in pairs if p.name in names}
-        run = simulate(loop, experiment, possible, initial)
-        if run.outcome is not Outcome.FINISHED:
-            raise MethodError(
-                f"The instruments of IV come from a simulation, but with these values {run.outcome.value}; check the "
-                "controller's gains, or use another estimator."
-            )
-        positions = (run.motor_position, *(() if run.load_position is None else (run.load_position,)))
-        whole = tuple(np.pad(position[:size], (0, max(size - position.size, 0)), "edge") for position in positions)
-        moved = inverse_model(loop.joint, torque, whole, filtering, zeros=parameters[-1] is ENCODER_OFFSET)
-        moved = replace(moved, moving=model.moving)  # of the same rows
-        return moved.decimate_columns(moved.columns, filtering, sample_time)
+    def made(values: FloatArray) -> FloatArray:
+        positions = simulate(values)[:size]
+        whole = np.pad(positions, ((0, size - len(positions)), (0, 0)), "edge")
+        return motion.decimate_columns(columns(*filter_motion(whole, motion.sample_time, motion.filtering)))
 
-    return columns
+    return made
+
+
+def not_simulated(outcome: str) -> MethodError:
+    """Return the refusal of instruments from a simulation that did not end."""
+    return MethodError(
+        f"The instruments of IV come from a simulation, but with these values {outcome}; check the controllers' gains, "
+        "or use another estimator."
+    )
 
 
 def _by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:

@@ -27,6 +27,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
+from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.estimation.problems.rest import moving_weights
 from jointid.estimation.robots.fit import RobotFit, fixed_point
 from jointid.estimation.robots.flexible import (
@@ -37,7 +38,7 @@ from jointid.estimation.robots.flexible import (
 )
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems
-from jointid.estimation.robots.regression import Records, RobotMotion, each_log, motion_of_robot
+from jointid.estimation.robots.regression import Records, each_log, motion_of_robot
 from jointid.estimation.unknown_timing import all_stated
 from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
@@ -75,7 +76,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         thorough: whether the start of a search takes the whole record, too.
     """
 
-    motion: RobotMotion
+    motion: MeasuredMotion
     prescribed: MotorMotion
     thorough: bool = False
 

@@ -24,19 +24,18 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.linear import Instruments, Rows, solve_rows
+from jointid.estimation.methods.linear import Instruments, Rows, instruments_of, not_simulated, solve_rows
+from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
 from jointid.estimation.robots.build import build_robot_result
 from jointid.estimation.robots.regression import (
     Records,
-    RobotMotion,
     base_columns,
     base_rows,
     each_log,
     join_rows,
-    motion_of_robot,
     motions_of_logs,
     relative_errors,
     require_slow_samples,
@@ -45,7 +44,7 @@ from jointid.models.robots.base_parameters import BaseParameters, base_parameter
 from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_indices
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.closed_loop import Outcome
@@ -246,7 +245,7 @@ def _select_motor_friction(robot: Robot, known: Mapping[str, Parameter]) -> dict
 
 
 def _instruments(
-    loop: RobotLoop, logs: Sequence[Sequence[Record]], base: BaseParameters, motions: Sequence[RobotMotion]
+    loop: RobotLoop, logs: Sequence[Sequence[Record]], base: BaseParameters, motions: Sequence[MeasuredMotion]
 ) -> Instruments:
     """Return the instruments of all logs."""
     each = [robot_instruments(loop, log, base, motion) for log, motion in zip(logs, motions, strict=True)]
@@ -276,7 +275,7 @@ _COLUMNS = {
 
 
 def robot_instruments(
-    loop: RobotLoop, records: Sequence[Record], base: BaseParameters, motion: RobotMotion
+    loop: RobotLoop, records: Sequence[Record], base: BaseParameters, motion: MeasuredMotion
 ) -> Instruments:
     """Return a function from the parameters to the columns on the simulated motion.
 
@@ -291,25 +290,15 @@ def robot_instruments(
         MethodError: controllers or logs share no clock.
     """
     rigid = loop.robot.rigid
-    experiment, size = prepare_robot(replace(loop, robot=rigid), records), len(motion.q)
+    experiment, joints = prepare_robot(replace(loop, robot=rigid), records), np.linalg.inv(rigid.coupling).T
 
-    def columns(values: FloatArray) -> FloatArray:
+    def run_loop(values: FloatArray) -> FloatArray:
         run = run_robot(experiment, _numbers(rigid, base, values), keep=True)
         if run.outcome is not Outcome.FINISHED:
-            raise MethodError(
-                f"The instruments of IV come from a simulation, but with these values {run.outcome.value}; check the "
-                "controllers' gains, or use another estimator."
-            )
-        made = []
-        for record, position in zip(records, simulation_of(run).motor_position.T, strict=True):
-            assert record.motor_position is not None
-            whole = np.pad(position[:size], (0, max(size - position.size, 0)), "edge")
-            unit = record.motor_position.unit
-            made.append(replace(record, motor_position=Channel(whole, unit, motion.sample_time)))
-        moved = motion_of_robot(rigid, made, motion.filtering)
-        return base_rows(rigid, base, replace(moved, moving=motion.moving)).W
+            raise not_simulated(run.outcome.value)
+        return simulation_of(run).motor_position
 
-    return columns
+    return instruments_of(motion, run_loop, lambda *moved: base_columns(rigid, base, *(one @ joints for one in moved)))
 
 
 def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNumbers:

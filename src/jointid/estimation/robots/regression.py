@@ -1,25 +1,25 @@
 """The inverse dynamics of a robot's measured motion as one linear regression: all joints' rows at all instants.
 
-Signals go the way of one joint's (`problems.inverse_model`): positions through a low-pass both ways, torques through
-the window of their timing, both sides of the equations through one decimation. Where a motor rests or turns round, its
-friction takes what it must, and its row is left out: of a twin with little noise the rows of reversals pulled the
-Coulomb frictions so far that of their 2-sigma intervals 17 % held the truth, and without these rows all do.
+Signals go the way of one joint's (`problems.inverse_model`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
 from typing import TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.linear import Rows
-from jointid.estimation.problems.inverse_model import through_window, torque_and_positions
+from jointid.estimation.problems.inverse_model import (
+    MeasuredMotion,
+    filter_motion,
+    through_window,
+    torque_and_positions,
+)
 from jointid.estimation.problems.rest import SMEAR, steady_weights
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
@@ -28,20 +28,10 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Record
-from jointid.records.signals.filtering import (
-    Filtering,
-    decimate_all,
-    differentiate,
-    differentiate_twice,
-    lowpass,
-    settle,
-    window_torque,
-)
+from jointid.records.signals.filtering import Filtering, window_torque
 from jointid.records.signals.position_noise import find_noise_limit
 
-_WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 _REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
-_TOLD = 0.05  # of a row's weight: what holds less is of rest
 
 
 Records: TypeAlias = Sequence[Record] | Sequence[Sequence[Record]]
@@ -134,68 +124,6 @@ def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
     return whole.reshape(-1, *whole.shape[2:])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotMotion:
-    """The motion of all joints, filtered, and the torques of their motors.
-
-    Attributes:
-        q, v, a: (samples, n) positions of the joints and their derivatives.
-        torque: (samples, n) of the motors, behind their gears, without that of the record's payload.
-        moving: (samples, n) 0 where a motor rests or turns round, else 1.
-        sample_time: s.
-        filtering: resolved.
-        limit: Hz, the highest cut-off that the noise of the positions allows.
-        raw: (samples, n) positions of the motors, as measured.
-    """
-
-    q: FloatArray
-    v: FloatArray
-    a: FloatArray
-    torque: FloatArray
-    moving: FloatArray
-    sample_time: float
-    filtering: Filtering
-    limit: float
-    raw: FloatArray
-
-    def decimate_columns(self, columns: FloatArray) -> FloatArray:
-        """Return columns, (samples, n, columns), decimated: (n instants, columns), joint after joint, 0 at rest."""
-        seen = through_window(columns.transpose(1, 0, 2), self.filtering)
-        return np.concatenate([self.decimate_joint(j, equation) for j, equation in enumerate(seen)])
-
-    def thinned_torque(self) -> FloatArray:
-        """Return the torques decimated, (n instants,), joint after joint, 0 at rest."""
-        return np.concatenate([self.decimate_joint(j, each[:, np.newaxis]) for j, each in enumerate(self.torque.T)])[
-            :, 0
-        ]
-
-    def begin(self, size: int) -> RobotMotion:
-        """Return the motion of the first samples."""
-        named = ("q", "v", "a", "torque", "moving", "raw")
-        return replace(self, **{name: getattr(self, name)[:size] for name in named})
-
-    @property
-    def inside(self) -> slice:
-        """The samples that no border of the filters reaches."""
-        return self.filtering.inside(len(self.torque))
-
-    @property
-    def whole_rows(self) -> NDArray[np.bool_]:
-        """Rows without any sample that is left out, (n, rows); only these are judged.
-
-        A row beside one that is left out has some of that in it, and less noise.
-        """
-        return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
-
-    def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of a joint's equation, (samples, columns), decimated, (rows, columns), 0 at rest."""
-        moving = self.moving[self.inside, joint]
-        rows, whole = decimate_all(
-            [columns[self.inside] * moving[:, np.newaxis], moving], self.filtering, self.sample_time
-        )
-        return np.where(whole[:, np.newaxis] <= _TOLD, 0.0, rows)
-
-
 def motion_of_robot(
     robot: Robot,
     records: Sequence[Record],
@@ -203,7 +131,7 @@ def motion_of_robot(
     said: str = "IDIM of a robot",
     model: str = "rigid",
     smear: float = SMEAR,
-) -> RobotMotion:
+) -> MeasuredMotion:
     """Return the motion of a robot and its motors' torques.
 
     Args:
@@ -247,25 +175,18 @@ def motion_of_robot(
     motors = np.column_stack([position[:size] for position in positions])
     limit = find_noise_limit(motors.T, sample_time)
     filtering = filtering.resolve(sample_time, model, limit)
+    smooth, velocity, acceleration = filter_motion(motors, sample_time, filtering)
+    respected = filtering.timing == "respected"
+    torques = [(window_torque(channel) if respected else channel.values)[:size] for channel in channels]
     assert filtering.position_cutoff is not None
-    smooth = lowpass(motors, filtering.position_cutoff, sample_time)
-    if filtering.timing == "respected":
-        twice = [differentiate_twice(each, sample_time) for each in smooth.T]
-        velocity, acceleration = (np.column_stack(each) for each in zip(*twice, strict=True))
-        torques = [window_torque(channel)[:size] for channel in channels]
-    else:
-        velocity = differentiate(smooth, sample_time)
-        acceleration = differentiate(velocity, sample_time)
-        torques = [channel.values[:size] for channel in channels]
-    velocity = settle(velocity)
     moving = [steady_weights(each, filtering.position_cutoff, sample_time, smear, few=0.0)[1] for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T
     motion = smooth @ joints, velocity @ joints, acceleration @ joints
     measured = np.column_stack(torques)
     if payload := records[-1].payload:  # its torque is known
         carried = inverse_columns(robot, *motion)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
-        measured -= through_window(carried.T[:, :, np.newaxis], filtering)[:, :, 0].T
-    return RobotMotion(
+        measured -= through_window(carried[:, :, np.newaxis], filtering)[:, :, 0]
+    return MeasuredMotion(
         *motion,
         measured,
         np.column_stack(moving),
@@ -276,7 +197,7 @@ def motion_of_robot(
     )
 
 
-def motions_of_logs(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[RobotMotion]:
+def motions_of_logs(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
     """Return the motions of several logs through one filtering: of the defaults the lowest."""
     motions = [motion_of_robot(robot, log, filtering) for log in logs]
     common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
@@ -291,7 +212,7 @@ def base_columns(robot: Robot, base: BaseParameters, q: FloatArray, v: FloatArra
     return np.concatenate([inverse_columns(robot, q, v, a)[:, :, base.chosen], friction_columns(robot, v)], axis=2)
 
 
-def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion, columns: FloatArray | None = None) -> Rows:
+def base_rows(robot: Robot, base: BaseParameters, motion: MeasuredMotion, columns: FloatArray | None = None) -> Rows:
     """Return the regression of the base parameters, then of the numbers of the motors' friction.
 
     Args:

@@ -13,7 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
+from jointid.estimation.problems.inverse_model import joint_columns, motion_along
 from jointid.estimation.problems.rest import steady_weights
 from jointid.estimation.starts.inverse_controller import (
     first_state,
@@ -127,17 +127,17 @@ def _regress(
     held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
     if not np.all(known):
         position = np.interp(instants, instants[known], position[known])
-    model = inverse_model(joint, held, (position,), filtering, delay)
+    motion = motion_along(held, position[:, np.newaxis], filtering, delay)
     assert filtering.position_cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
-    weights = known * steady_weights(model.motor.velocity, filtering.position_cutoff, sample_time)[1]
+    weights = known * steady_weights(motion.v[:, 0], filtering.position_cutoff, sample_time)[1]
     if np.sum(weights) < _MOST * np.sum(known):  # what is left tells less than what friction at rest bends
         weights = known.astype(np.float64)
-    columns = model.columns * weights[:, np.newaxis]
-    model = InverseModel(model.torque * weights, columns, model.inside, model.motor)
+    motion = replace(motion, moving=weights[:, np.newaxis])
+    W = motion.decimate_columns(joint_columns(joint, motion.q, motion.v, motion.a))
     parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
     kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-    Y, W = model.decimate(filtering, sample_time, kept, compiled=True)
+    Y = motion.thinned_torque() - W @ kept
     names = tuple(p.name for p in free)
     found = linear_least_squares(W[:, [p.free for p in parameters]], Y, names)
     return dict(zip(names, map(float, found), strict=True))
