@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 
 from jointid.common.errors import JointidError
 from jointid.diagnostics.identify import identify
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record

@@ -12,8 +12,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.identify import identify
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint

@@ -12,8 +12,8 @@ from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.validation import validate
 from .estimation.methods.didim import DIDIM
+from .estimation.methods.drive_side import DriveSideFit
 from .estimation.methods.idim import IDIM
-from .estimation.methods.prescribed import DriveSideFit
 from .estimation.problems.log_windows import Windowing
 from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate

@@ -11,8 +11,8 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.config import Axis, File, Source, dumps, loads
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import (
     PD,
     Cascade,

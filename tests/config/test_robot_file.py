@@ -11,8 +11,8 @@ import pytest
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import dot_path
 from jointid.config import File, dumps, load, loads
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.payload import identify_payload
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.problems.prescribed import DriveSideProblem, motion_problem
+from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.loop_input import prepare

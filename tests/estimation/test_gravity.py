@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
 from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate

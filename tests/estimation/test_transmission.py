@@ -14,8 +14,8 @@ import pytest
 
 from jointid.common.transmission import Side, Transmission
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter

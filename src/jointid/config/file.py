@@ -20,7 +20,7 @@ from jointid.config.source import Run, Source
 from jointid.config.tables import FeedForward, FileTable
 from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate

@@ -17,10 +17,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults.fault import Hypothesis
+from jointid.estimation.methods.drive_side import DriveSideProblem
 from jointid.estimation.methods.stiffness_search import rigid_cutoff
 from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
 from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import numbers_of, with_numbers

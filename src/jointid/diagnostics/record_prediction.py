@@ -14,10 +14,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
+from jointid.estimation.methods.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, joint_columns, motion_of, through_window
-from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop

@@ -15,8 +15,8 @@ from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several, require_distinct
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.outputs import fit_outputs, state_position, state_scale
 from jointid.estimation.problems.log_windows import Windowing, commanded

@@ -24,8 +24,8 @@ from jointid.common.text import join
 from jointid.estimation.identify_log import Solved, Start, Told, Windowed
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, MeasuredMotion, joint_columns, motion_of

@@ -25,9 +25,8 @@ from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, fit_flexible, follow
 from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_law_changes
 from jointid.estimation.identify_record import identify_record
+from jointid.estimation.methods.drive_side import DriveSideFit, grid_starts, motion_problem
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit, grid_starts
-from jointid.estimation.problems.prescribed import motion_problem
 from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import find_encoder_step

@@ -31,7 +31,7 @@ METHODS: Mapping[str, str] = MappingProxyType(
     {
         "didim": "didim.DIDIM",
         "idim": "idim.IDIM",
-        "drive_side": "prescribed.DriveSideFit",
+        "drive_side": "drive_side.DriveSideFit",
     }
 )
 """Module and class of every method by its name; of two methods whose needs are met the first is the default."""

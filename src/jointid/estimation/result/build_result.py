@@ -10,16 +10,17 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
-from jointid.estimation.problems.base import LOG_DELAY, RecordProblem
+from jointid.common.text import join
+from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.estimate import fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
+from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, acts_on_whole
 from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation
-from jointid.solvers.solve import Solution
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known, identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
@@ -28,12 +29,15 @@ from jointid.uncertainty.verdict import (
     Status,
     StiffnessBound,
     Verdict,
+    axes_verdict,
     bounds_verdict,
     fit_verdict,
+    friction_verdict,
     identifiability_verdict,
     only_sums_verdict,
     residual_verdicts,
     solver_verdict,
+    springs_verdict,
 )
 
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
@@ -285,47 +289,84 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
     return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
 
 
-def build_prescribed_result(
-    record: Record,
-    problem: DriveSideProblem,
-    solution: Solution,
-    covariance: Covariance,
+def build_robot_result(
+    records: Sequence[Record],
+    part: IdentifiedRobot,
+    rows: tuple[EstimatedParameter, ...],
+    errors: FloatArray,
+    torques: tuple[FloatArray, FloatArray],
+    method: tuple[str, str],
+    filtering: Filtering,
+    count: int,
+    end: tuple[str, bool],
     simulations: int,
-    warnings: Sequence[str] = (),
+    *,
+    negative: Sequence[str] = (),
+    warnings: tuple[str, ...] = (),
 ) -> FitResult:
-    """Return the fit of a joint whose motion is prescribed: on the drive side.
+    """Return the fit of a robot.
 
     Args:
-        record: what was identified from.
-        problem: what was solved.
-        solution: of least squares.
-        covariance: of the errors of its parameters.
+        records: of its joints, those of one log after those of another.
+        part: what only a robot has; its arrays are in the order of the rows.
+        rows: the parameters.
+        errors: (n,) the share of each joint's filtered torque that the model leaves.
+        torques: (samples, n) each, measured and predicted.
+        method: its name, and how it was run.
+        filtering: resolved.
+        count: of the filtered samples that were fitted.
+        end: why the search ended, and whether that is a good end.
         simulations: that were run.
-        warnings: on the record.
+        negative: joints whose friction comes out negative.
+        warnings: of the method.
     """
-    x = solution.x
-    # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
-    idle = np.asarray(~solution.jacobian.any(axis=0), dtype=np.bool_)
-    covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
-    lost = (
-        *find_lost(problem.free, x, covariance.std),
-        *(p.name for p, of in zip(problem.free, idle, strict=True) if of),
-    )
-    held = find_active_bounds(problem.free, x, solution.residual, solution.jacobian)
-    delay = -problem.values(x)[LOG_DELAY.name]
+    model, (measured, predicted), (stop, converged) = part.model, torques, end
+    free = [i for i, row in enumerate(rows) if row.free]
+    left = dict(zip(model.names, map(float, errors), strict=True))
+    first = records[0].torque
+    assert first is not None
+    held = bounds_verdict([row.name for row in rows if row.at_bound is not None])
+    torques_of = [record.torque.values for record in records if record.torque is not None]
+    starts = range(0, len(torques_of), len(model))
+    channels = dict.fromkeys(name for record in records for name in record.channels)
     return FitResult(
-        params=build_params(problem, x, covariance, lost, held),
-        fit=build_fit(
-            problem,
-            problem.predict(x),
-            problem.residual(x),
-            solution.message,
-            converged=solution.converged,
-            simulations=simulations,
+        params=Params(
+            rows,
+            tuple(rows[i].name for i in free),
+            part.covariance.correlation[np.ix_(free, free)],
         ),
-        checks=Checks(warnings=tuple(warnings)),
-        data=build_data(record, ("torque", "motor_position"), problem.sample_time),
-        settings=Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, delay),
+        fit=Fit(
+            measured=measured,
+            predicted=predicted,
+            borders=filtering.borders,
+            relative_error=relative_error(measured, predicted, filtering.borders),
+            filtered_error=float(np.sqrt(np.mean(errors**2))),
+            rows=count,
+            simulations=simulations,
+            stop=stop,
+            converged=converged,
+            axis_errors=left,
+        ),
+        checks=Checks(
+            verdicts=(
+                solver_verdict(stop, converged),
+                axes_verdict(left),
+                friction_verdict(negative) if negative else held,
+                *((springs_verdict([str(s) for s in part.springs if not s.shown]),) if part.springs else ()),
+            ),
+            warnings=(*model.remarks, *warnings),
+        ),
+        data=Data(
+            record=join(list(dict.fromkeys(record.name for record in records))),
+            channels=tuple(channels),
+            sample_time=first.sample_time,
+            torque_unit=join(list(dict.fromkeys(r.torque.unit for r in records if r.torque is not None))),
+            fingerprint=fingerprint(np.concatenate(torques_of)),
+            logs=tuple(fingerprint(np.concatenate(torques_of[at : at + len(model)])) for at in starts),
+        ),
+        settings=Settings(*method, system=model, loop=None, filtering=filtering),
+        robot=part,
+        records=tuple(records),
     )
 
 

@@ -27,9 +27,9 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Instruments, Rows, instruments_of, not_simulated, solve_rows
 from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
-from jointid.estimation.robots.build import build_robot_result
 from jointid.estimation.robots.regression import (
     Records,
     base_columns,

@@ -18,12 +18,12 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, unit_of
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import position_rms
 from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
-from jointid.estimation.robots.build import build_robot_result
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.fit import RobotFit

@@ -1,0 +1,438 @@
+"""The drive side of a joint: identification without a controller, along the motion that its motor made.
+
+Torque and motor position are enough, without a load encoder. The motor's motion comes from the record, filtered, and is
+prescribed; the load is simulated behind it (`simulation.prescribed`), and the torque this takes is compared with the
+measured one, filtered alike. It is seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag``
+away, where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to
+nothing. While the motor rests, its friction takes what it must and the torque says nothing; these samples have no
+weight, on both sides alike and before the filter, which would smear them. Nor have those about reversals of a rigid
+joint.
+
+Bounded least squares with exact derivatives goes down from starts that need no guess: for each of a row of motor-locked
+frequencies, at which the motor sees an anti-resonance, a frictionless load of one unit is simulated, and everything
+else about the joint is then linear. The best few are refined.
+
+A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
+squares is biased: the intervals are widened for that (`with_measured_motion`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Detail, Progress
+from jointid.common.parallel import in_threads
+from jointid.common.parameters import Parameter, Quantity
+from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
+from jointid.estimation.problems.base import FAILED, LOG_DELAY, RecordProblem, log_delay
+from jointid.estimation.problems.closed_loop import require_free
+from jointid.estimation.problems.inverse_model import noise_limit_of, torque_and_positions
+from jointid.estimation.problems.rest import SAID, moving_weights, steady_weights
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_data, build_fit, build_params, find_active_bounds, find_lost
+from jointid.estimation.result.parts import Checks, Settings
+from jointid.models.joints import Joint, acts_on_whole
+from jointid.records.record import Record, Tap
+from jointid.records.signals.filtering import Filtering, lowpass, window_parts, window_torque
+from jointid.records.signals.position_noise import describe_noise_limit, find_noise_limit
+from jointid.simulation.prescribed import (
+    LOAD_STATE,
+    PARTS,
+    DriveSide,
+    DriveSideRun,
+    PrescribedMotion,
+    prescribed_motion,
+    simulate_drive_side,
+)
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Solution, Step, Watch, solve
+from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
+
+CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
+"""Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
+makes it a torque, a measured torque behind a filter of the drive."""
+
+_LOAD_PARAMETERS = (
+    Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
+    Parameter(LOAD_STATE[1], "dv12(0)", Quantity.VELOCITY),
+)
+
+_GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
+_LOWEST = 0.05  # ... from this share of the cut-off up to it
+_DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
+_REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveSideProblem(RecordProblem):
+    """The torque of one record along its own motor motion; the torque is through `filtering.window_torque`.
+
+    Beside the joint's parameters there are those of `LOAD_STATE`, ``log_delay`` and ``current_lag``. The filter's
+    borders are left out before it is applied.
+
+    Attributes:
+        joint: what is identified.
+        motion: of the motor, prescribed.
+        weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
+        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
+        sample_time: seconds.
+    """
+
+    joint: Joint
+    motion: PrescribedMotion
+    weights: FloatArray
+    leads: bool
+    sample_time: float
+
+    @property
+    def inside(self) -> slice:
+        """The samples that are compared."""
+        return self.filtering.inside(self.measured.size)
+
+    def predict(self, x: FloatArray) -> FloatArray:
+        """Return the prediction of `measured`, (samples,)."""
+        return self.simulate(x, ())[0]
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
+        return self._compare(x, ())[0]
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        return self._compare(x, tuple(p.name for p in self.free))
+
+    def _compare(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+        prediction, slopes, finished = self.simulate(x, names)
+        error = self.measured - prediction
+        if not finished:
+            error = np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
+        seen = self.filter(np.column_stack([error, -slopes]))
+        return seen[:, 0], seen[:, 1:]
+
+    def filter(self, columns: FloatArray) -> FloatArray:
+        """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
+        weights = self.weights if columns.ndim == 1 else self.weights[:, np.newaxis]
+        return self.filtering.decimate((weights * columns)[self.inside], self.sample_time)
+
+    def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+        """Return the predicted torque, (samples,), its derivatives, and their validity."""
+        values = self.values(x)
+        inner = tuple(n for n in names if n not in (LOG_DELAY.name, CURRENT_LAG.name))
+        run = simulate_drive_side(self.joint, self.motion, values, inner)
+        cells, lag = np.column_stack([run.torque, run.derivatives]), values[CURRENT_LAG.name]
+        late, by_lag = values[LOG_DELAY.name] / self.sample_time, np.zeros((self.measured.size, 1))
+        if lag > 0 and not self.leads:
+            cells, moved = behind_lag(cells, self.motion.step, lag)
+            by_lag = window_parts(moved, PARTS, late)
+        seen = window_parts(cells, PARTS, late)
+        by_delay = window_parts(cells[:, :1], PARTS, late, 1) / self.sample_time
+        if self.leads and lag > 0:
+            seen -= lag / self.sample_time * window_parts(cells, PARTS, late, 1)
+        if self.leads:  # the rate of a signal is what its delay takes from it
+            by_lag = -by_delay
+            by_delay = by_delay - lag / self.sample_time**2 * window_parts(cells[:, :1], PARTS, late, 2)
+        columns = dict(zip(inner, seen[:, 1:].T, strict=True))
+        columns |= {LOG_DELAY.name: by_delay[:, 0], CURRENT_LAG.name: by_lag[:, 0]}
+        slopes = [columns[name] for name in names]
+        return seen[:, 0], np.column_stack([np.zeros((len(seen), 0)), *slopes]), run.finished
+
+    def run(self, x: FloatArray) -> DriveSideRun:
+        """Return the simulation itself, part by part."""
+        return simulate_drive_side(self.joint, self.motion, self.values(x))
+
+
+def behind_lag(cells: FloatArray, step: float, lag: float) -> tuple[FloatArray, FloatArray]:
+    """Return signals behind a first-order lag, (cells, columns), and how the first depends on the lag, (cells, 1).
+
+    Signals are constant over cells of `step` seconds, and so are the answers: means over the cells. Exact.
+    """
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-step / lag))
+    slope = kept * step / lag**2  # of `kept` by the lag
+    state = np.vstack([cells[:1], lfilter([1 - kept], [1, -kept], cells, axis=0, zi=kept * cells[:1])[0]])
+    rise = np.diff(state, axis=0) / step
+    moved = np.append(0.0, lfilter([1.0], [1, -kept], slope * (state[:-1, 0] - cells[:, 0])))
+    return cells - lag * rise, (-rise[:, 0] - lag * np.diff(moved) / step)[:, np.newaxis]
+
+
+def motion_problem(
+    record: Record,
+    setup: DriveSide,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    surroundings: tuple[Parameter, ...] = (),
+) -> DriveSideProblem:
+    """Return the problem of reproducing a record's torque along its motor motion.
+
+    Args:
+        record: with torque and motor position at one rate, the position sampled.
+        setup: the joint.
+        filtering: of position and torque.
+        parameters: of the joint.
+        surroundings: changed ``log_delay`` and ``current_lag``; both are fixed at 0 otherwise.
+
+    Raises:
+        RecordError: a channel is missing, or at another rate.
+        MethodError: no parameter of the joint is free.
+    """
+    require_free(parameters)
+    torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
+    sample_time = torque.sample_time
+    filtering = filtering.resolve(sample_time, setup.joint.model, find_noise_limit([position], sample_time))
+    assert filtering.position_cutoff is not None
+    smooth = lowpass(position, filtering.position_cutoff, sample_time)
+    motion = _from_rest(prescribed_motion(smooth, sample_time))
+    weights = weights_of(motion)
+    if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
+        weights = steady_weights(motion.velocity[::PARTS], filtering.position_cutoff, sample_time)[1]
+    given = {p.name: p for p in surroundings}
+    around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
+    return DriveSideProblem(
+        (*parameters, *_load_state(setup.joint, motion), *around),
+        window_torque(torque),
+        filtering,
+        setup.joint,
+        motion,
+        weights,
+        record.tap is not Tap.MEASURED,
+        sample_time,
+    )
+
+
+def weights_of(motion: PrescribedMotion) -> FloatArray:
+    """Return 0 for the samples at which the motor rests, and 1 for the others (see the module)."""
+    return moving_weights(motion.velocity[::PARTS])
+
+
+def _from_rest(motion: PrescribedMotion) -> PrescribedMotion:
+    """Return the motion with no velocity at the first sample if the motor rests there.
+
+    The rounding of an encoder would have a load that moves steadily begin where its Coulomb force drags it.
+    """
+    return motion if weights_of(motion)[0] else motion.from_rest()
+
+
+def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]:
+    """Return the load's first state, free where the motor moves then: a load at rest rests where it was left."""
+    if joint.model == "rigid":
+        return ()
+    moving = bool(weights_of(motion)[0])
+    return tuple(replace(p, free=moving, start=0.0) for p in _LOAD_PARAMETERS)
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class DriveSideFit(Method):
+    """Settings of the drive-side identification."""
+
+    name = "drive_side"
+    title = "the drive-side method"
+    default_for = DriveSide
+
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
+    current_lag: float | None = setting(
+        0.0,
+        "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
+        "the filter before a measured torque",
+        unit="s",
+        at_least=0,
+        none="estimated",
+        systems=MODELS,
+    )
+    frequency: float | None = setting(
+        None,
+        "motor-locked frequency of the start; without it the best of a grid",
+        unit="Hz",
+        above=0,
+        systems=MODELS,
+    )
+    tolerance: float = setting(
+        1e-8, "change of the criterion or the parameters to stop at, as a share", above=0, systems=MODELS
+    )
+    offsets: bool = setting(True, OFFSETS, systems=ROBOT)
+    evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
+    frequencies: Mapping[str, float] = field(
+        default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
+    )
+
+    def surroundings(self, sample_time: float, *, stated: bool = True) -> tuple[Parameter, ...]:
+        """Return the parameters of the log, free where they are to be estimated; see `log_delay`."""
+        delay = log_delay(self.log_delay, sample_time, stated=stated)
+        lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
+        return delay, lag if self.current_lag is None else CURRENT_LAG.fix(self.current_lag)
+
+    def identify(self, task: Task) -> FitResult:
+        """Identify a joint from torque and motor position, whatever its controller.
+
+        The position's cut-off should be five times the free-free
+        frequency or more, the other one above it.
+
+        Raises:
+            RecordError: a channel is missing, or at another rate.
+            MethodError: no start gives a joint with positive inertias.
+        """
+        record, setup = task.record, DriveSide(task.joint)
+        record.require(setup.channels, "Drive-side identification")
+        assert record.torque is not None
+        around = self.surroundings(record.torque.sample_time, stated=record.torque.stated)
+        problem = motion_problem(record, setup, task.filtering, task.parameters, around)
+        if task.joint.model == "rigid" and _linear(problem, None)[0] == math.inf:
+            # Of a light joint in noise the reversals may be all that tells of its inertia.
+            problem = replace(problem, weights=weights_of(problem.motion))
+        starts, simulations = grid_starts(problem, self)
+        solution = solve(problem, LevenbergMarquardt(self.tolerance), np.array(starts), _report_steps(task.progress))
+        J, error = solution.jacobian, solution.residual
+        covariance = with_measured_motion(with_bands(sandwich(J, J, error), J, J, error), J, J, error)
+        resting = 1 - float(np.mean(weights_of(problem.motion)))
+        rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
+        limit = noise_limit_of(record, task.joint, ("motor_position",))
+        noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
+        used = simulations + solution.evaluations
+        warnings = (*noise, *((rest,) if resting > SAID else ()))
+        return _build_result(record, problem, solution, covariance, used, warnings)
+
+
+def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
+    """Return the best few starts, and the simulations they took (see the module)."""
+    if problem.joint.model == "rigid":
+        cost, found = _linear(problem, None)
+        if cost == math.inf:
+            raise MethodError(
+                f"Torque and motor position give inertia = {found['inertia']:.4g}, which no joint has: one of them has "
+                "the wrong sign (set record.channels.torque.sign = -1), or they do not belong together."
+            )
+        return [_vector(problem, found)], 1
+    cutoff = problem.filtering.cutoff
+    assert cutoff is not None
+    grid = [settings.frequency or 0.0]
+    if settings.frequency is None:
+        grid = [cutoff * _LOWEST ** (1 - i / (_GUESSES - 1)) for i in range(_GUESSES)]
+    tried = in_threads(lambda frequency: _linear(problem, frequency), grid)
+    costs = np.array([cost for cost, _ in tried])
+    # A valley of the criterion is refined once; the ends of the row are no worse than values outside it.
+    around = np.concatenate([[np.inf], costs, [np.inf]])
+    valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
+    if not valleys:
+        raise MethodError(
+            "At no motor-locked frequency below the cut-off do torque and motor position give a joint with positive "
+            "inertias: one of them has the wrong sign (set record.channels.torque.sign = -1), or they do not belong "
+            "together."
+        )
+    # One that explains much less of the torque than another will not overtake it.
+    lowest = float(min(costs))
+    best = sorted((i for i in valleys if costs[i] <= _WORSE * lowest), key=lambda i: float(costs[i]))[:_REFINED]
+    return [_vector(problem, tried[i][1]) for i in best], len(grid)
+
+
+def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
+    """Return the residual norm and the parameters of a joint with that motor-locked frequency: one regression.
+
+    The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
+    weighs is then a column, too, and a counterbalance is part of it. The log's delay is the factor of the measured
+    torque's slope.
+    """
+    flexible = frequency is not None
+    inertia, prefix = ("motor_inertia", "motor_") if flexible else ("inertia", "")
+    friction = tuple(p.name for p in problem.joint.friction.parameters(prefix, ""))
+    unit = {p.name: 0.0 for p in problem.parameters} | {inertia: 1.0}
+    if frequency is not None:
+        rate = 2 * math.pi * frequency
+        unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
+    forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
+    names = (inertia, *friction, *forces)
+    sought = (replace(p, free=True) if p.name in names else p.fix(unit[p.name]) for p in problem.parameters)
+    trial = replace(problem, parameters=tuple(sought))
+    x = np.array([unit[p.name] for p in trial.free])
+    error, J = trial.linearise(x)
+    W = [-column for column in J.T]
+    if flexible:
+        W.append(trial.filter(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
+    if any(p.name == LOG_DELAY.name and p.free for p in problem.parameters):
+        W.append(-problem.filter(np.gradient(problem.measured, problem.sample_time)))
+    columns = np.column_stack(W)
+    Y = problem.filter(problem.measured)
+    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    chi = np.linalg.lstsq(columns / norms, Y, rcond=1e-10)[0] / norms
+    found = dict(zip((p.name for p in trial.free), map(float, chi), strict=False))
+    if flexible:
+        load = float(chi[len(trial.free)])
+        found |= {name: load * unit[name] for name in ("load_inertia", "stiffness", "damping")}
+        for name in friction:  # what the regression finds is that of both sides
+            found[name] = 0.5 * max(found[name], 0.0)
+            found[name.replace("motor_", "load_")] = found[name]
+    positive = min(found[inertia], found.get("load_inertia", 1.0)) > 0
+    return (float(np.linalg.norm(Y - columns @ chi)) if positive else math.inf), found
+
+
+def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray:
+    """Return a start: what the user gives goes before what was found."""
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}
+    return problem.vector({**found, **given})
+
+
+def _report_steps(progress: Progress) -> Watch:
+    """Return a listener that reports the residual of every step."""
+    numbers = itertools.count(1)
+
+    def watch(step: Step) -> None:
+        progress(Detail(f"iteration {next(numbers)}: residual {step.norm:.6g}"))
+
+    return watch
+
+
+def _build_result(
+    record: Record,
+    problem: DriveSideProblem,
+    solution: Solution,
+    covariance: Covariance,
+    simulations: int,
+    warnings: Sequence[str] = (),
+) -> FitResult:
+    """Return the fit.
+
+    Args:
+        record: what was identified from.
+        problem: what was solved.
+        solution: of least squares.
+        covariance: of the errors of its parameters.
+        simulations: that were run.
+        warnings: on the record.
+    """
+    x = solution.x
+    # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
+    idle = np.asarray(~solution.jacobian.any(axis=0), dtype=np.bool_)
+    covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
+    lost = (
+        *find_lost(problem.free, x, covariance.std),
+        *(p.name for p, of in zip(problem.free, idle, strict=True) if of),
+    )
+    held = find_active_bounds(problem.free, x, solution.residual, solution.jacobian)
+    delay = -problem.values(x)[LOG_DELAY.name]
+    return FitResult(
+        params=build_params(problem, x, covariance, lost, held),
+        fit=build_fit(
+            problem,
+            problem.predict(x),
+            problem.residual(x),
+            solution.message,
+            converged=solution.converged,
+            simulations=simulations,
+        ),
+        checks=Checks(warnings=tuple(warnings)),
+        data=build_data(record, ("torque", "motor_position"), problem.sample_time),
+        settings=Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, delay),
+    )
