@@ -128,15 +128,6 @@ def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:
         ESTIMATE.save(tmp_path / "nowhere" / "out.json")
 
 
-def test_a_data_frame_has_a_row_for_each_parameter() -> None:
-    pytest.importorskip("pandas")
-    frame = ESTIMATE.to_dataframe()
-    assert list(frame.index) == [p.name for p in ESTIMATE.params.rows]
-    assert frame.loc["inertia", "value"] == ESTIMATE["inertia"].value
-    assert tuple(frame.loc["inertia", ["lower", "upper"]]) == ESTIMATE["inertia"].interval
-    assert np.isnan(frame.loc["coulomb", "value"])
-
-
 def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
     answer = answers.to_dict(amended(ESTIMATE, fit={"relative_error": float("nan")}))
     answers.write(answer, tmp_path / "out.json")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
-from jointid.common.errors import MethodError, RecordError, extra
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.fields import write
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
@@ -21,8 +21,6 @@ from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     import jointid
     from jointid.records.record import Record
 
@@ -183,29 +181,6 @@ class Estimate(EstimateParts, Documented):
         from jointid.estimation.result.summary import describe_estimate
 
         return describe_estimate(self, details=details)
-
-    def to_dataframe(self) -> DataFrame:
-        """Return the parameters as a pandas data frame: a row each, with value, standard error, interval and unit.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
-        rows = {}
-        for p in self.params.rows:
-            lower, upper = p.interval or (None, None)
-            rows[p.name] = {
-                "symbol": p.symbol,
-                "value": p.value,
-                "stderr": p.stderr,
-                "lower": lower,
-                "upper": upper,
-                "unit": p.unit,
-                "free": p.free,
-                "identifiable": p.identifiable,
-            }
-        pandas = extra("pandas", "dataframe", "A data frame")
-        frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
-        return frame.astype(dict.fromkeys(("value", "stderr", "lower", "upper"), float))
 
     # What follows is a shorter way to public functions, which stand above this room and are found by their public
     # names, as in a user's program.
