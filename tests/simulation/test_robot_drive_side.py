@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.rest import moving_weights, turning_weights
+from jointid.estimation.problems.inverse_model import moving_weights, turning_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
 from jointid.simulation.closed_loop import Outcome

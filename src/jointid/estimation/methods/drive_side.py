@@ -34,8 +34,13 @@ from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import FAILED, LOG_DELAY, RecordProblem, log_delay
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.problems.inverse_model import noise_limit_of, torque_and_positions
-from jointid.estimation.problems.rest import SAID, moving_weights, steady_weights
+from jointid.estimation.problems.inverse_model import (
+    SAID,
+    moving_weights,
+    noise_limit_of,
+    steady_weights,
+    torque_and_positions,
+)
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_data, build_fit, build_params, find_active_bounds, find_lost
 from jointid.estimation.result.parts import Checks, Settings

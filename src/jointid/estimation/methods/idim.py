@@ -28,13 +28,13 @@ from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
+    SAID,
     MeasuredMotion,
     idim_channels,
     joint_columns,
     motion_of,
     through_window,
 )
-from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_data, build_rows
 from jointid.estimation.result.estimate import relative_error

@@ -36,7 +36,7 @@ from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.problems.rest import REST
+from jointid.estimation.problems.inverse_model import REST
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord

@@ -27,8 +27,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
-from jointid.estimation.problems.inverse_model import MeasuredMotion
-from jointid.estimation.problems.rest import moving_weights
+from jointid.estimation.problems.inverse_model import MeasuredMotion, moving_weights
 from jointid.estimation.robots.fit import RobotFit, fixed_point
 from jointid.estimation.robots.flexible import (
     SLOW,

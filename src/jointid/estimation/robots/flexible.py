@@ -33,9 +33,8 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
 from jointid.common.parameters import Parameter
 from jointid.estimation.result.robot import SpringVerdict
-from jointid.estimation.robots.descents import OFF, UNSEEN, Descents
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.fit import NEAR, RobotFit
+from jointid.estimation.robots.fit import NEAR, OFF, UNSEEN, Descents, RobotFit
 from jointid.estimation.robots.laws import search_laws
 from jointid.estimation.robots.numbers import add_delays, apply_constraints, find_free_delays, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems, robot_problem

@@ -18,8 +18,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import pluralise
-from jointid.estimation.robots.descents import Descents, End
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.fit import Descents, End, RobotFit
 from jointid.estimation.robots.numbers import name_in_robot
 from jointid.estimation.robots.problem import RobotProblem, RobotRuns
 from jointid.estimation.starts.nonlinear_laws import JointMotion, law_starts, name_laws

@@ -15,12 +15,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.problems.inverse_model import (
+    SMEAR,
     MeasuredMotion,
     filter_motion,
+    steady_weights,
     through_window,
     torque_and_positions,
 )
-from jointid.estimation.problems.rest import SMEAR, steady_weights
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
 from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_columns, friction_terms

@@ -13,8 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import joint_columns, motion_along
-from jointid.estimation.problems.rest import steady_weights
+from jointid.estimation.problems.inverse_model import joint_columns, motion_along, steady_weights
 from jointid.estimation.starts.inverse_controller import (
     first_state,
     invertible_samples,
