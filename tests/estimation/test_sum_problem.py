@@ -11,7 +11,8 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.several_records import RecordsProblem, several
+from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem
+from jointid.estimation.problems.several_records import several as together
 from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
@@ -47,6 +48,15 @@ def two(
 ) -> tuple[list[ClosedLoopProblem], dict[str, float]]:
     heavier = axis.truth | {"load_inertia": axis.truth["load_inertia"] + 10.0}
     return [problem_of(axis, axis.truth, free), problem_of(axis, heavier, free, loop)], heavier
+
+
+def several(
+    problems: Sequence[ClosedLoopProblem],
+    own: Sequence[Sequence[str]] = ((), (), ()),
+    added: Sequence[dict[str, float]] = ({}, {}, {}),
+) -> RecordsProblem:
+    count, loops = len(problems), tuple(one.loop for one in problems)
+    return together(problems, RecordLayout(loops, tuple(added[:count]), tuple(own[:count])))
 
 
 def at(criterion: RecordsProblem, values: dict[str, float]) -> np.ndarray:

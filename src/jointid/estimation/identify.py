@@ -173,9 +173,9 @@ def fit(
         def fit_together(each: Sequence[Record]) -> FitResult:
             require_distinct(each)
             if windows is not None:
-                windowed = records_in_windows(layout, settings.own, method, filtering, parameters)
+                windowed = records_in_windows(layout, method, filtering, parameters)
                 return identify_log([[InMemory(one)] for one in each], windowed, windows, progress)
-            return identify_several(each, layout, settings.own, method, filtering, parameters, progress)
+            return identify_several(each, layout, method, filtering, parameters, progress)
 
         return fit_outputs(record, layout.loops, outputs, lambda each: state_scale(fit_together(each), each))
     if several is not None or isinstance(model, Sequence):

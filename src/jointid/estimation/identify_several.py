@@ -57,7 +57,6 @@ _ROUNDING = 1e-8  # of a value
 def identify_several(
     records: Sequence[Record],
     layout: RecordLayout,
-    own: Sequence[Sequence[str]] | None,
     method: Method | None,
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
@@ -72,7 +71,7 @@ def identify_several(
         alone.append(BySelf.of(record, fit, layout, k))
     starts = fill_starts([one.values for one in alone], [p.name for p in alone[0].problem.parameters])
     problems = [one.together(parameters) for one in alone]
-    whole = several(problems, own, layout=layout).weighing([1.0 / one.level for one in alone])
+    whole = several(problems, layout).weighing([1.0 / one.level for one in alone])
     gain = _gain(layout, starts)
     progress(f"{len(records)} records together, {len(whole.free)} parameters")
     begin = [

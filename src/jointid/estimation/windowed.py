@@ -81,7 +81,6 @@ def loop_in_windows(
     filtering: Filtering,
     changes: Mapping[str, Parameter],
     layout: RecordLayout | None = None,
-    own: Sequence[Sequence[str]] | None = None,
 ) -> Windowed:
     """Return the windows of a record under this loop.
 
@@ -91,7 +90,6 @@ def loop_in_windows(
         filtering: as declared.
         changes: to the parameters of a window.
         layout: of several records, of which this is one; None of one.
-        own: names of parameters of each of several records.
 
     Raises:
         MethodError: it is not identified in windows.
@@ -113,7 +111,8 @@ def loop_in_windows(
         return LoopWindow(window), window.vector({p.name: p.value for p in fit.params.rows if p.value is not None})
 
     def together(starts: Sequence[Start]) -> RecordsProblem:
-        return several([_problem(start) for start in starts], own, layout=layout)
+        assert layout is not None
+        return several([_problem(start) for start in starts], layout)
 
     def answer(solved: Solved) -> Told:
         window, x = _problem(solved.starts[0]), solved.x
@@ -137,11 +136,7 @@ def loop_in_windows(
 
 
 def records_in_windows(
-    layout: RecordLayout,
-    own: Sequence[Sequence[str]] | None,
-    method: Method | None,
-    filtering: Filtering,
-    parameters: Mapping[str, Parameter],
+    layout: RecordLayout, method: Method | None, filtering: Filtering, parameters: Mapping[str, Parameter]
 ) -> list[Windowed]:
     """Return the windows of each of several records.
 
@@ -151,7 +146,7 @@ def records_in_windows(
     if layout.free:
         raise MethodError(f"{join(layout.free)} of several records is identified from all rows at once.")
     return [
-        loop_in_windows(loop, method, filtering, layout.changes(parameters, k, acting=True), layout, own)
+        loop_in_windows(loop, method, filtering, layout.changes(parameters, k, acting=True), layout)
         for k, loop in enumerate(layout.loops)
     ]
 

@@ -45,12 +45,14 @@ class RecordLayout:
     Attributes:
         loops: one for each record.
         added: for each record, what is known to come on top of the shared parameters, by name.
+        own: for each record, names of its parameters that the others do not share.
         free: names of what surrounds the joint and is identified too.
     """
 
     loops: tuple[ClosedLoop, ...]
-    added: tuple[dict[str, float], ...]
-    free: tuple[str, ...]
+    added: tuple[Mapping[str, float], ...]
+    own: tuple[Sequence[str], ...]
+    free: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, count: int, loops: ClosedLoop | Sequence[ClosedLoop], settings: SeveralRecords) -> RecordLayout:
@@ -81,7 +83,7 @@ class RecordLayout:
                 "the added inertia tells, or give the torque in SI units."
             )
         name = next(p.name for p in reversed(joint.parameters) if p.quantity is Quantity.INERTIA)
-        return cls(each, tuple({name: m} if m else {} for m in more), tuple(settings.free))
+        return cls(each, tuple({name: m} if m else {} for m in more), tuple(own), tuple(settings.free))
 
     @property
     def joint(self) -> Joint:
@@ -204,25 +206,18 @@ class RecordsProblem(RecordProblem):
         return np.concatenate(errors), np.concatenate(slopes)
 
 
-def several(
-    problems: Sequence[ClosedLoopProblem],
-    own: Sequence[Sequence[str]] | None = None,
-    added: Sequence[Mapping[str, float]] | None = None,
-    layout: RecordLayout | None = None,
-) -> RecordsProblem:
+def several(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> RecordsProblem:
     """Return the problem of several records; their residuals have equal weight, see `RecordsProblem.weighing`.
 
     Args:
         problems: one for each record, of one model of joint.
-        own: for each record, names of its parameters that the others do not share.
-        added: for each record, what is known to come on top of the shared value, by name, in the parameter's unit.
-        layout: how they belong together, which says the same, and the units.
+        layout: how they belong together.
 
     Raises:
         MethodError: the joints are not of one model; a name is not one of a record's parameters; a parameter is its
             record's own and has something known added; or nothing tells the drive's gain.
     """
-    own, added = own or [()] * len(problems), added or (layout.added if layout else [{}] * len(problems))
+    own, added = layout.own, layout.added
     names = {tuple(p.name for p in problem.loop.joint.parameters) for problem in problems}
     if len(names) != 1 or len({problem.loop.joint.kind for problem in problems}) != 1:
         raise MethodError("Records that are fitted together have one model of joint, of one kind; give them the same.")
@@ -258,7 +253,7 @@ def several(
         tuple((shared | free).values()),
         np.concatenate([problem.measured for problem in problems]),
         first.filtering,
-        layout or RecordLayout(tuple(problem.loop for problem in problems), tuple(map(dict, added)), ()),
+        layout,
         tuple(problems),
         tuple(free.values()),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
