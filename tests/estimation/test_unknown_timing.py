@@ -59,6 +59,15 @@ def test_validation_reads_a_fresh_record_as_the_estimate_did():
     assert errors[0] == errors[1] < errors[2]
 
 
+@pytest.mark.parametrize("samples", [2, -3])
+def test_intervals_cover_a_log_that_is_late(samples):
+    record = logged(200.0, True, 1)[0]
+    assert record.torque is not None
+    late = replace(record, torque=replace(record.torque, values=np.roll(record.torque.values, samples)))
+    found = ji.identify(late, ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
+    assert all(abs(found[name].value - true) <= 2 * found[name].stderr for name, true in TRUE.items())
+
+
 @pytest.mark.parametrize("late", [None, 0.0])
 def test_on_the_drive_side_the_delay_makes_up_for_the_timing(late):
     """Of a torque that was sampled half a sample, which moves friction and inertia where the delay is kept."""

@@ -35,6 +35,7 @@ _DELAY_SAID = (
     "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
     "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
 )
+_LATEST = 8.0  # half samples: beyond, the residual power is no parabola
 _READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
 
 Logs: TypeAlias = Sequence[Record]
@@ -79,7 +80,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     best, spread, told = _find_minimum(fits)
     both = [fits[timing] for timing in _READINGS[:2]]
     change = {name: 0.5 * abs(by) for name, by in _moved(both[1], both[0]).items()}
-    best = float(np.clip(best, -1.0, 2.0))
+    best = float(np.clip(best, -_LATEST, _LATEST))
     at = int(abs(best - 1.0) < abs(best))
     where = (
         f"the record puts it {number(0.5 * best, 2)} ± {number(0.5 * spread, 2)} samples before held (sampled is "
