@@ -109,11 +109,10 @@ class Estimate(EstimateParts, Documented):
         log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
         return {**self.values, **log}
 
-    def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
-        """Return the columns of the torque of a motion.
+    def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
+        """Return the torque of a motion, as for a feed-forward, N m or N, as the log has it.
 
-        Times the parameters, in the order of `values`, they are `torque`. A spring does not deflect in this motion, so
-        that motor and load move alike.
+        A spring does not deflect in this motion, so that motor and load move alike.
 
         Args:
             q: (samples,) position of a joint, or (samples, n) of the joints of a robot, rad or m, on the side that was
@@ -122,11 +121,23 @@ class Estimate(EstimateParts, Documented):
             a: the acceleration, in the same shape.
 
         Returns:
-            (samples, parameters), of a robot (samples, n, parameters); without samples, less the first.
+            The torque, in the shape of the position.
 
         Raises:
-            MethodError: the three have not one shape, or a friction is not linear in its parameters.
+            MethodError: a value is refused, the three have not one shape, or a friction is not linear in its
+                parameters.
+
+        Example:
+            >>> import jointid as ji
+            >>> axis = ji.twin("L19", noise="none")
+            >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), axis.loop.controller)
+            >>> estimate = ji.identify(axis.record, loop, filtering=ji.Filtering(cutoff=5.0), checks=False)
+            >>> values, torque = estimate.values, estimate.torque(0.1, 0.2, 3.0)
+            >>> sums = 3.0 * values["inertia"] + 0.2 * values["viscous"] + values["coulomb"] + values["offset"]
+            >>> bool(abs(torque - sums) < 1e-9)
+            True
         """
+        self.require_values()
         motion = [np.asarray(one, dtype=np.float64) for one in (q, v, a)]
         axes: tuple[int, ...] = () if self.robot is None else (len(self.robot.model),)
         shape = motion[0].shape
@@ -141,36 +152,7 @@ class Estimate(EstimateParts, Documented):
         else:
             moved, joint = Motion(*rows), self.settings.joint
             columns = joint.regressor(moved, moved).sum(axis=0)
-        return columns.reshape(*shape, -1)
-
-    def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
-        """Return the torque of a motion, as for a feed-forward, N m or N, as the log has it.
-
-        Args:
-            q: position, see `regressor`.
-            v: velocity.
-            a: acceleration.
-
-        Returns:
-            The torque, in the shape of the position.
-
-        Raises:
-            MethodError: see `regressor`; or a value is refused.
-
-        Example:
-            >>> import jointid as ji
-            >>> axis = ji.twin("L19", noise="none")
-            >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), axis.loop.controller)
-            >>> estimate = ji.identify(axis.record, loop, filtering=ji.Filtering(cutoff=5.0), checks=False)
-            >>> values, torque = estimate.values, estimate.torque(0.1, 0.2, 3.0)
-            >>> sums = 3.0 * values["inertia"] + 0.2 * values["viscous"] + values["coulomb"] + values["offset"]
-            >>> bool(abs(torque - sums) < 1e-9)
-            True
-        """
-        columns = self.regressor(q, v, a)
-        if columns.shape[-1] != len(self.values):
-            self.require_values()  # which says what is refused
-        return np.asarray(columns @ np.array([*self.values.values()]))
+        return np.asarray(columns @ np.array([*self.values.values()])).reshape(shape)
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
