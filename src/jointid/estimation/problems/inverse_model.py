@@ -80,6 +80,7 @@ class MeasuredMotion:
         limit: Hz, the highest cut-off that the noise of the positions allows.
         raw: (samples, n) positions as measured.
         resting: share of the record in which the motor of a joint rests.
+        stated: (instants,) the decimated rows that are kept; None keeps all, 0 at rest.
     """
 
     q: FloatArray
@@ -92,6 +93,7 @@ class MeasuredMotion:
     limit: float
     raw: FloatArray
     resting: float = 0.0
+    stated: NDArray[np.bool_] | None = None
 
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
@@ -106,7 +108,8 @@ class MeasuredMotion:
     def rows_at(self) -> NDArray[np.intp]:
         """Return the samples of the decimated rows, (instants,)."""
         rows = -(-(self.inside.stop - self.inside.start) // (self.filtering.decimation or 1))
-        return decimated_at(rows, self.inside.stop, self.filtering)
+        at = decimated_at(rows, self.inside.stop, self.filtering)
+        return at if self.stated is None else at[self.stated]
 
     def begin(self, size: int) -> MeasuredMotion:
         """Return the motion of the first samples."""
@@ -127,12 +130,12 @@ class MeasuredMotion:
         return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of one equation, (samples, columns), decimated, (rows, columns), 0 at rest."""
+        """Return columns of one equation, (samples, columns), decimated, (rows, columns), 0 or left out at rest."""
         moving = self.moving[self.inside, joint]
         rows, whole = decimate_all(
             [columns[self.inside] * moving[:, np.newaxis], moving], self.filtering, self.sample_time
         )
-        return np.where(whole[:, np.newaxis] <= _TOLD, 0.0, rows)
+        return np.where(whole[:, np.newaxis] <= _TOLD, 0.0, rows) if self.stated is None else rows[self.stated]
 
 
 def filter_motion(
@@ -261,7 +264,9 @@ def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) 
     weights = [steady_weights(side, filtering.position_cutoff, sample_time) for side in motion.v.T]
     # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
     steady = np.column_stack([moving if joint.model == "flexible" else without for moving, without in weights])
-    return replace(motion, moving=steady, resting=1.0 - float(np.mean(weights[0][0])))
+    (share,) = decimate_all([steady[motion.inside]], filtering, sample_time)
+    resting, stated = 1.0 - float(np.mean(weights[0][0])), np.any(share > _TOLD, axis=1)
+    return replace(motion, moving=steady, resting=resting, stated=stated)
 
 
 def _title(joint: Joint) -> str:
