@@ -5,7 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 import tracemalloc
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.chunks import InMemory, Log
+from jointid.records.chunks import Chunk, InMemory, Log
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
@@ -189,6 +190,42 @@ def test_a_record_in_a_file_is_that_in_memory(tmp_path: Path) -> None:
     )
     for p in here.params.rows:
         assert there[p.name].value == pytest.approx(p.value, rel=1e-12)
+
+
+@dataclass
+class Stopped:
+    """A record whose reading is interrupted, in its first whole pass."""
+
+    source: InMemory
+    after: int
+    name: str = "stopped"
+
+    @property
+    def sample_time(self) -> float:
+        return self.source.sample_time
+
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        for count, piece in enumerate(self.source.chunks(length, overlap, every)):
+            if every == 1 and count >= self.after:
+                raise KeyboardInterrupt
+            yield piece
+
+
+def test_an_interrupt_keeps_what_it_had() -> None:
+    record = rigid(100.0)
+    whole, estimate = (
+        identify(record, LOOP),
+        identify(Stopped(InMemory(record), 12), LOOP, windows=Windowing(length=5.0)),
+    )
+    assert estimate.fit.interrupted
+    assert not estimate.fit.converged
+    assert estimate.data.windows.count == 12
+    assert estimate.fit.stop.startswith("interrupted after 12 windows")
+    std = whole["inertia"].stderr
+    assert std is not None
+    assert abs(estimate["inertia"].value - whole["inertia"].value) <= 3 * std
+    with pytest.raises(KeyboardInterrupt):  # of too few windows nothing can be said
+        identify(Stopped(InMemory(record), 3), LOOP, windows=Windowing(length=5.0))
 
 
 @pytest.mark.slow
@@ -397,6 +434,22 @@ def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypat
     with pytest.raises(MethodError, match="does not tell"):
         ji.identify(record, LOOP)
     assert ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
+
+
+def test_an_interrupt_of_windows_by_themselves_checks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, said = rigid(100.0), list[str]()
+
+    def interrupt(message: str) -> None:
+        said.append(message)
+        if said.count(said[0]) == 1 and "torque error" in message and "windows," in message:
+            said.append(said[0])
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) // 8)
+    found = ji.identify(record, LOOP, progress=interrupt)
+    assert found.fit.interrupted
+    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert loop.said.startswith("not checked: the identification was interrupted")
 
 
 TEN_MINUTES = """

@@ -98,6 +98,8 @@ def identify(
         unchecked: called with the estimate before its checks.
         progress: called with each step in a sentence.
 
+    An interrupt of the last passes over a log ends them, and the estimate is of what was read: `Fit.interrupted`.
+
     Raises:
         RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
             or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in; or a
@@ -185,6 +187,8 @@ def identify(
 
 def _fit_part(fit: FitResult, part: object, record: object, fit_it: Callable[[], FitResult]) -> FitResult | str:
     """Return the fit of the checked part of a record, or why there is none."""
+    if fit.fit.interrupted:
+        return "the identification was interrupted"
     short = [find_too_short(one) is not None for one in (part, record) if isinstance(one, Record)]
     if short == [True, False]:
         return "no window has enough motion, both ways"

@@ -151,7 +151,7 @@ def identify_log(
 ) -> FitResult:
     """Return the estimate of a joint or a robot from long logs, in bounded memory.
 
-    See `jointid.identify`.
+    See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
 
     Args:
         logs: of each axis.
@@ -307,6 +307,9 @@ def stream(problem: LogProblem, start: FloatArray) -> Streamed:
         level = sums.square / sums.rows
         step = step_of(sums, bounds.shift_to(x))
         far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
+        if not found.ended:
+            stop = f"interrupted after {found.count} windows ({found.windows[-1].end / 3600:.3g} h)"
+            return Streamed(problem, x + step, found.shift(step), whole, stop, False)
         # Where nothing is left, nothing is a deviation.
         if every == 1 and (far < _SETTLED or level <= _rounding(sums)):
             stop = f"converged: the last pass moved the parameters by {far:.2g} deviations (limit {_SETTLED:g})"
@@ -338,6 +341,7 @@ def _pass_to_windows(problem: LogProblem, x: FloatArray, every: int, before: _Be
     """Return a pass; None where a step led uphill, or to what cannot be simulated.
 
     Raises:
+        KeyboardInterrupt: it was interrupted, and says too little.
         NotSimulatedError: a window cannot be simulated at the start.
     """
     try:
@@ -346,6 +350,10 @@ def _pass_to_windows(problem: LogProblem, x: FloatArray, every: int, before: _Be
         if before is None:
             raise
         return None
+    if not found.ended:
+        if every > 1 or found.count < FEW:
+            raise KeyboardInterrupt
+        return found
     if before is not None and before.every == every and found.windows:
         least = max(before.found.level(problem.sigma), _rounding(found.sums))
         return None if found.level(problem.sigma) > least else found
@@ -397,6 +405,7 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
             simulations=problem.tally.evaluations if first.model.simulates else 0,
             stop=end.stop,
             converged=end.converged,
+            interrupted=not found.ended,
             axis_errors=axis_errors,
         ),
         checks=Checks(

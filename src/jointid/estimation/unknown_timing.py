@@ -68,7 +68,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     if first.settings.method != "idim" or (stated and (len(read) != 1 or first.fit.simulations)):
         return first  # instruments are simulated, minutes for a robot
     own, fits = min(read, key=_READINGS.index), dict[Timing, FitResult]()
-    if len(read) == 1:
+    if len(read) == 1 and not first.fit.interrupted:
         fits = _fit_readings(lambda timing: first if timing is own else fit(read_as(records, timing, stated)))
     if not fits.keys() >= {Timing.HELD, Timing.SAMPLED}:
         said = (

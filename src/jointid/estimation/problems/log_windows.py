@@ -249,6 +249,7 @@ class Pass:
         sizes: (logs, equations, 3) squares of residual and of what it is left of, not weighted, and rows.
         scores: (bands, free) of the derivatives with the residual, summed up to each band of frequency.
         count: of windows that are in the sums.
+        ended: False where it was interrupted.
     """
 
     windows: tuple[Window, ...]
@@ -257,6 +258,7 @@ class Pass:
     sizes: FloatArray
     scores: FloatArray
     count: int
+    ended: bool = True
 
     @property
     def sums(self) -> Sums:
@@ -352,7 +354,7 @@ class LogProblem:
         return replace(self, sigma=np.where(rows > 0, sigma, self.sigma))
 
     def pass_over(self, x: FloatArray, every: int = 1) -> Pass:
-        """Pass over one window in so many.
+        """Pass over one window in so many; an interrupt ends it with what it has.
 
         Raises:
             RecordError: a piece of the record cannot be read.
@@ -361,7 +363,7 @@ class LogProblem:
         windows: list[Window] = []
         places: dict[int, Place] = {}
         sizes, scores = np.zeros((*self.sigma.shape, 3)), np.zeros((_BANDS.size, x.size))
-        still, read, count = 0, 0, 0
+        still, read, count, ended = 0, 0, 0, True
         pieces: Iterable[tuple[int, tuple[Chunk, ...]]] = (
             (number, piece)
             for number, member in enumerate(self.members)
@@ -370,33 +372,36 @@ class LogProblem:
         # How many there are the first pass finds out.
         total = -(-self._windows[-1] // every) if self._windows else math.inf
         pieces = follow(pieces, self.progress, "passing over the log", total, "windows")
-        for number, piece in pieces:
-            read += 1
-            member, records = self.members[number], [one.record for one in piece]
-            try:
-                seen = member.model.look(records, x[member.at] + member.added)
-            except RecordError:
-                if not (read > 1 and piece[0].last):  # a last one may be too short for filters
-                    raise
-                continue
-            if seen is None:
-                still += 1
-                continue
-            self.tally.evaluations += 1
-            counted = (seen.at >= self.settling) & (seen.at < seen.samples - self.settling)
-            if not counted.any():
-                continue
-            found, there, own, rising = self._sum(seen, counted, number, records[0])
-            sizes[number] += own
-            scores += rising
-            for place, said in there.items():
-                places[place] = places[place] + said if place in places else said
-            windows += found
-            count += 1
-            if every == 1:
-                self._tell(count, windows)
-        self._windows.append(read * every)
-        return Pass(tuple(windows), places, still, sizes, scores, count)
+        try:
+            for number, piece in pieces:
+                read += 1
+                member, records = self.members[number], [one.record for one in piece]
+                try:
+                    seen = member.model.look(records, x[member.at] + member.added)
+                except RecordError:
+                    if not (read > 1 and piece[0].last):  # a last one may be too short for filters
+                        raise
+                    continue
+                if seen is None:
+                    still += 1
+                    continue
+                self.tally.evaluations += 1
+                counted = (seen.at >= self.settling) & (seen.at < seen.samples - self.settling)
+                if not counted.any():
+                    continue
+                found, there, own, rising = self._sum(seen, counted, number, records[0])
+                sizes[number] += own
+                scores += rising
+                for place, said in there.items():
+                    places[place] = places[place] + said if place in places else said
+                windows += found
+                count += 1
+                if every == 1:
+                    self._tell(count, windows)
+            self._windows.append(read * every)
+        except KeyboardInterrupt:
+            ended = False
+        return Pass(tuple(windows), places, still, sizes, scores, count, ended)
 
     def _sum(
         self, seen: Seen, counted: NDArray[np.bool_], number: int, record: Record

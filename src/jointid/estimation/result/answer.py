@@ -277,6 +277,7 @@ class Against(StrEnum):
     WIDE = "wide_interval"
     NO_INTERVAL = "no_interval"
     ONLY_TOGETHER = "only_together"
+    INTERRUPTED = "interrupted"
     ENCODER_LAG = "encoder_lag"
 
 
@@ -310,7 +311,9 @@ def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list
 
 def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Message]:
     fit, checks = estimate.fit, estimate.checks
-    if not fit.converged:
+    if fit.interrupted:
+        yield Message(Against.INTERRUPTED, "it was interrupted, and is of the record's beginning only")
+    elif not fit.converged:
         yield Message(Against.NOT_CONVERGED, "the search did not converge")
     if checks.encoder_lag is not None and asked.name in _OF_SPRING:
         lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"

@@ -196,6 +196,7 @@ class Fit:
         passes: over the whole of a long log.
         at_limit: share of the controller's periods at its limit, in a long log.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
+        interrupted: True if the last pass over a long log was: the estimate is of its beginning.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
         position_rms: of the simulated motor position's error where it was logged under a controller, in m or rad, by
             the name of the joint in its robot, "" for a joint alone.
@@ -215,6 +216,7 @@ class Fit:
     initial: Initial | None = None
     passes: int = 0
     at_limit: float = 0.0
+    interrupted: bool = False
     axis_errors: Mapping[str, float] = field(default_factory=dict)
     position_rms: Mapping[str, float] = field(default_factory=dict)
 

@@ -59,7 +59,7 @@ def describe_estimate(estimate: EstimateParts, *, details: bool = False) -> Docu
     facts = [*_results(estimate, details=details)]
     if details:
         facts += _effort(estimate)
-    elif not (fit.converged or checks.verdicts):  # no verdict says why it ended so
+    elif fit.interrupted or not (fit.converged or checks.verdicts):  # no verdict says why it ended so
         facts += [("stopped", fit.stop)]
     facts += _limits(estimate, details=details)
     if checks.verdicts:
