@@ -35,6 +35,7 @@ State: TypeAlias = tuple[float, float, float, float]
 FINISHED, DIVERGED, TOO_STIFF, CHATTERING = 0, 1, 2, 3
 
 _MAP = 24  # one mode's map: five columns of four, then what its proofs need
+_MAP_ORDER = 14  # of its Taylor series
 # Longest Taylor step, as a fraction of 1/(fastest rate of the drive): the remainder of a series of the order `ORDER` is
 # at most 30 times the rounding error.
 _STEP = 0.25
@@ -47,7 +48,7 @@ _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an
 TAPE = 10
 
 _SPRING = 4  # row of the event solver's scratch after the states: the spring's force
-_FACTOR = np.array([1.0 / math.factorial(i) for i in range(ORDER + 1)])
+_FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
 
 
 class Drive(NamedTuple):
@@ -218,6 +219,58 @@ def _fastest_rate(p: Drive) -> float:
     return math.sqrt(p.stiffness * mobility) + p.damping * mobility + viscous1 + viscous2
 
 
+@compile_kernel
+def _fill_map(m: FloatArray, b: int, p: Drive, m1: int, m2: int, h: float) -> None:
+    """Write the map of one mode over `h` seconds at m[b:], column by column, and the margins of its proofs.
+
+    A column is what the motion adds to the positions, and its final velocities, when it starts from a unit of motor
+    velocity, stretch or load velocity, or from rest under a unit of torque or the constant forces. A step too long
+    for its Taylor series is halved first and the map doubled back.
+    """
+    step, doublings = h, 0
+    while _fastest_rate(p) * step > _STEP and doublings < 60:
+        step *= 0.5
+        doublings += 1
+    f = _motion(p, m1, m2)
+    h1, h2 = step * f.mobility1, step * f.mobility2
+    stiff1, stiff2, damp1, damp2 = p.stiffness * h1, p.stiffness * h2, p.damping * h1, p.damping * h2
+    drag1, drag2 = f.viscous1 * h1, f.viscous2 * h2
+    for column in range(5):
+        at = b + 4 * column
+        v1 = 1.0 if column == 0 and m1 != 0 else 0.0
+        stretch = 1.0 if column == 1 else 0.0
+        v2 = 1.0 if column == 2 and m2 != 0 else 0.0
+        force1 = h1 if column == 3 else (h1 * f.force1 if column == 4 else 0.0)
+        force2 = h2 * f.force2 if column == 4 else 0.0
+        m[at], m[at + 1], m[at + 2], m[at + 3] = 0.0, v1, 0.0, v2
+        for k in range(1, _MAP_ORDER + 1):
+            m[at] += v1 * (step * _FACTOR[k])
+            m[at + 2] += v2 * (step * _FACTOR[k])
+            apart = v2 - v1
+            v1 = ((force1 + stiff1 * stretch) - drag1 * v1) + damp1 * apart
+            v2 = ((force2 - stiff2 * stretch) - drag2 * v2) - damp2 * apart
+            stretch = step * apart
+            force1, force2 = 0.0, 0.0
+            m[at + 1] += v1 * _FACTOR[k]
+            m[at + 3] += v2 * _FACTOR[k]
+    for _ in range(doublings):
+        q00, q01, q02, q03 = m[b], m[b + 1], m[b + 2], m[b + 3]
+        q10, q11, q12, q13 = m[b + 4], m[b + 5], m[b + 6], m[b + 7]
+        q20, q21, q22, q23 = m[b + 8], m[b + 9], m[b + 10], m[b + 11]
+        for column in range(5):
+            at = b + 4 * column
+            d0, v1, d2, v2 = m[at], m[at + 1], m[at + 2], m[at + 3]
+            stretch = (1.0 if column == 1 else 0.0) + (d2 - d0)
+            again = 1.0 if column > 2 else 0.0  # a force acts in the second half, too
+            m[at] = d0 + again * d0 + (q00 * v1 + q10 * stretch + q20 * v2)
+            m[at + 1] = again * v1 + (q01 * v1 + q11 * stretch + q21 * v2)
+            m[at + 2] = d2 + again * d2 + (q02 * v1 + q12 * stretch + q22 * v2)
+            m[at + 3] = again * v2 + (q03 * v1 + q13 * stretch + q23 * v2)
+    bend1, bend2, growth = _margins(p, f, m1, m2, h)
+    m[b + 20], m[b + 21] = bend1 * growth, bend2 * growth
+    m[b + 22], m[b + 23] = (bend1, bend2) if growth == 1.0 else (np.inf, np.inf)
+
+
 @inline_kernel
 def _margins(p: Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
     """Return how far what must stay positive can bend from its chord in a period, per root energy; and its growth.
@@ -316,33 +369,6 @@ def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, l
         force1, force2 = 0.0, 0.0
         if k == 0:
             v1, v2 = 0.0 if loose1 else v1, 0.0 if loose2 else v2
-
-
-@compile_kernel
-def _fill_map(m: FloatArray, b: int, c: FloatArray, p: Drive, m1: int, m2: int, h: float) -> None:
-    """Write the map of one mode over `h` seconds at m[b:], column by column, and the margins of its proofs.
-
-    A column is what the motion adds to the positions, and its final velocities, when it starts from a unit of motor
-    velocity, stretch or load velocity, or from rest under a unit of torque or the constant forces.
-    """
-    f = _motion(p, m1, m2)
-    free = _Motion(f.mobility1, f.mobility2, f.viscous1, f.viscous2, 0.0, 0.0)
-    pieces = math.ceil(2.0 * _fastest_rate(p) * h / _STEP) + 1  # what the series leaves out is below the rounding
-    for column in range(5):
-        v1 = 1.0 if column == 0 and m1 != 0 else 0.0
-        v2 = 1.0 if column == 2 and m2 != 0 else 0.0
-        stretch, d1, d2 = 1.0 if column == 1 else 0.0, 0.0, 0.0
-        for _ in range(pieces):
-            x = 0.0, v1, stretch + (d2 - d1), v2
-            _series(c, p, f if column == 4 else free, x, 1.0 if column == 3 else 0.0, h / pieces, False, False)
-            v1, v2 = c[1, 0], c[3, 0]
-            for k in range(1, ORDER + 1):
-                d1, v1, d2, v2 = d1 + c[0, k], v1 + c[1, k], d2 + c[2, k], v2 + c[3, k]
-        at = b + 4 * column
-        m[at], m[at + 1], m[at + 2], m[at + 3] = d1, v1, d2, v2
-    bend1, bend2, growth = _margins(p, f, m1, m2, h)
-    m[b + 20], m[b + 21] = bend1 * growth, bend2 * growth
-    m[b + 22], m[b + 23] = (bend1, bend2) if growth == 1.0 else (np.inf, np.inf)
 
 
 @inline_kernel
@@ -641,7 +667,7 @@ def run(
             b = mode * _MAP
             if not filled[mode]:
                 filled[mode] = True
-                _fill_map(maps, b, c, p, m1, m2, lengths[0])
+                _fill_map(maps, b, p, m1, m2, lengths[0])
             if m1 != 0 and m2 != 0:
                 k, limited, start, memory = _glide(
                     False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
@@ -682,7 +708,7 @@ def run(
             if not filled[mode]:
                 filled[mode] = True
                 for other in range(parts):
-                    _fill_map(maps, (9 * other + mode) * _MAP, c, p, m1, m2, lengths[other])
+                    _fill_map(maps, (9 * other + mode) * _MAP, p, m1, m2, lengths[other])
             b = (9 * part + mode) * _MAP
             y0, y1, y2, y3 = x0, 0.0, x2, 0.0
             for column, size in enumerate((x1, x2 - x0, x3, s, 1.0)):
