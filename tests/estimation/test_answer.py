@@ -173,7 +173,7 @@ def test_a_value_of_zero_that_may_have_either_sign_is_not_relied_on() -> None:
 
 
 def test_a_stiffness_behind_a_late_encoder_is_not_relied_on_but_an_inertia_is() -> None:
-    lag = {"encoder_lag": EncoderLag("load_position", "motor_position", 0.0031, 0.97)}
+    lag = {"encoder_lag": EncoderLag("load_position", 0.0031, 0.97)}
     answer = amended(judged(flexible(1000.0, 10.0)), checks=lag).answer
     assert (answer.trust.code, answer.trust.values["reasons"]) == (Trust.NOT_YET, ["encoder_lag"])
     assert str(answer.trust) == "Do not rely on it yet: load_position seems 3.1 ms late, which hides the spring"

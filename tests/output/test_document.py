@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import sys
 from functools import cache
 from html.parser import HTMLParser
 from typing import Any
@@ -101,12 +100,6 @@ def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
     assert not found.open and not {"script", "a"} & {*found.found}
     assert html.index("<p>") < html.index("<table") if "<table" in html else True
     assert html.count(f"<p>{made.sentence.split('<')[0][:30]}") == 1  # a title that is the answer is not said again
-
-
-def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ji.ExtraError):
-        results()["estimate"].to_dataframe()
 
 
 def test_pictures_are_a_word_away() -> None:
