@@ -210,3 +210,12 @@ def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats() -> None:
     assert np.all(share >= 0.89)
     assert 0.93 <= share.mean() <= 0.985
     assert repeats <= 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_signs_that_change_nothing_count_whatever_rounding_says(seed: int) -> None:
+    """One place that three blocks of time visit: a quarter of all draws leave its products as they are."""
+    rows = np.arange(400)
+    where = replace(WHERE, label=np.where(np.isin(rows // 18, (0, 5, 11)), 0, rows + 1))
+    p_value = repeatable(1.0 + np.random.default_rng(seed).standard_normal(rows.size), where).p_value
+    assert p_value is not None and p_value > 0.2

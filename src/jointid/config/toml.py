@@ -17,7 +17,7 @@ from jointid.common import messages
 from jointid.common.errors import JointFileError
 from jointid.common.files import open_file
 
-_LARGEST = 2**20  # bytes; a state space of order 100 takes a quarter of it
+_LARGEST = 2**20  # bytes
 _DEEPEST = 256  # points in a key: the parser takes the square of their number
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")

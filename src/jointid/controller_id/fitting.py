@@ -32,7 +32,6 @@ from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, LATE, Structure, bounds, may_be_negative, starts
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
 
-_FLOOR = 1e-8  # of the torque's power: no frequency is weighted by less noise
 _STEP, _ENOUGH = 1e-4, 1e-5  # of a filter's number, for its difference; of the cost, for the end of a search
 _STEPS = 12  # of the last search, for all numbers
 _HELD = 300_000  # samples of which columns are kept for other laws with the same filters

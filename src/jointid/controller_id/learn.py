@@ -211,9 +211,9 @@ def _list_limitations(log: LoopRecord, structure: Structure, limit: float, resid
     if law > max(_MUCH * regression, _MATERIAL):
         yield Message(
             LimitationCode.ANOTHER_LAW,
-            f"The best law of the menu, {structure}, leaves {100 * law:.2g} % of the torque, a plain regression on the "
-            f"past of reference and position {100 * regression:.2g} %: the drive's law is another, and what is left is "
-            "no noise; declare the law from the drive's documentation.",
+            f"The best law that is searched for, {structure}, leaves {100 * law:.2g} % of the torque, a plain "
+            f"regression on the past of reference and position {100 * regression:.2g} %: the drive's law is another, "
+            "and what is left is no noise; declare the law from the drive's documentation.",
             {"law": float(law), "regression": float(regression)},
         )
     if math.isinf(limit):

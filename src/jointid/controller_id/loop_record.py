@@ -113,6 +113,7 @@ def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
 def prepare_loop_record(record: Record) -> LoopRecord:
     """Prepare a record for learning."""
     missing = [name for name in _NEEDED if getattr(record, name) is None]
+    missing += ["torque"] if record.computed else []  # that of the law which is declared
     if missing:
         raise RecordError(
             f"A controller is learned from torque, reference and the measured motor position; {record.name} is read "

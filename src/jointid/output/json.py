@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from jointid import ClosedLoop, Record, __version__
+from jointid import ClosedLoop, __version__
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.fields import dumps, finite, plain, write
@@ -64,7 +64,7 @@ def to_dict(result: object) -> Json:
         >>> ji.to_dict(ji.identify(record, loop))["schema"]
         'jointid.Estimate/2'
     """
-    if not isinstance(result, Documented) or isinstance(result, Record):
+    if not isinstance(result, Documented):
         raise MethodError(
             f"Only a result is written as JSON; received {type(result).__name__}: give what a verb returned."
         )

@@ -64,7 +64,7 @@ def design(
         record: the test there is already, which an estimate was identified from. Its motion is compared; it states the
             limits of stroke and torque that are not given, of a robot those of positions and speed. Of a robot one for
             each joint.
-        values: every parameter of the joint by name; those of the estimate by default.
+        values: every parameter of a joint that is roughly known, by name; an estimate has its own.
         noise: what will disturb the test; by default the residual of the record. Of a robot the standard deviation of
             white noise on each joint's torque; without a record 1 % of the torque.
         goal: a parameter, a sum or a difference of parameters, or "all" (the volume of all intervals).
@@ -75,7 +75,7 @@ def design(
             joints or robots drawn from it. By default the covariance of the estimate of a joint; all else as known.
         duration: of the test, s; that of the record by default.
         sample_time: of its log, s; likewise.
-        filtering: of the identification; see `Filtering`.
+        filtering: of the identification; see `Filtering`. An estimate of a joint has its own, and its parameters.
         parameters: changes to the joint's parameters by name, as for `identify`.
         injection: whether the drive can add a signal to the torque; a robot's test adds none.
         loop: controllers of a robot that was identified without them, for a test by DIDIM.
@@ -113,6 +113,8 @@ def design(
         _refuse_unread("joint", loop=isinstance(loop, RobotLoop), feed_forward=feed_forward != "none")
         present = record if isinstance(record, Record) else None
         if isinstance(model, Estimate):
+            own = {"values": values, "filtering": filtering, "parameters": parameters}
+            _refuse_unread("joint by its estimate", **{name: one is not None for name, one in own.items()})
             known = _read_estimate(model, present, noise)
         elif values is None or noise is None:
             raise MethodError("A joint that is roughly known has values and a noise; give both, or an estimate.")

@@ -147,7 +147,7 @@ class Cut:
         kept = (times >= first) & (times <= last)
         rows = np.flatnonzero(kept)
         parts = _find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
-        if rows.size < 2 or (self.part or 0) > len(parts):
+        if rows.size < 2 or self.part not in (None, *range(len(parts) + 1)):
             raise RecordError(
                 f"start and stop leave {pluralise(rows.size, 'sample')} of {clock or 'the clock'}, which goes from "
                 f"{times.min():.10g} to {times.max():.10g} s, with {pluralise(len(parts), 'part')} between its jumps; "
@@ -193,7 +193,8 @@ def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
     The sample time is the median step. A step off by more than half a sample time is a jump.
     """
     steps = np.diff(stamps)
-    sample_time, largest = float(np.median(steps)) if steps.size else 0.0, float(np.max(np.abs(stamps), initial=0.0))
+    forward, largest = steps[steps > 0], float(np.max(np.abs(stamps), initial=0.0))
+    sample_time = float(np.median(forward)) if forward.size else 0.0
     off = np.flatnonzero(~(np.abs(steps / sample_time - 1) <= _JUMP))
     if not (largest <= _LATEST and sample_time >= 1 / _LATEST) or (off.size and not jumps):
         at = int(off[0]) if off.size else 0

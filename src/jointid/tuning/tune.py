@@ -108,7 +108,7 @@ def tune(
 def _evaluate(estimate: Estimate, interval: Interval, controller: Controller, settings: Tuning) -> LoopMargins:
     """Return the margins of a loop at the estimate, and the worst."""
     law = controller.law(estimate.data.sample_time)
-    joints = interval.sample(settings.seed, law)
+    joints = interval.sample(settings.seed + 1, law)  # others than those for which the gains were chosen
     margins, response = joints.margins(law), joints.response(law)
     at, worst = Margins(*margins[0].tolist()), Margins(*np.min(margins, axis=0).tolist())
     return LoopMargins(controller, at, worst, crossover(response, joints.hertz), joints.hertz, response[0])

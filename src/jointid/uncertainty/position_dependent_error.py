@@ -47,7 +47,7 @@ _RESTING = 0.02  # of the largest speed: below it a row has no direction
 _BLOCKS = 40  # of time, at most
 _FEWEST = 6  # of them, to say anything
 _FLIPS = 999
-_LEVEL = 0.05
+_LEVEL, _ROUNDING = 0.05, 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,7 +193,8 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
     if blocks >= _FEWEST and np.any(pairs > 0):
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_FLIPS, blocks))
         others = np.sum((signs @ products) * signs, axis=1)
-        p_value = float(1 + np.sum(others >= square)) / (_FLIPS + 1)
+        as_large = others >= square - _ROUNDING * np.abs(products).sum()  # signs may leave every product as it is
+        p_value = float(1 + np.sum(as_large)) / (_FLIPS + 1)
     return Repeatable(
         rms=float(np.sqrt(max(square, 0.0))),
         share=min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0,
@@ -247,5 +248,4 @@ def uncertainty(
         series: rows of each record, stacked.
     """
     over_time = robust(Z, J, error, series)
-    judged, verdict = widen(over_time, Z, J, error, where, unit)
-    return Uncertainty(over_time, judged, verdict)
+    return Uncertainty(over_time, *widen(over_time, Z, J, error, where, unit))

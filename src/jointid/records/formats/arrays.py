@@ -149,7 +149,7 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
         if why := _refuse(h5py, member):
             table.passed[called] = why
         elif h5py.check_ref_dtype(member.dtype) is None:
-            numbers = member.size * len(member.dtype.names or " ")
+            numbers = max(member.size * len(member.dtype.names or " "), member.nbytes // 8)
             require_room(path.name, table.numbers + numbers)
             if 8 * numbers > bearable:
                 raise RecordError(f"{path.name} declares numbers that were never written; log or copy it again.")

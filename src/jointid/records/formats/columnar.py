@@ -73,7 +73,9 @@ def _take_array(table: Table, name: str, array: Arrow, begin: list[np.datetime64
     """Add the columns of an array; `begin` is the first instant of the file, once there is one."""
     arrow, compute = extra("pyarrow", "logs", "Reading Parquet"), extra("pyarrow.compute", "logs", "Reading Parquet")
     types, kind = arrow.types, array.type
-    if types.is_dictionary(kind):
+    if types.is_map(kind) or types.is_null(kind):
+        table.passed[name] = "it holds pairs, or nothing"
+    elif types.is_dictionary(kind):
         _take_array(table, name, array.dictionary_decode(), begin)
     elif types.is_struct(kind):
         for index, member in enumerate(array.flatten()):

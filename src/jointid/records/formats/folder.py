@@ -20,8 +20,11 @@ _BAGS = (".mcap", ".db3", ".zstd")
 
 def is_record(path: Path) -> bool:
     """Whether a folder holds a record of several files, and no bag."""
-    suffixes = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
-    return (path / _INFO).is_file() or (".csv" in suffixes and suffixes.isdisjoint(_BAGS))
+    try:
+        suffixes = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
+        return (path / _INFO).is_file() or (".csv" in suffixes and suffixes.isdisjoint(_BAGS))
+    except OSError:  # one that may not be looked into
+        return False
 
 
 def read_folder(path: Path) -> Table:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -75,8 +76,10 @@ def read_scope(path: Path, lines: Sequence[str], decimal: str | None = None) -> 
         # Rows that repeat the one before are the export's padding.
         numbers = numbers[np.any(np.diff(numbers, axis=0, prepend=np.nan) != 0, axis=1)]
         step = np.median(np.diff(numbers[:, 0])) if len(numbers) > 1 else np.nan
-        stated = described[0].get("SampleTime[ms]", "").replace(",", ".")
-        if not numbers.size or np.isnan(numbers).any() or (stated and abs(step / float(stated) - 1) > _OFF):
+        stated = step
+        with suppress(ValueError):
+            stated = float(described[0].get("SampleTime[ms]", "").replace(",", ".")) or step
+        if not numbers.size or np.isnan(numbers).any() or abs(step - stated) > _OFF * stated:
             raise RecordError(
                 f'{path.name} has a row without a number of "{called[0]}" or its time, or steps of {step:g} ms where a '
                 f"sample is stated every {stated} ms; export it with a time column for each sample time."

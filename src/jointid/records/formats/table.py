@@ -30,6 +30,7 @@ _QUOTED = 100  # characters of a name
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 _WIDEST_MATRIX = 1000  # columns of a matrix; one that is wider is a picture
 _REAL, _INSTANTS = "fiub", "mM"  # kinds of NumPy's types that become numbers
+_KINDS = {"U": "text", "S": "text", "c": "complex numbers"}  # some that do not
 
 
 @dataclass(slots=True, eq=False)
@@ -153,7 +154,8 @@ def find_columns(name: str, array: np.ndarray[Any, Any], passed: dict[str, str])
     is_number = array.dtype.kind in _REAL + _INSTANTS
     is_wide = len(sides) == 2 and min(sides) > (_WIDEST_MATRIX if name else WIDEST)
     if not is_number or 0 in sides or len(sides) > 2 or is_wide:
-        passed[name or "the array"] = f"it has the shape {array.shape}" if is_number else f"it holds {array.dtype}"
+        shape = f"it has the shape {array.shape}" if array.size else "it is empty"
+        passed[name or "the array"] = shape if is_number else f"it holds {_KINDS.get(array.dtype.kind, 'objects')}"
         return {}
     if len(sides) < 2:
         return {name or "1": array.reshape(-1)}

@@ -201,12 +201,25 @@ class Layout:
             elif kind == "l":
                 if not all(cell.startswith("[") for cell in cells[k]):
                     raise ValueError(name)
-                lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells[k]], dtype=np.float64)
+                try:
+                    lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells[k]], dtype=np.float64)
+                except ValueError:
+                    if mark != _NOWHERE:  # the slow way may tell
+                        raise
+                    table.passed[name] = "its lists are empty, of several lengths, or hold text"
+                    continue
                 for place, numbers in enumerate(lists.T):
                     table.add(f"{name}[{place}]", numbers.copy())
             else:
-                stamps = self.stamps[name] = self.stamps.get(name) or find_stamps(cells[k])
-                table.add(name, stamps.seconds(cells[k]), "s")
+                try:
+                    stamps = self.stamps.get(name) or find_stamps(cells[k])
+                    table.add(name, stamps.seconds(cells[k]), "s")
+                except ValueError:
+                    if mark != _NOWHERE:
+                        raise
+                    table.passed[name] = "its instants are of several kinds"
+                    continue
+                self.stamps[name] = stamps
         clock = [name for name in self.stamps if name in table.columns]
         if len(clock) == 1 and not any(map(TIME_NAME.fullmatch, table.columns)):
             # A single column of instants is the clock, whatever its name.
