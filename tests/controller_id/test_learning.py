@@ -325,6 +325,7 @@ def _all_injected(record: Record) -> Record:
     ("change", "gain", "kind"),
     [
         (lambda record: record.without("motor_position"), 1.0, RecordError),
+        (lambda record: replace(record, computed_by=Cascade(position_gain=1.0, velocity_gain=1.0)), 1.0, RecordError),
         (_without_motion, 1.0, RecordError),
         (_all_injected, 1.0, RecordError),
         (lambda record: record, 0.0, MethodError),

@@ -12,6 +12,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.limits import AxisLimits
+from jointid.paper.twin import twin
 from jointid.planning.goals import parse_goal
 from jointid.planning.predict import Noise, planned_record, predict_test
 from jointid.records.record import Record
@@ -69,6 +70,11 @@ def predict(test: Record, loop: ji.ClosedLoop = PLAIN) -> Any:
 def test_what_cannot_be_planned_is_refused(asked: Callable[[], Any]) -> None:
     with pytest.raises(MethodError):
         asked()
+
+
+def test_an_estimate_has_its_own_values(identified: Callable[..., ji.Estimate]) -> None:
+    with pytest.raises(MethodError):
+        ji.design(identified("L19", noise="disturbance", seed=3), twin("L19", seed=3).record, values={})
 
 
 def test_offsets_alone_have_a_score_too() -> None:

@@ -323,3 +323,19 @@ def test_columns_called_by_their_numbers_are_written_without_names(tmp_path: Pat
     write_table(path, Table({"1": np.array([1.0, 2.0]), "2": np.array([0.5, NAN])}))
     assert path.read_text() == "1.0,0.5\n2.0,nan\n"
     assert list(read_table(path).columns) == ["1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("cells", "columns"),
+    [
+        (("[1, 2]", "[3]", "[4, 5]"), ["t", "x"]),
+        (("2024-01-01 00:00:00", "00:00:01", "00:00:02"), ["t", "x"]),
+        (("[1, 2]", "[3, 4]", "[4, 5]"), ["t", "c[0]", "c[1]", "x"]),
+    ],
+)
+def test_a_column_that_cannot_be_read_is_passed_over(
+    cells: tuple[str, ...], columns: list[str], tmp_path: Path
+) -> None:
+    rows = "".join(f'{k},"{cell}",{2 * k}\n' for k, cell in enumerate(cells))
+    (tmp_path / "run.csv").write_text(f"t,c,x\n{rows}", encoding="utf-8")
+    assert list(read_table(tmp_path / "run.csv").columns) == columns
