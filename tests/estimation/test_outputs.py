@@ -162,7 +162,7 @@ def test_a_wrong_ratio_of_gains_is_named() -> None:
     found = identify(logged().without("torque"), ji.controller.PD(position_gain=480.0, derivative_gain=30.0))
     assert not found.answer.reliable
     assert "the position gain is 17 % smaller than declared" in found.sentence
-    assert "or the derivative gain is larger by the same factor" in found.sentence
+    assert "or the derivative gain is off by as much the other way" in found.sentence
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.6])

@@ -39,18 +39,16 @@ class Detail(str):
     Attributes:
         brief: what everybody else is told; nothing when empty.
         pace: whether it says how far a piece of work is, which is told now and then.
-        of_drive: whether it says why an attempt fails, as it would with the record of another drive.
     """
 
     brief: str
     pace: bool
-    of_drive: bool
 
-    def __new__(cls, said: object, brief: str = "", *, pace: bool = False, of_drive: bool = False) -> Self:
+    def __new__(cls, said: object, brief: str = "", *, pace: bool = False) -> Self:
         """Return the line: `said` behind `brief`, unless that ends with it."""
         text = str(said)
         made = super().__new__(cls, f"{brief}: {text}" if brief and not brief.endswith(text) else brief or text)
-        made.brief, made.pace, made.of_drive = brief, pace, of_drive
+        made.brief, made.pace = brief, pace
         return made
 
 

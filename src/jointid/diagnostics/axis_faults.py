@@ -189,8 +189,10 @@ def find_driving_axes(torques: AxisTorques) -> list[int]:
 def _of_axis(test: FaultTest, keys: dict[Fault, tuple[int, Fault]]) -> tuple[int, FaultTest]:
     """Return the axis of a test, and the test of its fault there."""
     axis, fault = keys[test.fault]
-    alike = tuple(other for at, other in map(keys.__getitem__, test.alike) if at == axis)
-    return axis, replace(test, fault=fault, alike=alike, declared=1.0 if fault == LOG_GAIN else 0.0)
+    alike, opposite = (
+        tuple(other for at, other in map(keys.__getitem__, each) if at == axis) for each in (test.alike, test.opposite)
+    )
+    return axis, replace(test, fault=fault, alike=alike, opposite=opposite, declared=1.0 if fault == LOG_GAIN else 0.0)
 
 
 def find_follower(torques: AxisTorques) -> Follows:

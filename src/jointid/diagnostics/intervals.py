@@ -83,12 +83,12 @@ def intervals(
         MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
             another one.
     """
-    estimate.require_values()
     if estimate.settings.method != "didim" or estimate.settings.loop is None:
         raise MethodError(
             f"Profiles are of DIDIM, whose criterion can be followed; this estimate is by "
             f"{estimate.settings.method.upper()}."
         )
+    estimate.require_values()
     record = take_identified_torque(estimate, record)
     record.require(("torque",), "A profile")
     other = (

@@ -229,6 +229,7 @@ def _test_group(
     alone = step.alone[:, np.newaxis]
     after = _give_back(left - step.size * step.alone, taken + _fitted_share(left.size, alone / column_norms(alone)))
     alike = tuple(other.signature.fault for other in group[1:])
+    opposite = tuple(other.signature.fault for other in group[1:] if other.alone @ step.alone < 0)
 
     def judge(std: float, degrees: float = _MANY) -> FaultTest:
         ratio = step.size / std if std > 0 else 0.0
@@ -236,7 +237,7 @@ def _test_group(
         if fault.parts > 1:  # a size that its coefficients make has no sign
             tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
         p_value = min(float(tail) * tests, 1.0) if abs(step.size) >= fault.least else 1.0
-        return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, step.signature.shape)
+        return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, step.signature.shape, opposite)
 
     covariance = robust(alone, alone, after)
     test = judge(float(covariance.std[0]))

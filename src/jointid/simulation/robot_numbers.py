@@ -247,11 +247,6 @@ class NumberPlace:
     column: int
 
     @property
-    def is_friction(self) -> bool:
-        """Whether it is a friction, a constant torque, or a spring's damping: no inertia and no stiffness."""
-        return self.of in (NumberOf.MASS, NumberOf.SPRING) and self.column != 0
-
-    @property
     def is_positive(self) -> bool:
         """Whether it is of no robot below 0: friction, a stiffness, a damping, a delay."""
         signed = MassNumbers.OFFSET, MassNumbers.RISE, *_DRIFTS

@@ -181,9 +181,10 @@ class FaultTest:
         statistic: their ratio.
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
+        opposite: those of `alike` whose size has the opposite sign.
     """
 
-    in_json = "name -fault -alike"
+    in_json = "name -fault -alike -opposite"
     fault: Fault
     alike: tuple[Fault, ...]
     declared: float
@@ -192,6 +193,7 @@ class FaultTest:
     statistic: float
     p_value: float
     shape: float | None = None
+    opposite: tuple[Fault, ...] = ()
 
     @property
     def name(self) -> str:

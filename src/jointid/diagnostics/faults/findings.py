@@ -190,7 +190,9 @@ class AxisFaults:
         p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
         said, clause = f"{s.fault.describe(finding, self, True)} ({p_value})", s.fault.describe(finding, self, False)
         if s.alike:
-            also = f", or so is {self.call(*s.alike)}"
+            same = [one for one in s.alike if one not in s.opposite]
+            also = f", or so is {self.call(*same)}" if same else ""
+            also += f", or {self.call(*s.opposite)} is off by as much the other way" if s.opposite else ""
             said, clause = f"{said}{also}, which this loop cannot distinguish", clause + also
         if finding.rivals:
             rivals = (self.call(rival.fault, *rival.alike) for rival in finding.rivals)

@@ -40,10 +40,9 @@ def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield a friction that is larger, or smaller, by ``S exp(-(v / vs)^2)``, for some vs."""
     if seen.loop is not None and isinstance(seen.loop[0].joint.friction, StribeckFriction | PreslidingFriction):
         return  # its own law has that
-    for speed in (share * seen.fastest for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
-        if speed > 0:
-            column = seen.force(-np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
-            yield speed, None if column is None else sign * column
+    for speed in (share * (seen.fastest or 1.0) for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
+        column = seen.force(-np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
+        yield speed, None if column is None else sign * column
 
 
 def _describe_stribeck(sense: str, finding: Finding, check: AxisFaults, spread: bool) -> str:

@@ -70,7 +70,9 @@ def describe_in_drive(there: DriveNumber | None, s: FaultTest, *, spread: bool) 
     smaller = (share < 0) is not (there is not None and there.inverse)
     declared = "" if there is None else f", declared {there.of(s.declared):.6g} {there.unit}"
     if share <= -1:
-        return f"{_FACTOR} large factor ({name} alone would have to change its sign)"
+        turned = "the torque has the wrong sign: set torque.sign = -1 in its channels"
+        of_number = f"{_FACTOR} large factor ({name} alone would have to change its sign)"
+        return turned if s.fault is LOG_GAIN else of_number
     if share > 1:
         would = f"{number(1 + share, 2)} times as large" if there is None else show(there, s.declared + s.size)
         return f"{_FACTOR} factor ({name} alone would be about {would}{declared})"

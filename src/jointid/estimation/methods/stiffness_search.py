@@ -109,14 +109,14 @@ class StiffnessSearch:
             rigid = rough_rigid_joint(self.task, self.cutoff, self.history)
         except MethodError as error:
             # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-            tell(Detail(error, "without a rigid joint to begin with", of_drive=True))
+            tell(Detail(error, "without a rigid joint to begin with"))
             return self._without_rigid_joint()
         try:
             solved = self._from_rigid_joint(rigid)
         except MethodError as error:
             if self.frequency is not None:
                 raise
-            tell(Detail(error, "with other inertias than that joint's", of_drive=True))
+            tell(Detail(error, "with other inertias than that joint's"))
             solved = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
         edge = rigid.problem.filtering.cutoff
         assert edge is not None
@@ -222,7 +222,7 @@ class StiffnessSearch:
             cost, mode, x, held = min(ends, key=lambda end: end[0])
             if len(ends) == _GLANCED and cost > _DOUBTED * wide.size:
                 said = f"the first leave {100 * cost / wide.size:.0f} % of the torque"
-                history.progress(Detail(said, "searching from other starts", of_drive=True))
+                history.progress(Detail(said, "searching from other starts"))
             together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
             if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break

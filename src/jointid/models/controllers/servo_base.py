@@ -384,7 +384,7 @@ def in_torque(unit: str, torque_unit: str) -> str:
 
 
 def declared_unit(controller: Controller, name: str) -> str:
-    """Setting units of a controller's number, for prismatic and revolute axes."""
+    """Declared units of a controller's number, for prismatic and revolute axes."""
     owner: Any = controller
     *path, last = name.split(".")
     for part in path:

@@ -536,7 +536,9 @@ def follow(
                     moved.first, moved.limits[j], command[j, step],
                 )  # fmt: skip
         for i in range(len(seeds.pushes)):
-            command[seeds.pushes[i, 1], step, seeds.pushes[i, 0]] += seeds.pushed[i, step]
+            j = seeds.pushes[i, 1]
+            if step % every[j] == 0:  # one that holds has it from its last period
+                command[j, step, seeds.pushes[i, 0]] += seeds.pushed[i, step]
         time = step * period
         for part in range(parts):
             at = step * parts + part
