@@ -232,7 +232,7 @@ def build_axis(
 
 
 def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any) -> Any:
-    """Return what a function makes, and locate its faults at a place."""
+    """Call a function, and locate its faults at a place."""
     try:
         return make(*arguments, **given)
     except JointidError as error:
@@ -298,7 +298,7 @@ def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable], place
 
 
 def _find_faults(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
-    """Yield what the tables of an axis do not agree on."""
+    """Yield contradictions between the tables of an axis."""
     yield from _check_units(file, number, axis)
     yield from _check_torque(file, number, axis)
     parameters = {parameter.name for parameter in axis.joint.parameters}

@@ -335,7 +335,7 @@ class File:
         write_columns(table, path, **self.source.options)
 
     def _run(self, path: str | os.PathLike[str]) -> Run:
-        """Return what the file lists of the record at a path."""
+        """Return the entry of the record at a path."""
         at = _find_place(path)
         listed = (run for run, one in zip(self.runs, self.listed, strict=True) if _find_place(one) == at)
         return next(listed, Run(""))

@@ -204,7 +204,7 @@ def _require_explained(log: LoopRecord, best: FittedLaw, known: Covariance, resi
 
 
 def _list_limitations(log: LoopRecord, structure: Structure, limit: float, residual: FloatArray) -> Iterator[Message]:
-    """Yield what the record leaves open."""
+    """Yield the limitations of the learned law."""
     both = np.fft.rfft(np.column_stack([residual, log.unexplained]) * log.free[:, np.newaxis], axis=0)
     heard = np.fft.irfft(both * (log.informative > 0)[:, np.newaxis], log.samples, axis=0)
     law, regression = np.sqrt(np.mean(heard**2, axis=0) / np.mean((log.torque * log.free) ** 2))

@@ -1,4 +1,4 @@
-"""What can be asked of one axis that was solved: its motion, and what a force on it changes of its torque."""
+"""The questions to one solved axis: its motion, and what a force on it changes of its torque."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Seen:
 
 
 def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, own: FloatArray) -> Seen:
-    """Return what can be asked of a joint's loop: each force on it is simulated."""
+    """Return the questions to a joint's loop: each force on it is simulated."""
     run, added = problem.simulate(x), problem.experiment.after_limit
     output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
 
