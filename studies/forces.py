@@ -30,24 +30,20 @@ class ForceRun:
     """How one drive went.
 
     Attributes:
-        force: standard deviation of the force, as a share of the torque's.
         z: error over deviation of each value that was asked for, by name; empty where there is none.
         relied: whether the answer says that it may be relied on, or only what to be careful of.
-        error: what was raised.
     """
 
-    force: float
     z: dict[str, float]
     relied: bool = True
-    error: str = ""
 
     def within(self, name: str) -> bool | None:
         """Return whether a value is within 2 sigma; None where there is none, or it is said not to be relied on."""
         return abs(self.z[name]) <= 2 if self.relied and name in self.z else None
 
 
-def make_record(seed: int) -> tuple[Case, Record, float]:
-    """Return a drive, its record under a force of 0.5 to 5 % of the torque, and the force's share."""
+def make_record(seed: int) -> tuple[Case, Record]:
+    """Return a drive and its record under a force of 0.5 to 5 % of the torque."""
     case, rng = prismatic(seed), np.random.default_rng([seed, 9])
     clean = case.clean
     assert clean.reference is not None
@@ -71,23 +67,22 @@ def make_record(seed: int) -> tuple[Case, Record, float]:
         torque_noise=_LOG * size * rng.standard_normal(force.size),
         encoder_step=_ENCODER * float(np.ptp(reference)),
     )
-    return case, record, share
+    return case, record
 
 
-def judge(seed: int, method: Literal["drive_side", "reference", "idim"]) -> ForceRun:
-    """Identify a drive from measured motion: its drive side without and with the reference, or IDIM."""
-    case, record, share = make_record(seed)
+def judge(seed: int, method: Literal["drive_side", "idim"]) -> ForceRun:
+    """Identify a drive from measured motion: its drive side or by IDIM."""
+    case, record = make_record(seed)
     joint = case.loop.joint
     assert isinstance(joint, FlexibleJoint)
-    if method != "reference":
-        record = replace(record, reference=None, injected=None)
+    record = replace(record, reference=None, injected=None)
     rate = np.sqrt(case.truth["stiffness"] / case.truth["load_inertia"])  # the start: the search is not judged here
     settings = DriveSideFit(frequency=float(rate / (2 * np.pi)))
     try:
         found = identify(record, joint, IDIM()) if method == "idim" else identify(record, DriveSide(joint), settings)
-    except JointidError as error:
-        return ForceRun(share, {}, error=repr(error))
-    return ForceRun(share, _errors(found, case), found.answer.trust.code != "not_reliable_yet")
+    except JointidError:
+        return ForceRun({})
+    return ForceRun(_errors(found, case), found.answer.trust.code != "not_reliable_yet")
 
 
 def _errors(found: Estimate, case: Case) -> dict[str, float]:

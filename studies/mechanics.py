@@ -18,10 +18,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.models.friction import find_friction
-from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import ElasticLoad, LinearSpring, find_spring
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
@@ -86,40 +83,9 @@ def _run(  # type: ignore[no-untyped-def]
     periods = feedforward.size
     h = period / steps
     (
-        m1,
-        b1,
-        f1,
-        k,
-        c,
-        m2,
-        b2,
-        f2,
-        offset,
-        cubic,
-        gap,
-        m3,
-        k3,
-        c3,
-        loss,
-        soft,
-        cogging,
-        pitch,
-        warming,
-        bend,
-        more,
-        next_bend,
-        still_more,
-        rise,
-        slow,
-        sag,
-        peak,
-        weight,
-        tilt,
-        motor_loss,
-        uneven,
-        span,
-        middle,
-    ) = d
+        m1, b1, f1, k, c, m2, b2, f2, offset, cubic, gap, m3, k3, c3, loss, soft, cogging, pitch, warming,
+        bend, more, next_bend, still_more, rise, slow, sag, peak, weight, tilt, motor_loss, uneven, span, middle,
+    ) = d  # fmt: skip
     z = state.copy()
     q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
     z1, z2 = 0.0, 0.0  # of the presliding friction, -1 to 1
@@ -318,51 +284,28 @@ def lose(record: ji.Record, seed: int) -> ji.Record:
 
 @dataclass(frozen=True)
 class Said:
-    """What was said of a drive: z of its stiffness, its deviation in percent, and what is trusted."""
+    """What was said of a drive: the error of its stiffness in deviations, what is trusted, and what is named."""
 
-    seed: int
     fault: str
-    size: float
-    about: dict[str, Any]
-    error: str
-    answer: str
     trust: str
     z: float | None
-    off: float | None
     named: tuple[str, ...]
-    follows: bool = False  # whether the motion predicts some of the residual
-
-    @property
-    def silent(self) -> bool:
-        """A stiffness more than 3 deviations off that may be relied on."""
-        return self.z is not None and abs(self.z) > 3 and self.trust.startswith("reliable")
 
 
 def judge(
-    seed: int,
-    fault: str,
-    longest: float = 12.0,
-    spring: str = LinearSpring.name,
-    friction: str = "symmetric",
-    ripple: bool = False,
-    noise: str = "",
+    seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpring.name, friction: str = "symmetric"
 ) -> Said | None:
-    """Identify a drive with a fault, by a model with that spring and friction; None where there is none.
-
-    With `ripple` the model has one of the cogging's period.
-    """
-    made = spoiled(seed, fault, longest, noise)
+    """Identify a drive with a fault, by a model with that spring and friction; None where there is none."""
+    made = spoiled(seed, fault, longest)
     if made is None:
         return None
-    about, loop = made.axis.about, made.axis.loop
+    loop = made.axis.loop
     assert isinstance(loop.joint, ji.FlexibleJoint)
-    cogs = PositionHarmonics(made.truth["pitch"]) if ripple and "pitch" in made.truth else None
-    joint = replace(loop.joint, spring=find_spring(spring), friction=find_friction(friction), ripple=cogs)
-    loop = replace(loop, joint=joint)
+    loop = replace(loop, joint=replace(loop.joint, spring=find_spring(spring), friction=find_friction(friction)))
     try:
         found = ji.identify(made.record, loop)
-    except JointidError as error:
-        return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
+    except JointidError:
+        return Said(fault, "", None, ())
     row, truth = found["stiffness"], made.stiffness(spring)
     named = [
         str(values.get("suspect", values.get("law", values.get("cause", ""))))
@@ -371,14 +314,5 @@ def judge(
         for reason in verdict.reasons
         for values in reason.values.get("causes", [reason.values])
     ]
-    return Said(
-        seed, fault, made.size, about, "", found.sentence, str(found.answer.trust.code),
-        (row.value - truth) / row.deviation if row.value is not None and row.deviation else None,
-        100 * (row.value / truth - 1) if row.value is not None else None,
-        tuple(filter(None, named)), _follows(found, made.record),
-    )  # fmt: skip
-
-
-def _follows(estimate: ji.Estimate, record: ji.Record) -> bool:
-    predicted = predict_residual(*rebuild_problem(estimate, record, ""))
-    return predicted is not None and predicted.follows
+    z = (row.value - truth) / row.deviation if row.value is not None and row.deviation else None
+    return Said(fault, str(found.answer.trust.code), z, tuple(filter(None, named)))

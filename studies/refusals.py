@@ -34,22 +34,14 @@ class StiffnessRun:
     """One run: what could be known of its spring, and what was said.
 
     Attributes:
-        factor: times the K12 of Table 2.
-        noise: of the twin.
-        seed: of the noise.
         stiffness: true.
-        frequency: free-free, Hz, true.
         predicted: relative standard deviation of the stiffness, from the sensitivities and the noise at the truth.
         value: None where it was refused.
         std: standard deviation of it.
         bound: of a refused one, at the true load share; None where the record bounds nothing.
     """
 
-    factor: float
-    noise: Noise
-    seed: int
     stiffness: float
-    frequency: float
     predicted: float
     value: float | None
     std: float | None
@@ -77,8 +69,7 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     spring = visible(problem, x, J, known, (2, 2), ignore_progress, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None
-    mode = frequency_of(axis.truth)
-    return StiffnessRun(factor, noise, seed, float(truth[at]), mode, float(predicted), value, std, bound)
+    return StiffnessRun(float(truth[at]), float(predicted), value, std, bound)
 
 
 def _problem(axis: Twin) -> ClosedLoopProblem:

@@ -255,7 +255,6 @@ STUDIES: tuple[Study, ...] = (
                 0.5,
             ),
         ),
-        ({"loop_checks": False},),
     ),
     Study(
         "margins",

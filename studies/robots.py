@@ -1,19 +1,16 @@
-"""Random robots identified from no start, by DIDIM or on the drive side: whether the search ends at the noise.
+"""Random robots identified by DIDIM from no start: whether the search ends at the noise.
 
 Each seed makes a serial robot of 2 to 7 joints, a quarter of them prismatic, with bodies, rotors, friction,
 controllers, motion and noise at random; of flexible robots some joints, at least one, have a spring and the motion a
 multisine. What DIDIM is given is the geometry and the controllers: masses, rotors, friction and springs are wiped out.
-The drive side is given motor positions, without noise, instead of references and controllers.
 
 The search is at the noise if no joint's filtered error is more than 5 % above that of the noise alone. What 2 sigma
-hold is counted over all parameters but those at a bound and of joints whose spring is refused, and apart over those
-that are known to a tenth.
+hold is counted over all parameters but those at a bound and of joints whose spring is refused.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,23 +19,18 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.drive_side import RobotDriveSideProblem, identify_flexible_drive_side
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.simulated import problem_of
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering, window_torque
 from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotRun, RobotSimulation
+from jointid.simulation.robots import RobotLoop, RobotSimulation
 from jointid.simulation.synthesis import simulate
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
@@ -53,8 +45,6 @@ class Drives:
     loop: RobotLoop
     records: tuple[Record, ...]
     noise: FloatArray
-    level: float
-    coloured: bool
 
     @property
     def unknown(self) -> RobotLoop:
@@ -100,14 +90,14 @@ def drives(seed: int, flexible: bool) -> Drives | None:
     run = simulate(loop, asked)
     if run.outcome is not Outcome.FINISHED or not _holds(run, q, travel):
         return None
-    noise, coloured = random.standard_normal(run.torque.shape), bool(random.random() < 0.5)
-    if coloured:
+    noise = random.standard_normal(run.torque.shape)
+    if random.random() < 0.5:  # coloured
         pole = math.exp(-2 * math.pi * random.uniform(2.0, 30.0) * period)
         noise = lfilter([1.0], [1.0, -pole], noise, axis=0)
     level = float(10 ** random.uniform(-2.3, -1.3))
     noise *= level * np.std(run.torque, axis=0) / np.std(noise, axis=0)
     logged = replace(run, torque=run.torque + noise).records(asked)
-    return Drives(loop, logged, noise, level, coloured)
+    return Drives(loop, logged, noise)
 
 
 def _rigid(random: np.random.Generator, n: int) -> Robot:
@@ -209,32 +199,14 @@ class Found:
     """What was found of a robot.
 
     Attributes:
-        seed: of it. joints: how many. prismatic, springs: of them. samples: of the record. level: of the noise.
-        coloured: whether the noise was. error: the sentence of what was refused.
-        settled: whether the search had. iterations: or evaluations. seconds: of the processors.
+        error: the sentence of what was refused. settled: whether the search had.
         left: the largest error of a joint, times the noise. z: errors in deviations, of parameters not at 0.
-        names: of these. shares: relative deviations of these. spring_shown: how many springs were.
-        idim: z by IDIM. idim_shares: its relative deviations.
     """
 
-    seed: int
-    joints: int
-    prismatic: int
-    springs: int
-    samples: int
-    level: float
-    coloured: bool
     error: str = ""
     settled: bool = False
-    iterations: int = 0
-    seconds: float = 0.0
     left: float = math.inf
-    names: tuple[str, ...] = ()
     z: tuple[float, ...] = ()
-    shares: tuple[float, ...] = ()
-    spring_shown: int = 0
-    idim: tuple[float, ...] = ()
-    idim_shares: tuple[float, ...] = ()
 
     @property
     def at_noise(self) -> bool:
@@ -242,71 +214,33 @@ class Found:
         return self.settled and self.left <= _AT_NOISE
 
 
-def judge(seed: int, flexible: bool, estimator: str = "", drive_side: bool = False) -> Found | None:
-    """Identify the robot of a seed from torques and references, or on the drive side, from torques and positions.
-
-    By IDIM too, of this estimator, where one is named.
-    """
+def judge(seed: int, flexible: bool) -> Found | None:
+    """Identify the robot of a seed from torques and references."""
     made = drives(seed, flexible)
     if made is None:
         return None
-    robot = made.loop.robot
-    about = Found(
-        seed,
-        len(robot),
-        int(robot.tree.kinds.sum()),
-        sum(robot.flexible),
-        made.noise.shape[0],
-        made.level,
-        made.coloured,
-    )
-    began, shown, refused = time.process_time(), 0, tuple[str, ...]()
+    refused = tuple[str, ...]()
     try:
         if flexible:
-            if drive_side:
-                fit = identify_flexible_drive_side(made.unknown.robot, made.records)
-            else:
-                fit = identify_flexible_robot(made.unknown, made.records)
-            shown = sum(one.shown for one in fit.springs)
+            fit = identify_flexible_robot(made.unknown, made.records)
             refused = tuple(f"{one.joint}." for one in fit.springs if not one.shown)
         else:
             fit = identify_rigid_robot(made.unknown, made.records)
     except JointidError as error:
-        return replace(about, error=f"{type(error).__name__}: {error}", seconds=time.process_time() - began)
-    spent = time.process_time() - began
-    truth = fit.parameters.group(RobotNumbers.of(robot))
+        return Found(f"{type(error).__name__}: {error}")
+    truth = fit.parameters.group(RobotNumbers.of(made.loop.robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
     free &= ~np.array([name.startswith(refused) for name in fit.names])
     free &= ~np.array([place.is_of_record for place in fit.parameters.places])
     std = np.maximum(fit.covariance.std, 1e-300)
-    about = replace(
-        about, settled=fit.converged, iterations=fit.iterations, seconds=spent, left=_left(made, fit),
-        names=tuple(np.array(fit.names)[free].tolist()), z=tuple(((fit.values - truth) / std)[free].tolist()),
-        shares=tuple((std / np.maximum(np.abs(fit.values), 1e-300))[free].tolist()), spring_shown=shown,
-    )  # fmt: skip
-    return _with_idim(about, made, estimator) if estimator else about
+    return Found("", fit.converged, _left(made, fit), tuple(((fit.values - truth) / std)[free].tolist()))
 
 
 def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
-    # The filtering is that of the fit: a rigid robot's, or a flexible one's.
-    setup = made.loop if isinstance(fit.run, RobotRun) else RobotDriveSide(made.loop.robot)
-    problem, noise = problem_of(setup, made.records, fit.parameters), made.noise
-    if isinstance(problem, RobotDriveSideProblem):
-        noise = np.column_stack([window_torque(Channel(column, "N m", problem.sample_time)) for column in noise.T])
-    noise = problem.by_joint(problem.decimate(noise[: len(problem.measured)]))
+    problem = problem_of(made.loop, made.records, fit.parameters)
+    noise = problem.by_joint(problem.decimate(made.noise[: len(problem.measured)]))
     found = problem.error_of(fit.run.numbers)
     assert found is not None
     error = problem.by_joint(found)
     return float(np.max(np.linalg.norm(error, axis=1) / np.linalg.norm(noise, axis=1)))
-
-
-def _with_idim(about: Found, made: Drives, estimator: str) -> Found:
-    """Return the answer with IDIM's beside it, from the positions that the drives had."""
-    robot = made.loop.robot
-    found = identify_robot(robot, made.records, IDIM(estimator), filtering=Filtering())  # type: ignore[arg-type]
-    part = found.require_robot()
-    truth, std = part.parameters_of(robot), part.covariance.std
-    assert truth is not None
-    z, shares = (part.values - truth) / std, std / np.maximum(np.abs(part.values), 1e-300)
-    return replace(about, idim=tuple(z.tolist()), idim_shares=tuple(shares.tolist()))

@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, is_dataclass
 from importlib import import_module
@@ -63,18 +63,6 @@ def judge_tasks(tasks: Sequence[Task], out: Path | None = None) -> list[Judged]:
                 file.flush()
             sys.stderr.write(f"{done} of {len(missing)}: {task.function}, seed {task.seed}\n")
     return [found[task.key] for task in tasks]
-
-
-def judge_seeds(function: str, seeds: Iterable[int], settings: Mapping[str, Any]) -> Iterator[Any]:
-    """Yield the outcome of each seed in order, as JSON has it, without those that are None.
-
-    Args:
-        function: of a seed and the settings, as "studies.actuators:judge".
-        seeds: to be judged.
-        settings: the function's other arguments, as JSON has them.
-    """
-    judged = judge_tasks([Task(function, seed, settings) for seed in seeds])
-    yield from (one.outcome for one in judged if one.outcome is not None)
 
 
 def _judge(task: Task) -> Judged:

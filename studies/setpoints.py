@@ -2,7 +2,7 @@
 
 The drives are those of `studies.healthy` with a log of 1 ms and a controller that is two to ten times faster. Their
 mechanics are simulated by the other hand of `studies.mechanics`. Their setpoints become a reference here, too: held, by
-lines, by Hermite's cubics, or by a running mean.
+Hermite's cubics, or by a running mean.
 """
 
 from __future__ import annotations
@@ -24,29 +24,25 @@ from studies.healthy import Drive, drive
 from studies.mechanics import simulate
 
 LOG = 1e-3  # s
-_COARSE = 4  # samples of the log in a coarse setpoint
-_HELD, _CUBIC = ("held_reference", "the reference is held"), ("cubic_reference", "by cubics")
-_LATE, _MEAN = ("reference_delay", "the reference"), ("averaged_reference", "the drive averages the reference")
-RIGHT: dict[str, tuple[str, str] | None] = {  # fault and words that come first; None where the default is right
-    "hold": _HELD, "linear": None, "cubic": _CUBIC, "average": _MEAN,
-    "coarse hold": None, "coarse linear": _LATE, "coarse cubic": _LATE, "coarse average": _MEAN,
-}  # fmt: skip
+RIGHT = {  # fault and words that come first
+    "hold": ("held_reference", "the reference is held"),
+    "cubic": ("cubic_reference", "by cubics"),
+    "average": ("averaged_reference", "the drive averages the reference"),
+}
 
 
 @dataclass(frozen=True)
 class Logged:
-    """A record of a drive as its user declares it, what it averages over, in s, and what its law should declare."""
+    """A record of a drive as its user declares it, and what its law should declare."""
 
     record: ji.Record
     axis: Drive
-    average: float
 
 
 def logged(seed: int, kind: str, longest: float = 4.0) -> Logged | None:
     """Return a drive whose reference is filled in a way; None where its loop is not stable.
 
-    A coarse setpoint is refreshed every 4 ms, and the log of 1 ms repeats it. A drive that interpolates it is one
-    setpoint late, by cubics two. Running means are over 6 to 20 ms.
+    Running means are over 6 to 20 ms.
     """
     axis = drive(seed, longest)
     rng = np.random.default_rng([seed, 23])
@@ -56,12 +52,8 @@ def logged(seed: int, kind: str, longest: float = 4.0) -> Logged | None:
     shown = record.reference.values[::every]
     times = int(rng.choice([2, 4, 10]))
     fine = LOG / times
-    setpoint, way = _COARSE if kind.startswith("coarse") else 1, kind.rsplit(maxsplit=1)[-1]
-    points = shown[::setpoint]
-    shown = np.repeat(points, setpoint)[: shown.size]
-    late = {"linear": 1, "cubic": 2}.get(way, 0) if setpoint > 1 else 0
-    filled = _fill(points, way, times * setpoint, late)[: times * shown.size]
-    average = round(rng.uniform(6, 20)) * LOG if way == "average" else 0.0
+    filled = _interpolate(shown, times) if kind == "cubic" else np.repeat(shown, times)
+    average = round(rng.uniform(6, 20)) * LOG if kind == "average" else 0.0
     if average:
         width = round(average / fine)
         begun = np.concatenate([np.full(width - 1, filled[0]), filled])
@@ -93,30 +85,22 @@ def logged(seed: int, kind: str, longest: float = 4.0) -> Logged | None:
         torque=replace(torque, values=seen, sample_time=LOG),
         reference=Channel(shown, unit, LOG, Timing.SAMPLED),
     )
-    return Logged(given, replace(axis, loop=loop, record=given), average)
+    return Logged(given, replace(axis, loop=loop, record=given))
 
 
-def _fill(points: FloatArray, way: str, times: int, late: int) -> FloatArray:
-    """Return setpoints filled in, `times` values each, so many setpoints late."""
-    if way in ("hold", "average"):
-        return np.repeat(points, times)
-    begun = np.concatenate([np.full(late, points[0]), points, points[-1:]])
-    at, where = np.arange(begun.size, dtype=np.float64), np.arange(times * points.size) / times
-    if way == "linear":
-        return np.asarray(np.interp(where, at, begun))
-    return np.asarray(CubicHermiteSpline(at, begun, np.gradient(begun))(where))
+def _interpolate(points: FloatArray, times: int) -> FloatArray:
+    """Return setpoints with `times` values each on Hermite's cubics."""
+    ends = np.concatenate([points, points[-1:]])
+    at, where = np.arange(ends.size, dtype=np.float64), np.arange(times * points.size) / times
+    return np.asarray(CubicHermiteSpline(at, ends, np.gradient(ends))(where))
 
 
 @dataclass(frozen=True)
 class Said:
     """What was said of a drive: deviations of its values, what is trusted, and what is named."""
 
-    seed: int
     kind: str
-    about: dict[str, Any]
-    average: float
     error: str
-    answer: str
     trust: str
     z: dict[str, float]
     named: tuple[str, ...]
@@ -129,11 +113,11 @@ class Said:
 
     @property
     def right(self) -> bool:
-        """Whether the reference's way is named first, or nothing where it is the default, or all values hold."""
-        right = RIGHT[self.kind]
+        """Whether the reference's way is named first, or all values hold."""
         if not self.named and not self.error:
-            return right is None or (self.relied and all(abs(z) <= 3 for z in self.z.values()))
-        return right is not None and (right[0] in self.named[:1] or right[1] in self.error.partition(":")[0])
+            return self.relied and all(abs(z) <= 3 for z in self.z.values())
+        code, words = RIGHT[self.kind]
+        return code in self.named[:1] or words in self.error.partition(":")[0]
 
     @property
     def relied(self) -> bool:
@@ -146,12 +130,12 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     made = logged(seed, kind, longest)
     if made is None:
         return None
-    axis, about = made.axis, made.axis.about
+    axis = made.axis
     try:
         found = ji.identify(made.record, axis.loop)
     except JointidError as error:  # with its cause, as the command line has it
         said = explain_failure(error, made.record, axis.loop)
-        return Said(seed, kind, about, made.average, str(said), "", "", {}, ())
+        return Said(kind, str(said), "", {}, ())
     rows = {row.name: row for row in found.params.rows if row.name in axis.truth}
     z = {
         name: (row.value - axis.truth[name]) / row.deviation
@@ -166,6 +150,4 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     trust = found.answer.trust
     doubted: Any = trust.values.get("parameters", ())
     named = [name for name in named if name]
-    return Said(
-        seed, kind, about, made.average, "", str(found.answer), str(trust.code), z, tuple(named), tuple(doubted)
-    )
+    return Said(kind, "", str(trust.code), z, tuple(named), tuple(doubted))

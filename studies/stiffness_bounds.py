@@ -11,14 +11,12 @@ What could be known of the spring is predicted at the truth, as in `studies.refu
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -68,10 +66,8 @@ class BoundRun:
         predicted: relative standard deviation of the stiffness at the truth.
         value, std: None where it was refused.
         bound: of a refused one, at the true load share; None where the record bounds nothing.
-        simulations: of the identification. seconds: of the processor.
-        alarm: what the check of the loop found, falsely; "" for nothing or where it was not looked at.
+        simulations: of the identification.
         error: what was said in place of an answer.
-        held: parameters said to be at a bound.
     """
 
     seed: int
@@ -82,10 +78,7 @@ class BoundRun:
     std: float | None = None
     bound: float | None = None
     simulations: int = 0
-    seconds: float = 0.0
-    alarm: str = ""
     error: str = ""
-    held: tuple[str, ...] = ()
 
     @property
     def refused(self) -> bool:
@@ -97,34 +90,20 @@ class BoundRun:
         """True if the spring is softer than the bound."""
         return self.refused and self.bound is not None and self.bound > self.stiffness
 
-    @property
-    def deviations(self) -> float:
-        """How far a value is off, in its standard deviations; 0 where none is given."""
-        return 0.0 if self.value is None or not self.std else (self.value - self.stiffness) / self.std
 
-
-def identify_plant(seed: int, *, loop_checks: bool = True) -> BoundRun:
+def identify_plant(seed: int) -> BoundRun:
     """Identify one plant from torque and reference alone."""
     plant = random_plant(seed)
     run = BoundRun(seed, plant.mode, plant.truth["stiffness"], _predict(plant))
-    began = time.process_time()
     try:
         estimate = identify(plant.record, plant.loop, checks=False)
     except JointidError as error:
         return replace(run, error=str(error))
-    run = replace(run, seconds=time.process_time() - began, simulations=estimate.fit.simulations)
-    run = replace(run, held=tuple(p.name for p in estimate.params.rows if p.at_bound is not None))
+    run = replace(run, simulations=estimate.fit.simulations)
     spring = estimate["stiffness"]
     if spring.value is None:
         return replace(run, bound={b.share: b.stiffness for b in estimate.checks.bounds}.get(plant.share))
-    run = replace(run, value=spring.value, std=spring.stderr)
-    if not loop_checks:
-        return run
-    try:
-        found = diagnose(estimate, plant.record).axes[0].faults
-    except JointidError as error:
-        return replace(run, alarm=f"error: {error}")
-    return replace(run, alarm=", ".join(f"{f.test.name} {f.test.statistic:+.1f}" for f in found.findings))
+    return replace(run, value=spring.value, std=spring.stderr)
 
 
 def _predict(plant: BoundedPlant) -> float:
