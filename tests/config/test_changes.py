@@ -100,9 +100,9 @@ def test_keys_are_set_before_the_file_is_checked() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + "[method]\ntolerance = 1e-3"
     assert loads(text, changes=[]) == loads(text)
     assert loads(text, changes=["method.frequency=42.0"]).method == DIDIM(tolerance=1e-3, frequency=42.0)
-    changed = loads(text, changes=["method.frequency=20.0", "filtering={preset='published'}"])
+    changed = loads(text, changes=["method.frequency=20.0", "filtering={cutoff=60, decimation=6}"])
     assert changed.method == DIDIM(tolerance=1e-3, frequency=20.0)
-    assert changed.filtering == Filtering.published()
+    assert changed.filtering == Filtering(cutoff=60.0, decimation=6)
     whole = ['method={name="didim", frequency=20.0}']  # in place of the whole table
     assert loads(text, changes=whole).method == DIDIM(frequency=20.0)
     assert loads(SMALLEST, changes=["joint.friction=asymmetric"]).joint.friction == AsymmetricFriction()

@@ -179,20 +179,6 @@ def test_the_method(model: str, text: str, expected: object) -> None:
     assert loads(dumps(file)) == file
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ('preset = "default"', Filtering()),
-        ('preset = "published"', Filtering.published()),
-        ("cutoff = 60.0\ndecimation = 6", Filtering(cutoff=60.0, decimation=6)),
-    ],
-)
-def test_the_filtering(text: str, expected: Filtering) -> None:
-    file = loads(f"{SMALLEST}[filtering]\n{text}")
-    assert file.filtering == expected
-    assert loads(dumps(file)) == file
-
-
 def test_values_are_those_fixed_and_those_started_from() -> None:
     file = loads(
         SMALLEST + "[parameters]\ninertia = { start = 90.0 }\nviscous = 200\ncoulomb = 20\noffset = { start = 1 }"

@@ -50,10 +50,6 @@ def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) 
             '[[records]]\nfile = "a.csv"\n[[records]]\nown = ["file"]\nfile = "b.csv"\n',
             '[[records]]\nfile = "../runs/a.csv"\n[[records]]\nown = ["file"]\nfile = "../runs/b.csv"\n',
         ),
-        (
-            "[record] # two\nfiles = [\"a.csv\",\n  'sub/[b].csv'] # of one run\noffsets = [0, 1]\n",
-            '[record] # two\nfiles = ["../runs/a.csv", "../runs/sub/[b].csv"] # of one run\noffsets = [0, 1]\n',
-        ),
         ('record = { file = "a.csv" }\n', 'record = { file = "../runs/a.csv" }\n'),
         ('[record]\nfile = """a.csv"""\n', '[record]\nfile = "../runs/a.csv"\n'),
         ('[joint]\nfile = "a.csv"\n', '[joint]\nfile = "a.csv"\n'),
@@ -66,15 +62,11 @@ def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: s
 
 def test_a_file_is_made_to_name_another_record(tmp_path: Path) -> None:
     law = Cascade(position_gain=1.0, velocity_gain=2.0)
-    for record in ('file = "old.csv"  # of Monday', 'files = ["q.csv", "tau.csv"]', 'time = "t"'):
+    for record in ('file = "old.csv"  # of Monday', 'time = "t"'):
         file = loads(f"# an axis\n[record]\n{record}\n{SMALLEST}", tmp_path)
         save_with_controller(file, law, tmp_path / "new.toml", tmp_path / "logs" / "run 1.csv")
         again = load(tmp_path / "new.toml")
-        assert (again.source.first, again.source.files, again.controller) == (
-            str(tmp_path / "logs" / "run 1.csv"),
-            (),
-            law,
-        )
+        assert (again.source.file, again.controller) == (str(tmp_path / "logs" / "run 1.csv"), law)
         assert again.text.startswith("# an axis\n")
 
 

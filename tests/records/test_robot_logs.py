@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomlkit
 from scipy.interpolate import CubicSpline
 
 import jointid as ji
@@ -204,7 +206,7 @@ def compared(record: Record, joint: int, name: str) -> None:
 
 @pytest.mark.parametrize("name", LOGS)
 def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp_path: Path) -> None:
-    """By a joint file and by a robot file, whose joints the log names or numbers."""
+    """By a joint file, and by a robot file whose joints the log names or numbers."""
     path = LOGS[name](tmp_path / "run")
     found = ji.inspect(path)
     assert found.recognised is not None
@@ -220,15 +222,11 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     file = loads(alone, tmp_path)
     compared(file.record(), 1, name)
     (tmp_path / "robot.urdf").write_text(URDF)
-    whole = describe_log(found, path.name) + idim
-    for number, joint in enumerate(JOINTS, start=1):
-        whole = whole.replace(f'"joint{number}"', f'"{joint}"')
-    robot = loads(whole, tmp_path)
-    for number, record in enumerate(robot.record()):
+    tables = tomllib.loads(alone) | {"robot": {"model": "robot.urdf"}, "joints": [{"name": joint} for joint in JOINTS]}
+    del tables["joint"]
+    tables["drive"] = {"profile": tables["drive"]["profile"]}
+    for number, record in enumerate(loads(tomlkit.dumps(tables), tmp_path).record()):
         compared(record, number, name)
-    assert {type(one).__name__ for one in robot.controllers} == (
-        {"PD"} if name in ("mit", "unitree_json") else {"NoneType"}
-    )
 
 
 @pytest.mark.parametrize(
@@ -238,7 +236,6 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
         (("t", "q_0", "tau_0", "q_1", "tau_1"), None),
         (("t", "q", "tau", "q_des"), "mit"),
         (("t", "q", "tauEst"), "mit"),
-        (("t", "q", "tau", "kp"), "mit"),
     ],
 )
 def test_names_of_any_log_are_nobodys(columns: tuple[str, ...], profile: str | None) -> None:
@@ -249,41 +246,7 @@ def test_names_of_any_log_are_nobodys(columns: tuple[str, ...], profile: str | N
 # What is wrong in such a log
 # ---------------------------
 
-JOINT = '[joint]\nkind = "revolute"\n[record]\nfile = "run.csv"\n'
 LAW = '[controller]\nlaw = "pd"\nposition_gain = "40 N m/rad"\nderivative_gain = "1.5 N m s/rad"\n'
-
-
-def one_motor(path: Path, **changed: Any) -> Path:
-    """Write the log of one motor, with its gains."""
-    columns = {"t": TIME, "q": MOTION[:, 0], "tauEst": TORQUE[:, 0], "q_des": COMMAND[:, 0], "kp": 0 * TIME + KP}
-    return table(path / "run.csv", columns | {"kd": 0 * TIME + KD, "tau_ff": 0.2 * np.sin(TIME)} | changed)
-
-
-def refusal(path: Path, text: str) -> str:
-    with pytest.raises(RecordError) as error:
-        loads(text, path).record()
-    (said,) = error.value.faults
-    assert said.endswith(".")
-    return said
-
-
-def test_gains_of_the_log_are_held_against_the_declared_ones(tmp_path: Path) -> None:
-    text = JOINT + '[drive]\nprofile = "mit"\n' + LAW
-    one_motor(tmp_path)
-    record = loads(text, tmp_path).record()
-    assert record.injected is not None
-    assert (record.injected.at, record.tap) == ("before_limit", "measured")
-    assert "controller.position_gain is 60" in refusal(tmp_path, text.replace("40 N m", "60 N m"))
-
-
-def test_gains_that_vary_are_refused_in_a_sentence_and_a_part_is_read(tmp_path: Path) -> None:
-    text = JOINT + 'stop = 0.5\n[drive]\nprofile = "mit"\n' + LAW
-    one_motor(tmp_path, kp=np.where(TIME < 0.6, KP, 2 * KP))
-    assert loads(text, tmp_path).record().torque is not None
-    said = refusal(tmp_path, text.replace("stop = 0.5\n", ""))
-    assert 'kp (column "kp") goes from 40 to 80' in said
-    found = ji.inspect(tmp_path / "run.csv")
-    assert "\n[controller]" not in describe_log(found, "run.csv")
 
 
 def test_a_data_set_needs_its_unit_and_says_what_its_rate_tells(tmp_path: Path) -> None:

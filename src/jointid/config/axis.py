@@ -18,7 +18,7 @@ from jointid.config.declaration import Place, fault_at, locate, to_si
 from jointid.config.source import Source
 from jointid.config.tables import AxisTable, FileTable, ParameterTable, make_method
 from jointid.estimation.methods.registry import Method, methods
-from jointid.models.controllers import PD, Controller
+from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -97,11 +97,8 @@ class Axis:
             name: of the record.
             driving: whether it is to drive a simulation, which needs a reference and no more.
         """
-        law = self.controller if isinstance(self.controller, PD) else None
-        gains = {} if law is None else {"position_gain": law.position_gain, "derivative_gain": law.derivative_gain}
         columns = self._driving_columns(table.columns) if driving else self.channels
-        reader = RecordReader(columns, **{**self.reading, **self.source.reading(table)}, gains=gains)
-        record = reader.build_record(table, name)
+        record = RecordReader(columns, **self.reading).build_record(table, name)
         if driving:
             record.require(("reference",), "a simulation")
             return record

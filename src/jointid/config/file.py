@@ -30,6 +30,7 @@ from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import Log, begin_together
+from jointid.records.formats import read_table
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
@@ -190,7 +191,7 @@ class File:
     def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
         """Read the record of every axis, from one reading of the file; all begin at one instant, see `record`."""
         path = self.record_path(path)
-        table = self.source.read(path, self.path.parent)
+        table = read_table(path, **self.source.options)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for axis in self.axes:
             try:
@@ -271,10 +272,6 @@ class File:
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
-        if self.source.files and path is None:
-            raise RecordError(
-                "A record in several files is not read in chunks; join them to one file, or leave --window out."
-            )
         return Log(self.record_path(path), self.axis.channels, self.axis.reading, self.source.options)
 
     @property
@@ -285,7 +282,7 @@ class File:
     @property
     def only_lists(self) -> bool:
         """Whether the file lists all its records, for one fit of them."""
-        return bool(self.runs) and self.source.first is None
+        return bool(self.runs) and self.source.file is None
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
         """Return the path of the record: that one, or the one this file names.
@@ -295,9 +292,9 @@ class File:
         """
         if path is not None:
             return path
-        if self.source.first is None:
+        if self.source.file is None:
             raise RecordError(f"{self.path} names no record in [record]; add file to it, or name one by --record.")
-        return self.path.parent / self.source.first
+        return self.path.parent / self.source.file
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
         """Return the files that are read: those of the record that is named, or that the file names; a robot's model.
@@ -305,13 +302,9 @@ class File:
         Args:
             record: that takes the place of those that the file names.
         """
-        if record is not None:
-            found = self.source.files_of(record, self.path.parent)
-        elif self.runs:
-            found = tuple(self.listed)
-        else:
-            found = tuple(self.path.parent / name for name in (*self.source.files, self.source.file) if name)
-        return found if self.model_path is None else (self.model_path, *found)
+        named = record if record is not None or self.source.file is None else self.path.parent / self.source.file
+        found = self.listed if record is None and self.runs else [named]
+        return tuple(path for path in (self.model_path, *found) if path is not None)
 
     def write(self, record: Any, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.

@@ -128,10 +128,8 @@ def save_with_controller(
 
     def name(tables: Tables) -> None:
         if record is not None and not file.runs:
-            table = tables.setdefault("record", {})
-            for other in ("files", "offsets"):
-                table.pop(other, None)
-            table["file"] = relocate_path(os.fspath(record), Path.cwd(), path.parent)
+            place = relocate_path(os.fspath(record), Path.cwd(), path.parent)
+            tables.setdefault("record", {})["file"] = place
 
     changes = replace_table(controller_text(controller, file.axis)), move_paths(file.path.parent, path.parent), name
     try:

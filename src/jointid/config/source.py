@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -15,9 +13,7 @@ from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.units import units_of
 from jointid.estimation.methods.registry import MODELS, ROBOT
 from jointid.models.robots.inertial import MassProperties, is_physical
-from jointid.records.formats import Table as RecordedTable
-from jointid.records.formats import format_of, read_table
-from jointid.records.joining import choose_resampling, join_files
+from jointid.records.formats import format_of
 from jointid.records.resampling import Resampling
 
 
@@ -51,50 +47,10 @@ class Source:
         None,
         "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
     )
-    files: tuple[str, ...] = setting(
-        (),
-        "paths of a record in several files, such as positions and torques apart; they are joined on their clocks, and "
-        "a column whose name an earlier file has is called FILE: NAME",
-    )
-    offsets: tuple[float, ...] = setting(
-        (),
-        "what to add to the clock of each of the files, where they do not share one",
-        unit="s",
-    )
 
     def __post_init__(self) -> None:
-        if (self.file is not None and self.files) or len(self.offsets) not in (0, len(self.files)):
-            raise JointFileError(
-                f"record has {len(self.files)} files, {len(self.offsets)} offsets{' and a file' if self.file else ''}; "
-                "expected a file, or files with an offset for each or none: leave the others out."
-            )
-        for file in filter(None, (self.file, *self.files)):
-            format_of(file, **self.options)
-
-    @property
-    def first(self) -> str | None:
-        """Path of the record, or of its first file."""
-        return self.files[0] if self.files else self.file
-
-    def files_of(self, path: str | os.PathLike[str], folder: Path) -> tuple[Path, ...]:
-        """Return the files of the record at a path; that of the first stands for all of them."""
-        is_first = self.files and os.path.realpath(path) == os.path.realpath(folder / self.files[0])
-        return tuple(folder / file for file in self.files) if is_first else (Path(path),)
-
-    def read(self, path: str | os.PathLike[str], folder: Path) -> RecordedTable:
-        """Read the table of a record; see `files_of`."""
-        paths = self.files_of(path, folder)
-        if len(paths) == 1:
-            return read_table(path, **self.options)
-        clock: dict[str, Any] = {"time": self.time, "time_unit": self.time_unit, "sample_time": self.sample_time}
-        return join_files(paths, offsets=self.offsets, **clock, **self.options)
-
-    def reading(self, table: RecordedTable) -> dict[str, Any]:
-        """Return how a table is read, where it was joined: every column has its clock."""
-        if not (self.files and table.clocks):
-            return {}
-        joined = {"time": None, "time_unit": None, "sample_time": None}
-        return joined if self.resample else joined | {"resample": choose_resampling(table)}
+        if self.file is not None:
+            format_of(self.file, **self.options)
 
 
 @add_settings_to_docstring

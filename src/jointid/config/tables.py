@@ -14,7 +14,7 @@ from jointid.common.errors import JointFileError
 from jointid.common.settings import Setting, declare, setting
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
-from jointid.config.declaration import Place, Reader, Table, fault_at, key, key_error, keys_of, merge
+from jointid.config.declaration import Place, Reader, Table, fault_at, key, keys_of, merge
 from jointid.config.source import Run, Source
 from jointid.estimation.methods.registry import CALLED, Method, MethodName, method_of, methods
 from jointid.models.controllers import FILTERS, LAWS, Controller, Filter
@@ -31,10 +31,6 @@ from jointid.records.signals.filtering import Filtering
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 
 _TURN = 2 * math.pi  # rad
-_FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
-    "default": Filtering,
-    "published": Filtering.published,
-}
 
 INVERSES: Mapping[str, tuple[str, str, str, float]] = {
     "integral_gain": ("integral_time", "integral time Tn of the velocity loop, 1 over its integral gain", "s", 1.0),
@@ -253,17 +249,9 @@ def _law_table(law: str) -> Table:
 _CONTROLLER = Table({}, decided_by="law", variants={law: _law_table(law) for law in LAWS})
 
 
-# Filtering and method
+# Methods
 
 
-def _make_filtering(preset: str | None = None, **given: Any) -> Filtering:
-    if preset is not None and given:
-        raise key_error(next(iter(given)), f' stands beside preset = "{preset}", which sets it: leave one of them out.')
-    return Filtering(**given) if preset is None else _FILTERINGS[preset]()
-
-
-_PRESET = key("preset", Literal[*_FILTERINGS], "all of it at once, in place of the other keys")
-_FILTERING = Table(_PRESET | keys_of(Filtering), _make_filtering)
 _METHOD = Table(
     key("name", MethodName,
         "by which method; without it that of a joint is didim if the record has what it needs, else idim; "
@@ -322,7 +310,7 @@ _SHARED = (
                         _make_record), "the file of the record, and its channels")
     | key("drive", Table(keys_of(Drive, without=("torque_constant", "torque_per_volt")), Drive),
           "whose traces they are, and its own units")
-    | key("filtering", _FILTERING, "how signals are filtered")
+    | key("filtering", Filtering, "how signals are filtered")
     | key("method", _METHOD, "how the joint is identified")
 )  # fmt: skip
 

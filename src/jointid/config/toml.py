@@ -181,16 +181,11 @@ def replace_table(written: str) -> Change:
 def move_paths(before: Path, after: Path) -> Change:
     """Return a change by which the paths of records lead to the same files from another folder."""
 
-    def moved(path: Any) -> Any:
-        if isinstance(path, list):
-            return [moved(one) for one in path]
-        return relocate_path(path, before, after) if isinstance(path, str) else path
-
     def change(tables: Tables) -> None:
         listed = tables.get("records")
         for table in (tables.get("record"), *(listed if isinstance(listed, list) else [])):
-            for name in {"file", "files"} & table.keys() if isinstance(table, dict) else ():
-                table[name] = moved(table[name])
+            if isinstance(table, dict) and isinstance(table.get("file"), str):
+                table["file"] = relocate_path(table["file"], before, after)
 
     return (lambda _: None) if before.resolve() == after.resolve() else change
 

@@ -6,7 +6,7 @@ Each step reports all of its faults at once.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,11 @@ from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
 from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of
 from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, unwrap
-from jointid.records.drives import Drive, Frame, index_columns
+from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Signal, bring_together
 
-_SAME_GAIN = 0.01  # relative
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
 _FEWEST_ROWS = 3  # with a number, of a column that is empty between
 _SLOWER = 1.5  # sample times of the rows, from which on a stated one is that of refreshes
@@ -86,11 +85,7 @@ def read(
 
 @dataclass(frozen=True, slots=True)
 class RecordReader:
-    """Settings that turn a table into a record; see `read`.
-
-    Attributes:
-        gains: of the declared controller, by its keys: what columns of gains are held against.
-    """
+    """Settings that turn a table into a record; see `read`."""
 
     columns: Mapping[str, str | Column]
     drive: Drive
@@ -102,7 +97,6 @@ class RecordReader:
     name: str | None = None
     resample: Resampling | None = None
     cut: Cut = field(default_factory=Cut)
-    gains: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if unknown := [channel for channel in self.columns if channel not in CHANNELS]:
@@ -147,7 +141,7 @@ class RecordReader:
             resampled=done,
             remarks=tuple(dict.fromkeys((*(r for one in signals.values() for r in one.remarks), *said))),
         )
-        if faults := [*self._gain_faults(table, time, clocks), *scale_faults(record)]:
+        if faults := scale_faults(record):
             raise RecordError(faults)
         return record
 
@@ -273,20 +267,6 @@ class RecordReader:
         at, stamps = find_stamps(table, time, self.time_unit, self.sample_time)
         stamps = stamps if at else stamps[: values.size]
         return values[self._find_rows(stamps, values, at)] if stamps.size == values.size else values
-
-    def _gain_faults(self, table: Table, time: str | None, clocks: Mapping[str, str]) -> Iterator[str]:
-        """Yield gains of the log that are not the declared ones."""
-        profile = self.drive.traces
-        if profile is None or not self.gains:
-            return
-        for name, gain in profile.gain_columns(index_columns(table.columns), self.drive.place).items():
-            values, declared = self._cut(table, name, clocks.get(name) or time), self.gains.get(gain.key)
-            low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-            if declared is not None and max(abs(low - declared), abs(high - declared)) > _SAME_GAIN * abs(declared):
-                yield (
-                    f'{gain.name} (column "{name}") goes from {low:g} to {high:g} in the record, and '
-                    f"controller.{gain.key} is {declared:g}; correct it, or cut the record by start and stop."
-                )
 
 
 def _find_wrap(name: str, values: FloatArray, factor: float, scale: float, motor: Signal | None) -> float:

@@ -7,16 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from jointid.common.text import join, pluralise
-from jointid.records.drives import (
-    DriveGain,
-    Place,
-    Profile,
-    Spoken,
-    index_columns,
-    load_profile,
-    place_of,
-    profile_names,
-)
+from jointid.records.drives import Place, Profile, Spoken, index_columns, load_profile, place_of, profile_names
 from jointid.records.record import CHANNELS
 
 _LAST = "generic"  # whose names others have too
@@ -31,13 +22,11 @@ class LoggedAxis:
     Attributes:
         place: its number or its name, as the profile's names have it; empty of a log of one axis.
         channels: column of each channel.
-        gains: columns of the gains of its controller.
     """
 
     in_json = "name -place"
     place: Place
     channels: Mapping[str, str]
-    gains: Mapping[str, DriveGain]
 
     @property
     def name(self) -> str:
@@ -61,12 +50,10 @@ class Recognised:
     @property
     def sentence(self) -> str:
         """The recognised log in a sentence."""
-        gains = sorted({gain.name for axis in self.axes for gain in axis.gains.values()})
-        more = f"; gains {join(gains)}" if gains else ""
         channels = join([name for name in CHANNELS if any(name in axis.channels for axis in self.axes)])
         return (
             f'The columns are those of profile "{self.profile.name}" ({self.profile.title}): '
-            f"{pluralise(len(self.axes), 'axis', 'axes')} with {channels}{more}."
+            f"{pluralise(len(self.axes), 'axis', 'axes')} with {channels}."
         )
 
 
@@ -81,7 +68,7 @@ def recognise(columns: tuple[str, ...]) -> Recognised | None:
         if name != _LAST or best is None:
             profile = load_profile(name)
             axes = tuple(_find_axes(profile, columns, spoken))
-            names = [column for axis in axes for column in (*axis.channels.values(), *axis.gains)]
+            names = [column for axis in axes for column in axis.channels.values()]
             if len(names) > most and not all(map(_PLAIN.fullmatch, names)):
                 best, most = Recognised(profile, axes), len(names)
     return best
@@ -100,4 +87,4 @@ def _find_axes(profile: Profile, columns: tuple[str, ...], spoken: Spoken) -> It
         channels = {channel: names.pop() for channel, names in free.items() if len(names) == 1}
         if "motor_position" in channels or "reference" in channels:
             taken.update(channels.values())
-            yield LoggedAxis(place, channels, profile.gain_columns(spoken, place))
+            yield LoggedAxis(place, channels)

@@ -215,7 +215,8 @@ offset = { start = 0.1 }
 
 def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.json"
-    published = ("--set", "method.name=idim", "--set", "filtering.preset=published")
+    filtering = "{position_cutoff=100, cutoff=40, decimation=10, borders=[49, 0], timing='as_sampled'}"
+    published = ("--set", "method.name=idim", "--set", f"filtering={filtering}")
     words = ("--record", emps_path, *published, "-q", "--json", out)
     assert run("identify", EMPS, *words) == 0
     assert "4.0834 %" in capsys.readouterr().out

@@ -91,7 +91,6 @@ def test_a_fault_stands_beside_its_field_or_the_further_lines(changes: dict[str,
     ("said", "names"),
     [
         ("[[records]]\nfile = '/etc/passwd'", ["passwd"]),
-        ("[record]\nfiles = ['x/a.csv', '../passwd']", ["a.csv", "passwd"]),
         ("[record]\nfile = '/etc/passwd'", ["a.csv"]),
         ("robot = { model = '../../arm.xml' }", ["arm.xml", "a.csv"]),
     ],
@@ -100,7 +99,7 @@ def test_no_lines_lead_to_another_file(said: str, names: list[str]) -> None:
     found = flatten_keys(filled({EXTRA: said}))
     files = [found.get(f"{key}") for key in ("robot.model", "record.file")]
     rows = [row["file"] for row in found.get("records", [])]
-    assert [*filter(None, files), *rows, *found.get("record.files", [])] == names
+    assert [*filter(None, files), *rows] == names
 
 
 def test_a_text_is_bounded_and_printable() -> None:

@@ -39,8 +39,8 @@ def inspect(
         decimal: mark of a text file, likewise.
         header: whether a text file names its columns, likewise.
         json: also write the answer as JSON to this file.
-        write: also write a joint file that reads the log, or a robot file where it has several axes; never over a file.
-        axis: number or name of the axis, for the joint file of one of several.
+        write: also write a joint file that reads the log, never over a file.
+        axis: number or name of its axis, where the log has several.
     """
     from jointid import inspect as look
     from jointid.config.logged import describe_log

@@ -97,7 +97,7 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
     asked |= {"filtering": file.filtering, "loop": None if file.method.name == "idim" else file.loop}
     asked |= {"feed_forward": file.feed_forward.replace("logged", "none")}
     known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
-    if options.record is not None or file.source.first is not None or not (known or asked["motion"]):
+    if options.record is not None or file.source.file is not None or not (known or asked["motion"]):
         try:
             records = file.record(options.record)
             return design(file.identify(records, options.progress, checks=False), records, **asked)

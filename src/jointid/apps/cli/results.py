@@ -50,7 +50,7 @@ def report(
     spare((html, options.json), held_out)
     file = options.load(joint, html, estimate=estimate)
     unseen = None if held_out is None else file.record(held_out)
-    records = file.source.files_of(file.record_path(options.record), joint.parent)
+    records = (Path(file.record_path(options.record)),)
     files = {"held_out": held_out and held_out.name, "estimate": estimate and estimate.name}
     again = repetition(joint, records, {"axis": options.axis, **files}, options.changes, html.name)
     if estimate is None:

@@ -201,7 +201,7 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
         tables = parse_toml(texts.get(EXTRA, ""))
         given = [(one, text) for key, one in fields_of(texts).items() if (text := texts.get(key, ""))]
         changes = [f"{one.key}={one.read(text)}" for one, text in given if (one.key, text) != (LAW, LEARN)]
-        if {"records", "record.files"} & flatten_keys(tables).keys():
+        if "records" in tables:
             records = ()
         changes += [f"record.file={_quote(name)}" for name in records if len(records) == 1]
         made = apply_changes(tables, changes)
@@ -218,7 +218,7 @@ def _confine(value: Any, key: str = "") -> Any:
         return {name: _confine(one, name) for name, one in value.items()}
     if isinstance(value, list):
         return [_confine(one, key) for one in value]
-    return clean_name(str(value)) if key in ("file", "files", "model") else value
+    return clean_name(str(value)) if key in ("file", "model") else value
 
 
 def show_tables(tables: Tables) -> dict[str, str]:

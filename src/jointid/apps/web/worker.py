@@ -70,8 +70,7 @@ def check() -> None:
     from jointid.config import load
 
     draft, file = Draft(Path.cwd()), load("_order.toml", learn=True)
-    paths = [None] if file.source.files else [draft.path / name for name in draft.records]
-    torque, *_ = [file.record(path).torque for path in paths]
+    torque, *_ = [file.record(draft.path / name).torque for name in draft.records]
     assert torque is not None
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
     draft.write_json("_checked.json", size)

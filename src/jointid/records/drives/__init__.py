@@ -75,23 +75,6 @@ class TraceSignal(Column):
 
 
 @dataclass(frozen=True, slots=True)
-class DriveGain:
-    """A drive parameter: a gain or time of its controller.
-
-    Attributes:
-        name: of the parameter, as the drive calls it.
-        key: what it is in the joint file's [controller].
-        units: in which it is shown; several where a setting of the drive decides.
-        columns: names of columns of a trace that hold it, sample by sample.
-    """
-
-    name: str
-    key: str
-    units: tuple[str, ...]
-    columns: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class Profile:
     """Signal names, units and sides in the traces of a drive.
 
@@ -101,7 +84,6 @@ class Profile:
         rated_torque: which of the drive's numbers a share of the rated torque is a share of.
         counts: which of its numbers the counts of a turn are.
         time: names of the time column beside "t" and "time".
-        gains: parameters of its controller, where public documents have them with their units.
         channels: the signals that each channel can be.
         law: of its controller, where one is known, by the word of the joint file.
     """
@@ -114,7 +96,6 @@ class Profile:
     counts: str
     channels: Mapping[str, tuple[TraceSignal, ...]]
     time: tuple[str, ...] = ()
-    gains: tuple[DriveGain, ...] = ()
     law: str = ""
 
     def find(self, channel: str, columns: Spoken, place: Place) -> dict[str, TraceSignal]:
@@ -124,11 +105,6 @@ class Profile:
             if found := {name: one for one in signals for name in _find_named(one.names_on(place), columns)}:
                 return found
         return {}
-
-    def gain_columns(self, columns: Spoken, place: Place) -> dict[str, DriveGain]:
-        """Columns of the controller's gains, where exactly one fits."""
-        found = {gain: _find_named(_fill_names(gain.columns, place), columns) for gain in self.gains}
-        return {names[0]: gain for gain, names in found.items() if len(names) == 1}
 
     def column(
         self, channel: str, declared: Column | None, place: Place, kind: str, tap: Tap | None = None
@@ -212,15 +188,11 @@ def load_profile(name: str) -> Profile:
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
     raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
-    channels, gains = raw.pop("channels"), raw.pop("gains", ())
-    return Profile(
-        name,
-        channels={
-            channel: tuple(TraceSignal(**_freeze(one)) for one in signals) for channel, signals in channels.items()
-        },
-        gains=tuple(DriveGain(**_freeze(one)) for one in gains),
-        **_freeze(raw),
-    )
+    channels = {
+        channel: tuple(TraceSignal(**_freeze(one)) for one in signals)
+        for channel, signals in raw.pop("channels").items()
+    }
+    return Profile(name, channels=channels, **_freeze(raw))
 
 
 def _freeze(raw: Mapping[str, Any]) -> dict[str, Any]:

@@ -46,7 +46,7 @@ FORMATS: tuple[Format, ...] = (
     Format("MAT", (".mat",), arrays.read_mat, write=arrays.write_mat),
     Format("NPY", (".npy",), None, arrays.read_npy, arrays.write_npy),
     Format("NPZ", (".npz",), arrays.read_npz),
-    Format("JSON", (".json", ".jsonl", ".ndjson"), json.read_json, is_text=True),
+    Format("JSON lines", (".jsonl", ".ndjson"), json.read_json, is_text=True),
     Format("HDF5", (".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
     Format("Parquet", (".parquet", ".pq"), None, columnar.read_parquet, columnar.write_parquet),
     Format("TDMS", (".tdms",), columnar.read_tdms),

@@ -173,7 +173,7 @@ class Layout:
                 return self._load([dialect.rewrite(row, kinds) for row in rows], _NOWHERE, kinds)
         like = dialect._replace(kinds=kinds)
         line = next((line for line, text in zip(lines, texts, strict=True) if not like.is_row(text)), lines[0])
-        number = next(number for number, one in _number_lines(self.path) if one == line)
+        number = next(number for number, one in number_lines(self.path) if one == line)
         raise RecordError(
             f'{self.path.name}: line {number} has "{short(line)}", which is no row of '
             f"{pluralise(width, 'column')} like the others; mend or delete that line."
@@ -242,7 +242,7 @@ def read_text(path: Path, rows: int | None, **options: Any) -> Iterator[Table]:
     Empty cells are NaN. The first MiB determines the dialect. An export of TwinCAT Scope is known by its header.
     """
     said, beginning, size = TextOptions(**options), list[str](), 0
-    lines = (line for _, line in _number_lines(path) if line and not line.isspace())
+    lines = (line for _, line in number_lines(path) if line and not line.isspace())
     while size < _BEGINNING and (line := next(lines, None)) is not None:
         beginning.append(line)
         size += len(line)
@@ -262,7 +262,7 @@ def open_text(path: Path) -> IO[bytes]:
     return gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb")  # type: ignore[return-value]
 
 
-def _number_lines(path: Path) -> Iterator[tuple[int, str]]:
+def number_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the lines of a file of any length, from 1, in UTF-8, UTF-16 with byte order mark, or Latin-1."""
     with open_text(path) as raw:
         head = raw.read(_BEGINNING)
