@@ -13,7 +13,7 @@ from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.result.springs import visible
 from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering

@@ -20,7 +20,7 @@ from jointid.common.errors import JointidError
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.result.stiffness_bounds import SHARES
+from jointid.estimation.result.springs import SHARES
 from jointid.models.controllers import PID, Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import jointid as ji
 from jointid.diagnostics.validation import validate
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimateParts
 from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
@@ -18,7 +17,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 
-T = TypeVar("T", bound=EstimateParts)
+T = TypeVar("T", bound=Estimate)
 
 identify = partial(ji.identify, checks=False)
 """Identify without the checks, which take as long as the identification."""

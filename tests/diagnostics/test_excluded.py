@@ -16,7 +16,7 @@ from jointid.diagnostics.find_causes import list_hypotheses
 from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.estimation.identify import fit
-from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -94,7 +94,7 @@ def test_the_first_estimate_stands_where_that_with_the_delay_fails(monkeypatch: 
     record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
     asked: list[tuple[str, ...]] = []
 
-    def fails(*given: Any, **more: Any) -> FitResult:
+    def fails(*given: Any, **more: Any) -> Estimate:
         asked.append(() if given[2] is None else given[2].free)
         if asked[-1]:
             raise ji.MethodError("The loop is unstable.")

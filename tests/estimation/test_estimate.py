@@ -51,7 +51,6 @@ ESTIMATE = Estimate(
         filtered_error=0.0397,
         rows=31,
         conditioning=None,
-        initial=None,
         simulations=14,
         stop="converged: nothing changes any more",
         converged=True,

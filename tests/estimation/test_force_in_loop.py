@@ -14,7 +14,7 @@ from jointid.estimation.descent import History, least_squares
 from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.result.springs import visible
 from jointid.models.controllers import Cascade
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering

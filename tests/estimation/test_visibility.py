@@ -20,7 +20,7 @@ from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.result.springs import visible
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict

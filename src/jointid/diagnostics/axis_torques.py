@@ -22,8 +22,7 @@ from jointid.diagnostics.faults.registry import list_signatures
 from jointid.diagnostics.seen import Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion
-from jointid.estimation.result.assemble import FitResult
-from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.idim import InverseModelRobot
@@ -101,9 +100,7 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
     )  # fmt: skip
 
 
-def torques_of_robot(
-    estimate: EstimateParts, records: Sequence[Record], part: IdentifiedRobot | None = None
-) -> AxisTorques:
+def torques_of_robot(estimate: Estimate, records: Sequence[Record], part: IdentifiedRobot | None = None) -> AxisTorques:
     """Return the torques of the record that a robot's estimate is from, beside its own.
 
     Args:
@@ -118,7 +115,7 @@ def torques_of_robot(
     if isinstance(part, InverseModelRobot):
         return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
     assert isinstance(part, SimulatedRobot)
-    solved = estimate.solved if isinstance(estimate, FitResult) else None
+    solved = estimate.solved if isinstance(estimate, Estimate) else None
     return _by_simulation(part, solved or solve_again(part, records, filtering))
 
 

@@ -27,7 +27,7 @@ from jointid.diagnostics.search_state import LoopTests, SearchState
 from jointid.estimation.identify import plan_windows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import IN_WINDOWS, EstimatedParameter, EstimateParts
+from jointid.estimation.result.parts import IN_WINDOWS, EstimatedParameter
 from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -121,7 +121,7 @@ def diagnose(
 
 
 def diagnose_joint(
-    estimate: EstimateParts,
+    estimate: Estimate,
     record: Record,
     solved: Solved,
     tests: LoopTests | None = None,
@@ -154,7 +154,7 @@ def diagnose_joint(
 
 
 def diagnose_robot(
-    estimate: EstimateParts,
+    estimate: Estimate,
     records: Sequence[Record],
     controllers: Sequence[Controller | None] = (),
     feed_forward: FeedForwardName = "none",
@@ -198,7 +198,7 @@ def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
 
 
 def _find_faults(
-    estimate: EstimateParts,
+    estimate: Estimate,
     records: Sequence[Record],
     torques: AxisTorques,
     units: Sequence[tuple[str, str]],

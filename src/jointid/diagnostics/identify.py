@@ -37,7 +37,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.answer import SLIGHT, Trust
-from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
+from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -169,7 +169,7 @@ def identify(
         return assemble(fit, _left_out("not checked: the checks were left out"))
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet")))
-    checked: FitResult | str = fit
+    checked: Estimate | str = fit
     if planned is not None and part is not None:
         checked = _fit_part(fit, part, record, lambda: fit_one(part, model, method))
     if isinstance(checked, str):
@@ -185,7 +185,7 @@ def identify(
     return assemble(fit, found)
 
 
-def _fit_part(fit: FitResult, part: object, record: object, fit_it: Callable[[], FitResult]) -> FitResult | str:
+def _fit_part(fit: Estimate, part: object, record: object, fit_it: Callable[[], Estimate]) -> Estimate | str:
     """Return the fit of the checked part of a record, or why there is none."""
     if fit.fit.interrupted:
         return "the identification was interrupted"
@@ -198,7 +198,7 @@ def _fit_part(fit: FitResult, part: object, record: object, fit_it: Callable[[],
         return f"{error}"
 
 
-def _free_unstated_delay(fit: FitResult, method: Method | None, found: CheckResults) -> Method | None:
+def _free_unstated_delay(fit: Estimate, method: Method | None, found: CheckResults) -> Method | None:
     """Return the method with an unstated delay of the torque free, where it leaves a doubt; None elsewhere."""
     settings = DIDIM() if method is None else method
     if not isinstance(found.diagnosis, Diagnosis) or fit.problem is None or not isinstance(settings, DIDIM):
@@ -221,7 +221,7 @@ def _left_out(why: str) -> CheckResults:
 
 
 def run_checks(
-    fit: FitResult,
+    fit: Estimate,
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
 ) -> CheckResults:
@@ -274,7 +274,7 @@ def _with_failures(found: CheckResults, failures: Sequence[Message]) -> CheckRes
 
 
 def _check_joint(
-    fit: FitResult,
+    fit: Estimate,
     progress: Progress,
     shown: Sequence[DriveNumber],
     failures: list[Message],
@@ -357,7 +357,7 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
     return Verdict(Subject.LOOP, Status.PASSED if judged.code is Agreement.HOLDS else Status.FAILED, (judged,))
 
 
-def _check_robot(fit: FitResult, part: IdentifiedRobot, progress: Progress, failures: list[Message]) -> CheckResults:
+def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress, failures: list[Message]) -> CheckResults:
     """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
     if len(fit.records) > len(part.model):
         return CheckResults((skip_test(Subject.LOOP, "not checked: several records were identified in one fit"),))
@@ -423,7 +423,7 @@ def _numbers_by_position(part: IdentifiedRobot, records: Sequence[Record], found
     return told
 
 
-def _widen_for_undeclared(fit: FitResult, found: Diagnosis) -> list[Widening]:
+def _widen_for_undeclared(fit: Estimate, found: Diagnosis) -> list[Widening]:
     """Return the shifts by elements neither declared nor found as faults."""
     named = [
         {fault.name for finding in axis.faults.findings for fault in (finding.test.fault, *finding.test.alike)}

@@ -20,7 +20,7 @@ from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.estimation.result.parts import IN_WINDOWS, EstimateParts
+from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.identifiability import Combination
@@ -147,7 +147,7 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
     return problem, problem.vector(values)
 
 
-def take_identified_torque(estimate: EstimateParts, record: Record) -> Record:
+def take_identified_torque(estimate: Estimate, record: Record) -> Record:
     """Return a record with the torque that an estimate was identified from: logged, or computed from the position."""
     read, loop = estimate.data.channels, estimate.settings.loop
     if loop is None or "motor_position" not in read or record.computed:

@@ -20,7 +20,8 @@ from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.numbers import DELAY, TORQUE_FILTER, VELOCITY_FILTER
 from jointid.diagnostics.score import score
-from jointid.estimation.result.assemble import FitResult, Widening
+from jointid.estimation.result.assemble import Widening
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.controllers import Controller, FirstOrder
@@ -58,7 +59,7 @@ def list_undeclared(controller: Controller, sample_time: float) -> Iterator[tupl
         yield DELAY, 0.5 * period, replace(controller, delay=0.5 * period)
 
 
-def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[Collection[str]]) -> list[Widening]:
+def widen_for_undeclared(fit: Estimate, torques: AxisTorques, named: Sequence[Collection[str]]) -> list[Widening]:
     """Return the shifts of parameters by undeclared elements that are not excluded.
 
     Args:
@@ -97,7 +98,7 @@ def widen_for_undeclared(fit: FitResult, torques: AxisTorques, named: Sequence[C
     return [Widening({name: 0.5 * by for name, by in moved.items()}, said)]  # half in two deviations
 
 
-def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:
+def _free(fit: Estimate) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of an estimate's columns, and their scales."""
     part = fit.robot
     if isinstance(part, SimulatedRobot):
@@ -109,7 +110,7 @@ def _free(fit: FitResult) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _columns(
-    fit: FitResult, torques: AxisTorques, named: Sequence[Collection[str]]
+    fit: Estimate, torques: AxisTorques, named: Sequence[Collection[str]]
 ) -> list[tuple[int, Fault, float, FloatArray]]:
     """Return the axis of each undeclared element, its fault, half its size, and the torque per second of it, (n, rows).
 

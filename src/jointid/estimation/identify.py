@@ -21,7 +21,7 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.outputs import fit_outputs, state_position, state_scale
 from jointid.estimation.problems.log_windows import Windowing, commanded
 from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
-from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import (
@@ -146,7 +146,7 @@ def fit(
     several: SeveralRecords | None = None,
     windows: Windowing | None = None,
     progress: Progress = ignore_progress,
-) -> FitResult:
+) -> Estimate:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
     filtering, parameters = filtering or Filtering(), parameters or {}
     if isinstance(model, _ROBOTS):
@@ -170,7 +170,7 @@ def fit(
             settings = replace(settings, free=tuple(dict.fromkeys((*settings.free, *method.free))))
         layout = RecordLayout.of(len(record), model, settings)
 
-        def fit_together(each: Sequence[Record]) -> FitResult:
+        def fit_together(each: Sequence[Record]) -> Estimate:
             require_distinct(each)
             if windows is not None:
                 windowed = records_in_windows(layout, method, filtering, parameters)
@@ -186,7 +186,7 @@ def fit(
         long = loop_in_windows(model, method, filtering, parameters)
         return identify_log([[record]], [long], windows or Windowing(), progress)
 
-    def fit_single(records: Sequence[Record]) -> FitResult:
+    def fit_single(records: Sequence[Record]) -> Estimate:
         if windows is None:
             return identify_record(records[0], model, method, filtering, parameters, progress)
         each = joint_in_windows(model, method, filtering, parameters)
@@ -198,7 +198,7 @@ def fit(
     return _in_time(fit_single)([record])
 
 
-def _in_time(fit: Callable[[Sequence[Record]], FitResult]) -> Callable[[Sequence[Record]], FitResult]:
+def _in_time(fit: Callable[[Sequence[Record]], Estimate]) -> Callable[[Sequence[Record]], Estimate]:
     """Return the fit of records whose torques may have no stated timing, or may be computed."""
     return lambda records: state_scale(fit_unstated_timing(records, fit), records)
 
@@ -212,7 +212,7 @@ def fit_robot(
     parameters: Mapping[str, Parameter] | None = None,
     windows: Windowing | None = None,
     progress: Progress = ignore_progress,
-) -> FitResult:
+) -> Estimate:
     """Return the fit of a robot, without the checks; see `jointid.identify`.
 
     Raises:
@@ -225,7 +225,7 @@ def fit_robot(
         method.require_settings_of("robot")
     every = [record for log in each_log(records) for record in log]
 
-    def of_logs(read: Sequence[Record]) -> FitResult:
+    def of_logs(read: Sequence[Record]) -> Estimate:
         logs = in_logs(read, records) if len(read) == len(every) else read
         if windows is not None:
             sources = [[InMemory(one) for one in log] for log in each_log(logs)]

@@ -42,8 +42,8 @@ from jointid.estimation.problems.log_windows import (
 )
 from jointid.estimation.problems.several_records import RecordsProblem
 from jointid.estimation.result.agreement import Segment, drift
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import find_active_bounds, find_lost, warn_of_limit
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, Fit, Params, RecordFit, Settings, Windows
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.joints import ClosedLoop
@@ -56,9 +56,8 @@ from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.resampling import Sums, left_out, scale_of, step_of
 from jointid.uncertainty.verdict import (
     Subject,
-    axes_verdict,
     bounds_verdict,
-    friction_verdict,
+    fit_verdict,
     solver_verdict,
 )
 
@@ -85,8 +84,8 @@ class Windowed:
         together: of several records, from the start of each to the sum of their problems; None of one.
     """
 
-    fit: Callable[[Sequence[Record], Progress], FitResult]
-    pose: Callable[[Sequence[Record], FitResult], tuple[WindowModel, FloatArray]]
+    fit: Callable[[Sequence[Record], Progress], Estimate]
+    pose: Callable[[Sequence[Record], Estimate], tuple[WindowModel, FloatArray]]
     answer: Callable[[Solved], Told]
     filtering: Filtering
     weighted: Weighted = "none"
@@ -99,7 +98,7 @@ class Start:
     """A window by itself: its records, its fit, and the model of all windows with where the search starts."""
 
     records: Sequence[Record]
-    fit: FitResult
+    fit: Estimate
     model: WindowModel
     x: FloatArray
 
@@ -148,7 +147,7 @@ class Told:
 
 def identify_log(
     logs: Sequence[Sequence[LongRecord]], each: Sequence[Windowed], settings: Windowing, progress: Progress
-) -> FitResult:
+) -> Estimate:
     """Return the estimate of a joint or a robot from long logs, in bounded memory.
 
     See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
@@ -360,7 +359,7 @@ def _pass_to_windows(problem: LogProblem, x: FloatArray, every: int, before: _Be
     return found
 
 
-def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: list[str]) -> FitResult:
+def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: list[str]) -> Estimate:
     """Return the estimate that the last pass makes."""
     problem, found, first = end.problem, end.found, starts[0]
     sums, torque, sample_time = found.sums, first.records[0].torque, problem.members[0].log[0].sample_time
@@ -387,11 +386,11 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
     axis_errors = dict(zip(names, map(float, errors), strict=False))
     verdicts = () if told.robot is None else (
         solver_verdict(end.stop, end.converged),
-        axes_verdict(axis_errors),
-        friction_verdict(told.negative) if told.negative else bounds_verdict(held),
+        fit_verdict(axis_errors),
+        bounds_verdict(held, told.negative),
         *(one for one in first.fit.checks.verdicts if one.subject is Subject.STIFFNESS),
     )  # fmt: skip
-    return FitResult(
+    return Estimate(
         params=told.params,
         fit=Fit(
             measured=np.zeros(0),
@@ -400,7 +399,6 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
             relative_error=math.nan,
             rows=int(found.sizes[..., 2].sum()),
             filtered_error=float(np.sqrt(np.mean(errors**2))) if names else float(found.total_error),
-            at_limit=at_limit,
             passes=end.passes,
             simulations=problem.tally.evaluations if first.model.simulates else 0,
             stop=end.stop,

@@ -9,7 +9,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.estimation.methods.registry import Method, Task, default_method
-from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings
 from jointid.records.record import Record
@@ -24,7 +24,7 @@ def identify_record(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
-) -> FitResult:
+) -> Estimate:
     """Return the fit of a joint to one record; see `jointid.identify`.
 
     Raises:

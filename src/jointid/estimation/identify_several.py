@@ -28,7 +28,6 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
 from jointid.estimation.result.agreement import Agreement, Alone, compare_records
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import (
     build_fit,
     build_params,
@@ -37,7 +36,7 @@ from jointid.estimation.result.build_result import (
     find_lost,
     list_loop_channels,
 )
-from jointid.estimation.result.estimate import fingerprint, relative_error
+from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, RecordFit, Settings
 from jointid.records.checks import find_record_warnings
 from jointid.records.record import Record
@@ -61,7 +60,7 @@ def identify_several(
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
     progress: Progress,
-) -> FitResult:
+) -> Estimate:
     """Return the fit of one joint to several records in one fit; see `jointid.identify`."""
     alone = []
     for k, record in enumerate(records):
@@ -107,7 +106,7 @@ class BySelf:
     """
 
     record: Record
-    fit: FitResult
+    fit: Estimate
     layout: RecordLayout
     number: int
     problem: ClosedLoopProblem
@@ -116,7 +115,7 @@ class BySelf:
     slopes: FloatArray
 
     @classmethod
-    def of(cls, record: Record, fit: FitResult, layout: RecordLayout, number: int) -> BySelf:
+    def of(cls, record: Record, fit: Estimate, layout: RecordLayout, number: int) -> BySelf:
         """Return a record's own fit, evaluated once more at its end."""
         assert fit.problem is not None and fit.x is not None
         return cls(record, fit, layout, number, fit.problem, fit.x, *fit.problem.linearise(fit.x))
@@ -208,7 +207,7 @@ class _Solved:
         return self.problem.values(self.end.x).get("drive_gain", 1.0)
 
 
-def _build_result(solved: _Solved, simulations: int) -> FitResult:
+def _build_result(solved: _Solved, simulations: int) -> Estimate:
     """Return the fit of all records."""
     problem, end, layout = solved.problem, solved.end, solved.problem.layout
     judged, compared = _judge_together(solved), _compare(solved)
@@ -222,7 +221,7 @@ def _build_result(solved: _Solved, simulations: int) -> FitResult:
     error = problem.filter(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
     held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
-    return FitResult(
+    return Estimate(
         params=build_params(problem, end.x, covariance, lost, held, records=len(shares)),
         fit=build_fit(problem, predicted, error, end.message, converged=end.converged, simulations=simulations),
         checks=Checks(

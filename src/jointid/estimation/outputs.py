@@ -16,7 +16,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import CHANNELS, Record
 from jointid.simulation.controller_torque import compute_controller_torque
@@ -51,8 +51,8 @@ def fit_outputs(
     records: Logs,
     loops: Sequence[ClosedLoop],
     outputs: Sequence[str],
-    fit: Callable[[Logs], FitResult],
-) -> FitResult:
+    fit: Callable[[Logs], Estimate],
+) -> Estimate:
     """Return the fit of the output that is asked for; of what the records have where none is.
 
     Args:
@@ -87,7 +87,7 @@ def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> 
     return found
 
 
-def state_position(fit: FitResult) -> FitResult:
+def state_position(fit: Estimate) -> Estimate:
     """Return the fit of a joint under its controller with the error of the position; any other as it is."""
     if fit.record is None or not isinstance(fit.problem, ClosedLoopProblem) or fit.x is None:
         return fit
@@ -98,7 +98,7 @@ def state_position(fit: FitResult) -> FitResult:
     return replace(fit, fit=replace(fit.fit, position_rms=rms, simulations=fit.fit.simulations + 1))
 
 
-def state_scale(fit: FitResult, records: Logs) -> FitResult:
+def state_scale(fit: Estimate, records: Logs) -> Estimate:
     """Return a fit of computed torques with a verdict on what these do not tell; any other fit as it is.
 
     A fixed parameter other than 0 that is a part of the torque, or a known torque beside the controller's output, tells

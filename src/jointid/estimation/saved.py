@@ -98,7 +98,7 @@ def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: Cl
     found = Estimate(
         params=Params(rows, names, _correlation(params, len(names), robot is not None), own),
         fit=read(
-            Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, initial=None, **shares
+            Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, **shares
         ),
         checks=Checks(
             tuple(map(_verdict, checks["verdicts"])), warnings=tuple(map(str, checks["warnings"])),

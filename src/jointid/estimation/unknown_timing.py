@@ -25,7 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.estimation.problems.base import LOG_DELAY
-from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Channel, Record, Timing
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
@@ -50,7 +50,7 @@ def read_as(records: Logs, timing: Timing | None, stated: bool = False) -> Logs:
     return [one if one.torque is None else replace(one, torque=read(one.torque)) for one in records]
 
 
-def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitResult:
+def fit_unstated_timing(records: Logs, fit: Callable[[Logs], Estimate]) -> Estimate:
     """Return the fit by the timing, held or sampled, nearer the minimum.
 
     A fit that cannot be compared with another reading says so. A stated timing is kept.
@@ -67,7 +67,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
         return _widen(first, {LOG_DELAY.name: 0.25 * first.data.sample_time}, _DELAY_SAID)  # half in two deviations
     if first.settings.method != "idim" or (stated and (len(read) != 1 or first.fit.simulations)):
         return first  # instruments are simulated, minutes for a robot
-    own, fits = min(read, key=_READINGS.index), dict[Timing, FitResult]()
+    own, fits = min(read, key=_READINGS.index), dict[Timing, Estimate]()
     if len(read) == 1 and not first.fit.interrupted:
         fits = _fit_readings(lambda timing: first if timing is own else fit(read_as(records, timing, stated)))
     if not fits.keys() >= {Timing.HELD, Timing.SAMPLED}:
@@ -101,22 +101,22 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], FitResult]) -> FitR
     return _widen(replace(chosen, settings=replace(chosen.settings, timing=_READINGS[at])), by, said)
 
 
-def _fit_readings(fit: Callable[[Timing], FitResult]) -> dict[Timing, FitResult]:
+def _fit_readings(fit: Callable[[Timing], Estimate]) -> dict[Timing, Estimate]:
     """Return the fits of the readings that determine something."""
-    found = dict[Timing, FitResult]()
+    found = dict[Timing, Estimate]()
     for timing in _READINGS:
         with suppress(JointidError):
             found[timing] = fit(timing)
     return found
 
 
-def _moved(one: FitResult, other: FitResult) -> dict[str, float]:
+def _moved(one: Estimate, other: Estimate) -> dict[str, float]:
     """Return how far the values of one fit are from those of another; what only one of them has is 0 in the other."""
     here, there = ({row.name: row.value or 0.0 for row in fit.params.rows} for fit in (one, other))
     return {name: here.get(name, 0.0) - there.get(name, 0.0) for name in here | there}
 
 
-def _find_minimum(fits: Mapping[Timing, FitResult]) -> tuple[float, float, bool]:
+def _find_minimum(fits: Mapping[Timing, Estimate]) -> tuple[float, float, bool]:
     """Return the delay of least residual in half samples, two deviations, and its significance.
 
     Args:
@@ -132,7 +132,7 @@ def _find_minimum(fits: Mapping[Timing, FitResult]) -> tuple[float, float, bool]
     return float(costs[0] - costs[1] > _FLAT), np.inf, False  # the cost rises by 1 within sqrt(2 / curve)
 
 
-def _squares(found: FitResult) -> FloatArray:
+def _squares(found: Estimate) -> FloatArray:
     """Return the residual power of each equation, as a share of the torque's."""
     return np.array([*found.fit.axis_errors.values()] or [found.fit.filtered_error]) ** 2
 
@@ -142,7 +142,7 @@ def all_stated(logs: Sequence[Logs]) -> bool:
     return all(record.torque.stated for log in logs for record in log if record.torque is not None)
 
 
-def _widen(found: FitResult, by: Mapping[str, float], said: str) -> FitResult:
+def _widen(found: Estimate, by: Mapping[str, float], said: str) -> Estimate:
     """Return a fit with these further deviations of parameters, by name, and the reason as its first warning."""
     rows = tuple(
         row if row.stderr is None else replace(row, stderr=float(np.hypot(row.stderr, by.get(row.name, 0.0))))

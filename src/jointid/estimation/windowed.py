@@ -44,9 +44,8 @@ from jointid.estimation.problems.log_windows import (
     window_problem,
 )
 from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_params, build_rows, list_loop_channels
-from jointid.estimation.result.estimate import fingerprint
+from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.parts import EstimatedParameter, Params, RecordFit, Settings
 from jointid.estimation.robots.idim import InverseModelRobot, drives, identify_robot
 from jointid.estimation.robots.problem import RobotProblem
@@ -105,7 +104,7 @@ def loop_in_windows(
         )
     free = chosen.free
 
-    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+    def pose(records: Sequence[Record], fit: Estimate) -> tuple[WindowModel, FloatArray]:
         wanted = adjust_parameters(loop.joint.parameters, changes)
         window = window_problem(records[0], loop, filtering, wanted, free)
         return LoopWindow(window), window.vector({p.name: p.value for p in fit.params.rows if p.value is not None})
@@ -209,7 +208,7 @@ def joint_in_windows(
     joint, idim = model if isinstance(model, Joint) else model.joint, method if isinstance(method, IDIM) else IDIM()
     _require_sums(idim, (None, "ols"))
 
-    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+    def pose(records: Sequence[Record], fit: Estimate) -> tuple[WindowModel, FloatArray]:
         found = {row.name: row for row in fit.params.rows}
         zeros = ENCODER_OFFSET.name in found
         wanted = (*adjust_parameters(joint.parameters, changes), *((ENCODER_OFFSET,) if zeros else ()))
@@ -290,11 +289,11 @@ def _by_inverse_model(
     """Return the windows of IDIM of a robot."""
     _require_sums(method, (None, "weighted"))
 
-    def fit_window(records: Sequence[Record], progress: Progress) -> FitResult:
+    def fit_window(records: Sequence[Record], progress: Progress) -> Estimate:
         del progress
         return identify_robot(model, records, method, filtering=filtering, known=known)
 
-    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+    def pose(records: Sequence[Record], fit: Estimate) -> tuple[WindowModel, FloatArray]:
         part = cast("InverseModelRobot", fit.robot)
         # What a bound held in a window may be off it in all of them.
         fixed = {row.name: row.value or 0.0 for row in fit.params.rows if not row.free and row.name not in known}
@@ -419,13 +418,13 @@ def _by_simulation(
 ) -> Windowed:
     """Return the windows of DIDIM or the drive side of a robot."""
 
-    def fit_window(records: Sequence[Record], progress: Progress) -> FitResult:
+    def fit_window(records: Sequence[Record], progress: Progress) -> Estimate:
         under = model  # the first window of all begins as the model says, any other in motion
         if isinstance(under, RobotLoop) and records[0].begin > 0:
             under = replace(under, in_motion=True)
         return identify_simulated_robot(under, records, method, filtering=filtering, known=known, progress=progress)
 
-    def pose(records: Sequence[Record], fit: FitResult) -> tuple[WindowModel, FloatArray]:
+    def pose(records: Sequence[Record], fit: Estimate) -> tuple[WindowModel, FloatArray]:
         del records
         part = cast("SimulatedRobot", fit.robot)
         x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])

@@ -27,7 +27,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import torques_of_robot
-from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.numbers import robot_parameters
@@ -367,7 +367,7 @@ class FirstRecord:
         return len(self.motion[0]) * self.sample_time
 
 
-def first_record(estimate: EstimateParts, records: Sequence[Record]) -> FirstRecord:
+def first_record(estimate: Estimate, records: Sequence[Record]) -> FirstRecord:
     """Summarise a record and its estimate for the next test.
 
     Args:

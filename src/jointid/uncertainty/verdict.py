@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from jointid.common.messages import Message
-from jointid.common.text import join, number
+from jointid.common.text import join
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.residual_tests import ResidualReport
 
@@ -87,8 +87,8 @@ MOTION_MEASURED = (
 """The warning of a method that takes a measured motion as free of the error, where no instrument tests that."""
 
 
-AGAINST_EVERY_VALUE = (Reason.RESIDUAL_FOLLOWS_MOTION,)
-"""Reasons of a failed check that speak against every value of the estimate."""
+AGAINST_EVERY_VALUE = (Reason.CAUSE_FOUND, Reason.RESIDUAL_FOLLOWS_MOTION, Reason.FRICTION_NEGATIVE)
+"""Reasons of a failed check, but that of the loop, that speak against every value of the estimate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,12 +135,16 @@ def solver_verdict(stop: str, converged: bool) -> Verdict:
     return _judge(Subject.SOLVER, converged, Reason.SEARCH_ENDED, stop)
 
 
-def fit_verdict(report: ResidualReport) -> Verdict:
-    """Verdict on the share of torque that the model explains."""
-    said, values = f"{100 * report.relative:.2f} % of the filtered torque remains", {"remaining": report.relative}
-    if report.relative <= POOR_FIT:
+def fit_verdict(errors: Mapping[str, float]) -> Verdict:
+    """Verdict on the share of the filtered torque of each axis that remains; a joint alone has the name ""."""
+    worst = max(errors, key=lambda axis: errors[axis])
+    of = f" of {worst}" if worst else ""
+    said = f"{100 * errors[worst]:.2f} % of the filtered torque{of} remains"
+    values = {"remaining": dict(errors) if worst else errors[worst]}
+    if errors[worst] <= POOR_FIT:
         return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
-    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, f"{said}, more than a right model leaves", values)
+    said += ", more than a right model leaves"
+    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, said, values)
 
 
 def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
@@ -151,20 +155,14 @@ def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
     else:
         code = Reason.RESIDUAL_WHITE if white.white else Reason.RESIDUAL_COLOURED
         values = {"statistic": white.statistic, "lags": white.lags, "p_value": white.p_value}
-        clause = "" if white.white else "the residual is not white within the pass band"
-        noise = _judge(Subject.WHITENESS, white.white, code, str(white), values, clause)
+        noise = _judge(Subject.WHITENESS, white.white, code, str(white), values)
     if repeats is None:
         return noise, skip_test(Subject.REPEATABLE, "not examined")
     if repeats.p_value is None:
         return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
     sizes = {"rms": repeats.rms, "unit": repeats.unit, "share": repeats.share, "p_value": repeats.p_value}
-    clause = (
-        f"{number(repeats.rms, 2)} {repeats.unit} rms of it repeat with position, direction and speed"
-        if repeats.significant
-        else ""
-    )
-    return noise, _judge(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes, clause)
+    return noise, _judge(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes)
 
 
 def identifiability_verdict(known: Identifiability) -> Verdict:
@@ -175,19 +173,23 @@ def identifiability_verdict(known: Identifiability) -> Verdict:
     return _judge(Subject.IDENTIFIABILITY, True, Reason.ALL_DETERMINED, said)
 
 
-def only_sums_verdict() -> Verdict:
-    """Verdict for a refused stiffness: only sums of both sides are determined."""
-    said = "only the sums of both sides are determined, not their division"
-    return _judge(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said)
-
-
-def bounds_verdict(touched: Sequence[str]) -> Verdict:
-    """Verdict on parameters at a bound."""
+def bounds_verdict(touched: Sequence[str], negative: Sequence[str] = ()) -> Verdict:
+    """Verdict on parameters at a bound; `negative` are axes whose friction is negative by more than its interval."""
+    if negative:
+        said = f"the friction of {join(negative)} is negative: check the signs of torque, motor position and gear"
+        return _judge(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*negative]})
     if not touched:
         return _judge(Subject.BOUNDS, True, Reason.NONE_AT_BOUND, "no parameter is held by a bound")
-    said = f"{', '.join(touched)} at a bound, where it does not follow the record"
-    clause = f"{join(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
-    return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
+    said = f"{join(touched)} at a bound, where the record is not followed"
+    return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": [*touched]})
+
+
+def springs_verdict(refused: Sequence[str], shown: str = "the record shows every spring") -> Verdict:
+    """Verdict on springs; `refused` has a sentence for each reason or spring that the record does not show."""
+    if not refused:
+        return _judge(Subject.STIFFNESS, True, Reason.STIFFNESS_SHOWN, shown)
+    reasons = tuple(Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in refused)
+    return Verdict(Subject.STIFFNESS, Status.FAILED, reasons)
 
 
 def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Verdict:
@@ -204,37 +206,11 @@ def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified:
         said += ", which the free gain takes up" if identified else ": free gain to identify it"
     else:
         code = Reason.SCALE_DECLARED
-        said += "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"
-        said += "; check that gains and positions are in SI units"
+        said += "so gains 10 % too large make every parameter 10 % too large: check their units"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
     values = {"parameters": [*known], "undetermined": [*lost]}
-    return _judge(Subject.SCALE, True if known else None, code, said, values, "the scale of its gains is declared")
-
-
-def axes_verdict(errors: Mapping[str, float]) -> Verdict:
-    """Verdict on the share of each axis's torque that the model explains."""
-    worst = max(errors, key=lambda axis: errors[axis])
-    values = {"remaining": dict(errors)}
-    if errors[worst] <= POOR_FIT:
-        said = f"at most {100 * errors[worst]:.2f} % of the filtered torque of an axis remains, of {worst}"
-        return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
-    bad = join([axis for axis, left in errors.items() if not left <= POOR_FIT])
-    said = f"more than {100 * POOR_FIT:.0f} % of the filtered torque of {bad} remains, more than a right model leaves"
-    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, said, values)
-
-
-def friction_verdict(axes: Sequence[str]) -> Verdict:
-    """Verdict for axes whose friction is negative by more than its interval."""
-    said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
-    return _judge(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": list(axes)})
-
-
-def springs_verdict(refused: Sequence[str]) -> Verdict:
-    """Verdict on the springs of a robot; `refused` has a sentence for each that the record does not show."""
-    if not refused:
-        return _judge(Subject.STIFFNESS, True, Reason.STIFFNESS_SHOWN, "the record shows every spring")
-    return _judge(Subject.STIFFNESS, False, Reason.STIFFNESS_NOT_SHOWN, "; ".join(refused))
+    return _judge(Subject.SCALE, True if known else None, code, said, values)
 
 
 def skip_test(subject: Subject, why: str, axes: Sequence[str] = ()) -> Verdict:
@@ -243,11 +219,6 @@ def skip_test(subject: Subject, why: str, axes: Sequence[str] = ()) -> Verdict:
 
 
 def _judge(
-    subject: Subject,
-    good: bool | None,
-    code: Reason,
-    said: str,
-    values: Mapping[str, object] | None = None,
-    clause: str = "",
+    subject: Subject, good: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
 ) -> Verdict:
-    return Verdict(subject, Status.of(good), (Message(code, said, values or {}, clause),))
+    return Verdict(subject, Status.of(good), (Message(code, said, values or {}),))

@@ -57,9 +57,9 @@ from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.problems.base import DELAY, DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_closed_loop_result
-from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.springs import visible
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
 from jointid.estimation.starts.rigid_joint import Start, rigid_starts
 from jointid.models.controllers import numbers_of, with_numbers
@@ -125,7 +125,7 @@ class DIDIM(Method):
         """Return the tolerance that the search stops at: its own, or the default of the joint's model."""
         return self.tolerance or _TOLERANCES[model]
 
-    def identify(self, task: Task) -> FitResult:
+    def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and reference; a motor position in the record is not read.
 
         The filter goes over torque and columns alike. The mode of a flexible joint must lie below the cut-off.
@@ -200,7 +200,7 @@ class DIDIM(Method):
             return self._solve_flexible(task, history)
         return self._solve_rigid(task, history, near)
 
-    def _identify_rigid(self, task: Task) -> FitResult:
+    def _identify_rigid(self, task: Task) -> Estimate:
         history = History(task.progress)
         at_delay, near = self._near_delay(task, history)
         solved = self._free_more(self.solve(at_delay, history, near), task, history)
@@ -232,7 +232,7 @@ class DIDIM(Method):
         tolerance = self.stopping_tolerance(task.joint.model)
         return self._declared(free_more(solved, self.free, tolerance, history), task)
 
-    def _identify_flexible(self, task: Task) -> FitResult:
+    def _identify_flexible(self, task: Task) -> Estimate:
         progress = task.progress
         history = History(progress)
         solved = self._solve_flexible(self._near_delay(task, history)[0], history)
@@ -252,9 +252,8 @@ class DIDIM(Method):
         if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
             force = allow_for_force(problem, x, -J, known.covariance.std, history)
             known = widened_for_force(known, problem, x, force)
-        return build_closed_loop_result(
-            task.record, problem, x, run, (stop, converged), known, J, history.tally.evaluations, spring=spring
-        )
+        end, runs = (stop, converged), history.tally.evaluations
+        return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
 
     def _solve_flexible(self, task: Task, history: History) -> Solved:
         loop, tolerance = task.loop, self.stopping_tolerance("flexible")

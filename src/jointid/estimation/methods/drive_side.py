@@ -41,8 +41,8 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_data, build_fit, build_params, find_active_bounds, find_lost
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.records.record import Record, Tap
@@ -280,7 +280,7 @@ class DriveSideFit(Method):
         lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
         return delay, lag if self.current_lag is None else CURRENT_LAG.fix(self.current_lag)
 
-    def identify(self, task: Task) -> FitResult:
+    def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and motor position, whatever its controller.
 
         The position's cut-off should be five times the free-free
@@ -406,7 +406,7 @@ def _build_result(
     covariance: Covariance,
     simulations: int,
     warnings: Sequence[str] = (),
-) -> FitResult:
+) -> Estimate:
     """Return the fit.
 
     Args:
@@ -427,7 +427,7 @@ def _build_result(
     )
     held = find_active_bounds(problem.free, x, solution.residual, solution.jacobian)
     delay = -problem.values(x)[LOG_DELAY.name]
-    return FitResult(
+    return Estimate(
         params=build_params(problem, x, covariance, lost, held),
         fit=build_fit(
             problem,

@@ -35,9 +35,8 @@ from jointid.estimation.problems.inverse_model import (
     motion_of,
     through_window,
 )
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_data, build_rows
-from jointid.estimation.result.estimate import relative_error
+from jointid.estimation.result.estimate import Estimate, relative_error
 from jointid.estimation.result.parts import Checks, Fit, Params, Settings
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
@@ -83,7 +82,7 @@ class IDIM(Method):
         """Return torque and motor position, and the load's where the joint is flexible."""
         return idim_channels(model)
 
-    def identify(self, task: Task) -> FitResult:
+    def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and motor position, and load position where it is flexible.
 
         The standard deviations are those of the regression, robust to autocorrelation. What repeats with the motion is
@@ -125,7 +124,7 @@ class IDIM(Method):
         predicted = through_window(found.columns[:, :1], filtering)[:, 0] @ solved.values
         read = ["torque", *(loop.controller.channels if loop is not None and estimator == "iv" else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
-        return FitResult(
+        return Estimate(
             params=Params(
                 build_rows(parameters, values, std, joint.unit, [p.name for p in task.parameters], held=held),
                 tuple(std),

@@ -21,7 +21,7 @@ from jointid.common.settings import check_settings, settings_of
 if TYPE_CHECKING:
     from jointid.common.messages import Progress
     from jointid.common.parameters import Parameter
-    from jointid.estimation.result.assemble import FitResult
+    from jointid.estimation.result.estimate import Estimate
     from jointid.models.controllers import Controller
     from jointid.models.joints import ClosedLoop, Joint
     from jointid.records.record import Record
@@ -137,7 +137,7 @@ class Method(Protocol):
                     f"{type(self).__name__}.{one.name} is for {meant}, and this is {CALLED[system]}; leave it out."
                 )
 
-    def identify(self, task: Task) -> FitResult:
+    def identify(self, task: Task) -> Estimate:
         """Identify a joint from a record."""
         ...
 

@@ -1,8 +1,8 @@
 """The answer of an estimate in a line: the value that was asked for, and whether to rely on it.
 
-What was asked for is the stiffness of a flexible joint, the inertia of a rigid one. A check that fails speaks against
-it only where it would move it: a residual that is coloured, or repeats, is in the interval already, and a fault of the
-loop that moves a friction leaves the inertia what it is.
+What was asked for is the stiffness of a flexible joint, the inertia of a rigid one, and all parameters of a robot. One
+rule says whether to rely on it: nothing that was checked moves it out of its interval. A residual that is coloured or
+repeats is in the interval already, and a fault of the loop that moves a friction leaves the inertia what it is.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jointid.common.messages import Message
 from jointid.common.text import in_words, interval, join, number, round_to
-from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, show_value
+from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import (
@@ -29,14 +29,15 @@ from jointid.uncertainty.verdict import (
     Verdict,
 )
 
+if TYPE_CHECKING:
+    from jointid.estimation.result.estimate import Estimate
+
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
-_IF_CONTROLLER = "You can rely on it if the controller is as declared, which was not checked"
-_IF_SCALE = "You can rely on it if the scale of the controller's gains is right, which positions do not show"
+_WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 SLIGHT = 1e-3
 """Share of a value that no decision depends on; the log of a simulator without noise shows smaller faults."""
-_WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 
 
 class Found(StrEnum):
@@ -56,6 +57,22 @@ class Trust(StrEnum):
     NOT_YET = "not_reliable_yet"
     NOT_CHECKED = "not_checked"
     REFUSED = "refused"
+
+
+class Against(StrEnum):
+    """Reasons against a value that are not of a verdict."""
+
+    NOT_CONVERGED = "not_converged"
+    TORQUE_UNEXPLAINED = "torque_unexplained"
+    AT_BOUND = "at_bound"
+    HELD = "others_at_bound"
+    RECORDS_DISAGREE = "records_disagree"
+    DRIFTS = "drifts"
+    WIDE = "wide_interval"
+    NO_INTERVAL = "no_interval"
+    ONLY_TOGETHER = "only_together"
+    INTERRUPTED = "interrupted"
+    ENCODER_LAG = "encoder_lag"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,49 +99,42 @@ class Answer:
         return f"{self.found}. {self.trust}."
 
 
-def answer_of(estimate: EstimateParts) -> Answer:
+def answer_of(estimate: Estimate) -> Answer:
     """Return the first line of an estimate."""
     if estimate.robot is not None:
-        return Answer(_known_of_robot(estimate), _trust_of_robot(estimate))
-    rows, of_records = estimate.params.rows, estimate.params.own
-    free = [
-        row
-        for name in _ASKED
-        for row in rows
-        if row.name == name and (row.free or row.value is None or row.at_bound is not None)
-    ]
-    own = [row for rows_of in of_records[:1] for row in rows_of if row.name == "inertia" and row.free]
-    if own and not free:  # each record has its own inertia: the first one's is reported
-        asked = replace(own[0], name="inertia@1")
-    else:
-        asked = next(iter([*free, *(row for row in rows if row.free), *rows]))
+        return Answer(_count_known(estimate), _judge(estimate, None))
+    asked = _find_asked(estimate)
     if asked.value is None:
-        return Answer(_undetermined_message(estimate, asked), _refusal_message(estimate))
-    assert asked.value is not None
-    shown = _with_pieces(estimate, asked, _with_unit(asked) + (", at its bound" if asked.at_bound is not None else ""))
+        return Answer(_refuse(estimate, asked), _name_remedy(estimate))
     mode = estimate.frequencies.get("free_free")
-    words = f"{_in_words(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
-    return Answer(Message(Found.VALUE, words, _values(asked, mode)), _trust(estimate, asked))
+    words = f"{in_words(asked.name).capitalize()} {_show(asked)}"
+    words += "" if mode is None else f", mode {number(mode, 3)} Hz"
+    return Answer(Message(Found.VALUE, words, _values(asked, mode)), _judge(estimate, asked))
 
 
-def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str) -> str:
-    """Return a shown stiffness with what else a spring in pieces is made of."""
-    joint = estimate.settings.joint
-    if asked.name != "stiffness" or not isinstance(joint, FlexibleJoint):
-        return shown
+# The value
+
+
+def _find_asked(estimate: Estimate) -> EstimatedParameter:
+    """Return the parameter that was asked for; of records that have an inertia each the first one's."""
     rows = {row.name: row for row in estimate.params.rows}
-    others = {p.name: _with_unit(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
-    return joint.spring.describe({asked.name: shown, **others})
+    asked = [rows[name] for name in _ASKED if name in rows]
+    found = [row for row in asked if row.free or row.value is None or row.at_bound is not None]
+    own = [row for row in estimate.params.own[0] if row.name == "inertia" and row.free] if estimate.params.own else []
+    if own and not found:
+        return replace(own[0], name="inertia@1")
+    return next(iter([*found, *(row for row in rows.values() if row.free), *rows.values()]))
 
 
-def _with_unit(row: EstimatedParameter) -> str:
-    value, fixed, _ = show_value(row).partition(" (fixed)")
-    return f"{value} {row.unit}{fixed}" if row.value is not None or row.lower_bound is not None else value
+def _show(asked: EstimatedParameter) -> str:
+    """Return a value with its interval and unit."""
+    value, fixed, _ = show_value(asked).partition(" (fixed)")
+    return f"{value} {asked.unit}{fixed}" + (", at its bound" if asked.at_bound is not None else "")
 
 
-def _undetermined_message(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
+def _refuse(estimate: Estimate, asked: EstimatedParameter) -> Message:
     """Return the bound of a refused value, for a stiffness the softest admissible one."""
-    words = f"{_in_words(asked.name)} not determined by this record"
+    words = f"{in_words(asked.name).capitalize()} not determined by this record"
     stated = told_bounds(estimate)
     bounds = [(b.stiffness, b.frequency, b.share) for b in stated if b.stiffness and b.frequency]
     if not bounds:
@@ -137,10 +147,9 @@ def _undetermined_message(estimate: EstimateParts, asked: EstimatedParameter) ->
     return Message(Found.LOWER_BOUND, words, _values(asked, mode) | {"lower_bound": least})
 
 
-def told_bounds(estimate: EstimateParts) -> tuple[StiffnessBound, ...]:
+def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
     """Return the bounds of a refused stiffness; none where loop or model are not those of the torque they come from."""
-    loop = loop_verdict(estimate)
-    wrong = estimate.fit.filtered_error > POOR_FIT or (loop is not None and loop.status is Status.FAILED)
+    wrong = estimate.fit.filtered_error > POOR_FIT or _status_of_loop(estimate) is Status.FAILED
     return () if wrong else estimate.checks.bounds
 
 
@@ -156,180 +165,145 @@ def _values(asked: EstimatedParameter | None, mode: float | None) -> dict[str, A
     }
 
 
-def _refusal_message(estimate: EstimateParts) -> Message:
-    """Return the reliable combinations beside a refused value."""
-    loop, known = loop_verdict(estimate), estimate.checks.known
-    if loop is not None and loop.status is Status.FAILED:
-        return _not_yet([loop.reasons[0]])
-    flexible = isinstance(estimate.settings.joint, FlexibleJoint)
-    words = (
-        "Identify the joint as rigid, or record a motion that shows it" if flexible else "Record a motion that shows it"
-    )
-    for one in () if known is None else known.physical:
-        if one.combination.quantity == "inertia":
-            words += f"; the whole inertia is {interval(one.value, 2 * one.std)} {one.combination.unit}"
-            if loop is not None and loop.status is Status.UNKNOWN:
-                words += " if the controller is as declared, which was not checked"
-    return Message(Trust.REFUSED, words, {"reasons": [], "parameters": []})
-
-
-def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
-    """Return the trust in a value, with the reasons against it."""
-    against = _reasons_against(estimate, asked)
-    if against:
-        return _not_yet(against)
-    moved = [row for row in estimate.params.rows if row.name in _moved_out(estimate)]
-    if moved:
-        names, fault = join([in_words(row.name) for row in moved]), loop_verdict(estimate)
-        assert fault is not None
-        words = f"You can rely on it, but not on {names}: {fault.reasons[0].brief}"
-        return Message(
-            Trust.PARTLY,
-            words,
-            {"reasons": [str(fault.reasons[0].code)], "parameters": [row.name for row in moved]},
-        )
-    values: dict[str, Any] = {"reasons": [], "parameters": []}
-    if not asked.free:
-        return Message(Trust.NOT_CHECKED, "It was declared, not identified", values)
-    if all(verdict.subject is Subject.SCALE for verdict in estimate.checks.verdicts):
-        return _fit_only(estimate)
-    loop = loop_verdict(estimate)
-    unchecked = estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN)
-    if unchecked or _scale_is_declared(estimate):
-        return Message(Trust.NOT_CHECKED, _IF_CONTROLLER if unchecked else _IF_SCALE, values)
-    words = "You can rely on it"
-    if loop is not None and loop.status is Status.FAILED:
-        words += ": what is wrong with loop or log moves it by less than its interval"
-    return Message(Trust.RELIABLE, words, values)
-
-
-def _fit_only(estimate: EstimateParts) -> Message:
-    left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
-    reasons, words = list[str](), f"Checked by its fit only ({left}): validate it on another record"
-    if estimate.motion_measured:  # another record has the same bias
-        reasons, words = [str(Reason.MOTION_MEASURED)], f"Checked by its fit only ({left}): {MOTION_MEASURED}"
-    return Message(Trust.NOT_CHECKED, words, {"reasons": reasons, "parameters": []})
-
-
-def _not_yet(against: list[Message]) -> Message:
-    words = "; ".join(one.brief for one in against[:2])
-    values = {"reasons": [str(one.code) for one in against], "parameters": []}
-    return Message(Trust.NOT_YET, f"Do not rely on it yet: {words}", values)
-
-
-def _known_of_robot(estimate: EstimateParts) -> Message:
+def _count_known(estimate: Estimate) -> Message:
     """Return the number of known parameters of a robot, and its largest error."""
     asked = [row for row in estimate.params.rows if row.free and row.of_joint]
     known = [row for row in asked if row.value and row.stderr is not None and row.stderr < KNOWN * abs(row.value)]
     left = estimate.fit.axis_errors
     worst = max(left, key=lambda axis: left[axis])
-    words = (
-        f"{len(known)} of {len(asked)} parameters known to a tenth, {number(100 * left[worst], 3)} % of the torque of "
-    )
-    words += f"{worst} not explained"
+    words = f"{len(known)} of {len(asked)} parameters known to a tenth, {number(100 * left[worst], 3)} % of the torque "
     values = _values(None, None) | {"known": len(known), "asked": len(asked), "worst": worst}
-    return Message(Found.PARAMETERS, words, values)
+    return Message(Found.PARAMETERS, f"{words}of {worst} not explained", values)
 
 
-_NAMED = (Reason.CAUSE_FOUND, Reason.LOOP_NOT_AS_DECLARED)  # what is wrong is said before its effects
+# Whether to rely on it
 
 
-def _trust_of_robot(estimate: EstimateParts) -> Message:
-    """Return whether to rely on the estimate of a robot."""
-    verdicts = estimate.checks.verdicts
-    of_springs = [v for v in verdicts if v.subject is Subject.STIFFNESS]
-    failed = [v.reasons[0] for v in verdicts if v.status is Status.FAILED and v.subject is not Subject.STIFFNESS]
-    against = [one for one in failed if one.code is not Reason.AT_BOUND]  # that speaks against one parameter
+def _name_remedy(estimate: Estimate) -> Message:
+    """Return what to do where a value is refused, with the whole inertia where that is known."""
+    loop, known = loop_verdict(estimate), estimate.checks.known
+    if loop is not None and loop.status is Status.FAILED:
+        return _trust(Trust.NOT_YET, f"Do not rely on it yet: {loop.reasons[0].brief}", loop.reasons[:1])
+    words = "Record a motion that shows it"
+    if isinstance(estimate.settings.joint, FlexibleJoint):
+        words = "Identify the joint as rigid, or record a motion that shows it"
+    for one in () if known is None else known.physical:
+        if one.combination.quantity == "inertia":
+            words += f"; the whole inertia is {interval(one.value, 2 * one.std)} {one.combination.unit}"
+            if loop is not None and loop.status is Status.UNKNOWN:
+                words += " if the controller is as declared, which was not checked"
+    return _trust(Trust.REFUSED, words)
+
+
+def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
+    """Return the trust in a value; in all values of a robot where none is asked for."""
+    against = [*_reasons_against(estimate, asked)]
     if against:
-        return _not_yet(sorted(against, key=lambda one: one.code not in _NAMED))
-    values: dict[str, Any] = {"reasons": [], "parameters": []}
-    refused = [row.name for row in estimate.params.rows if row.value is None]
-    if any(v.status is Status.FAILED for v in of_springs):
+        words = "; ".join(one.brief for one in against[:2])
+        return _trust(Trust.NOT_YET, f"Do not rely on it yet: {words}", against)
+    loop, failed = loop_verdict(estimate), [v for v in estimate.checks.verdicts if v.status is Status.FAILED]
+    moved = [row for row in estimate.params.rows if row.name in _moved_out(estimate)]
+    if moved and loop is not None and asked is not None:
+        words = f"You can rely on it, but not on {join([in_words(row.name) for row in moved])}: {loop.reasons[0].brief}"
+        return _trust(Trust.PARTLY, words, [loop.reasons[0]], moved)
+    if hidden := [v.reasons[0] for v in failed if v.subject is Subject.STIFFNESS]:
+        refused = [row for row in estimate.params.rows if row.value is None]
         words = "You can rely on it, but not on joints whose spring the record does not show"
-        return Message(Trust.PARTLY, words, {"reasons": [str(Reason.STIFFNESS_NOT_SHOWN)], "parameters": refused})
-    if not estimate.require_robot().has_controllers or estimate.motion_measured:
-        return _fit_only(estimate)
-    loop = loop_verdict(estimate)
+        return _trust(Trust.PARTLY, words, hidden, refused)
+    if asked is not None and not asked.free:
+        return _trust(Trust.NOT_CHECKED, "It was declared, not identified")
+    if unchecked := _name_unchecked(estimate, loop):
+        measured = [Message(Reason.MOTION_MEASURED, MOTION_MEASURED)] if estimate.motion_measured else []
+        return _trust(Trust.NOT_CHECKED, unchecked, measured)
+    within = ": what is wrong with loop or log moves it by less than its interval" if loop in failed else ""
+    return _trust(Trust.RELIABLE, f"You can rely on it{within}")
+
+
+def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
+    """Return what an answer depends on that was not checked; "" if nothing."""
+    scale = [v for v in estimate.checks.verdicts if v.subject is Subject.SCALE]
+    left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
+    if estimate.motion_measured:  # another record has the same bias
+        return f"Checked by its fit only ({left}): {MOTION_MEASURED}"
+    if loop is None and len(scale) == len(estimate.checks.verdicts):
+        return f"Checked by its fit only ({left}): validate it on another record"
     if loop is None or loop.status is Status.UNKNOWN:
-        untested = () if loop is None else loop.reasons[0].values.get("axes", ())
-        which = f"controller of {join(untested)} is" if untested else "controllers are"
-        words = f"You can rely on it if the {which} as declared, which was not checked"
-        return Message(Trust.NOT_CHECKED, words, values)
-    if _scale_is_declared(estimate):
-        return Message(Trust.NOT_CHECKED, _IF_SCALE, values)
-    return Message(Trust.RELIABLE, "You can rely on it", values)
+        axes = () if loop is None else loop.reasons[0].values.get("axes", ())
+        which = f"controller of {join(axes)}" if axes else "controller"
+        return f"You can rely on it if the {which} is as declared, which was not checked"
+    if any(v.status is Status.UNKNOWN for v in scale):
+        return "You can rely on it if the scale of the controller's gains is right, which positions do not show"
+    return ""
 
 
-def _scale_is_declared(estimate: EstimateParts) -> bool:
-    """Test whether the declared gains alone tell the scale of the torque."""
-    return any(v.subject is Subject.SCALE and v.status is Status.UNKNOWN for v in estimate.checks.verdicts)
+def _trust(
+    code: Trust, words: str, reasons: Sequence[Message] = (), parameters: Sequence[EstimatedParameter] = ()
+) -> Message:
+    values = {"reasons": [str(one.code) for one in reasons], "parameters": [row.name for row in parameters]}
+    return Message(code, words, values)
 
 
-class Against(StrEnum):
-    """Reasons against a value that are not of a verdict."""
-
-    NOT_CONVERGED = "not_converged"
-    TORQUE_UNEXPLAINED = "torque_unexplained"
-    AT_BOUND = "at_bound"
-    HELD = "others_at_bound"
-    RECORDS_DISAGREE = "records_disagree"
-    DRIFTS = "drifts"
-    WIDE = "wide_interval"
-    NO_INTERVAL = "no_interval"
-    ONLY_TOGETHER = "only_together"
-    INTERRUPTED = "interrupted"
-    ENCODER_LAG = "encoder_lag"
-
-
-def _reasons_against(estimate: EstimateParts, asked: EstimatedParameter) -> list[Message]:
-    """Return the reasons against a value, causes before effects."""
+def _reasons_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
+    """Yield the reasons against a value, or against all values of a robot, causes before effects."""
+    effects = [*_effects(estimate)]
+    if asked is not None:
+        effects += _effects_on(estimate, asked)
     loop = loop_verdict(estimate)
-    found = list(_effects(estimate, asked))
+    if loop is None or loop.status is not Status.FAILED:
+        yield from effects
+        return
+    # A second fault was found beside the first one, corrected; another law that is not excluded is none.
+    faults = [loop.reasons[0], *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
+    held = [in_words(row.name) for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
+    gross = asked is None or not any("changes" in reason.values for reason in loop.reasons)
+    unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in effects)
+    if held and asked is not None:  # parameters make up for what is wrong: how far it moves the others says little then
+        yield from faults
+        yield from effects
+        yield Message(Against.HELD, f"{join(held)} {'end' if len(held) > 1 else 'ends'} at a bound")
+    elif gross or unexplained or asked is None or asked.name in _moved_out(estimate):
+        yield from faults
+        yield from effects
+    else:
+        # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
+        yield from (one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING)
+        yield from effects
+
+
+def _effects(estimate: Estimate) -> Iterator[Message]:
+    """Yield what speaks against every value of an estimate."""
+    fit = estimate.fit
+    if fit.interrupted:
+        yield Message(Against.INTERRUPTED, "it was interrupted, and is of the record's beginning only")
+    elif not fit.converged:
+        yield Message(Against.NOT_CONVERGED, "the search did not converge")
+    others = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP and v.status is Status.FAILED]
+    yield from (one for v in others for one in v.reasons if one.code in AGAINST_EVERY_VALUE)
+    left = max(fit.axis_errors.values(), default=fit.filtered_error)
+    if not left <= POOR_FIT:  # nor is it where the error is no number
+        words = f"{number(100 * left, 2)} % of the {estimate.signal} is not explained"
+        yield Message(Against.TORQUE_UNEXPLAINED, words, {"remaining": left})
+
+
+def _effects_on(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]:
+    """Yield what speaks against one value alone."""
+    checks, loop = estimate.checks, loop_verdict(estimate)
+    if checks.encoder_lag is not None and asked.name in _OF_SPRING:
+        lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"
+        words = f"{checks.encoder_lag.late} seems {lag} late, which hides the spring"
+        yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
     for reason in () if loop is None else loop.reasons:
         by = reason.values["changes"].get(asked.name, 0.0) if reason.code is Reason.LAW_UNDECIDED else 0.0
         if asked.value is not None and asked.stderr and _leaves_interval(asked, by):
             words = f"it would be {number(asked.value + by, 4)} {asked.unit} if {reason.values['condition']}, "
             words += "which this record does not exclude; see the drive's manual"
-            found.append(replace(reason, clause=words))
-    if loop is None or loop.status is not Status.FAILED:
-        return found
-    # A second fault was found beside the first one, corrected; another law that is not excluded is none.
-    faults = [loop.reasons[0], *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
-    held = [in_words(row.name) for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
-    if held:  # what is wrong is made up for by parameters: by how much a fault moves the others says little then
-        words = f"{join(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
-        found = [*found, Message(Against.HELD, words)]
-        return [*faults, *found]
-    # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
-    mechanics = [one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING]
-    gross = not any("changes" in reason.values for reason in loop.reasons)
-    unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in found)
-    if gross or unexplained or asked.name in _moved_out(estimate):
-        return [*faults, *found]
-    return [*mechanics, *found]
-
-
-def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Message]:
-    fit, checks = estimate.fit, estimate.checks
-    if fit.interrupted:
-        yield Message(Against.INTERRUPTED, "it was interrupted, and is of the record's beginning only")
-    elif not fit.converged:
-        yield Message(Against.NOT_CONVERGED, "the search did not converge")
-    if checks.encoder_lag is not None and asked.name in _OF_SPRING:
-        lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"
-        words = f"{checks.encoder_lag.late} seems {lag} late, which hides the spring"
-        yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
-    yield from (one for v in checks.verdicts for one in v.reasons if one.code in AGAINST_EVERY_VALUE)
-    if not fit.filtered_error <= POOR_FIT:  # nor is it where the error is no number
-        left = f"{number(100 * fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
-        yield Message(Against.TORQUE_UNEXPLAINED, left, {"remaining": fit.filtered_error})
+            yield replace(reason, clause=words)
     if asked.at_bound is not None:
         yield Message(Against.AT_BOUND, "at a bound it does not follow the record")
         return
     if checks.agreement is not None and any(p.differs and p.name == asked.name for p in checks.agreement.parameters):
         yield Message(Against.RECORDS_DISAGREE, "the records disagree in it by more than their intervals allow")
-    drift = checks.drift
-    if drift is not None and asked.name in drift.names:
+    if checks.drift is not None and asked.name in checks.drift.names:
         yield Message(Against.DRIFTS, "it changes along the record by more than its intervals allow")
     if not asked.free:
         return
@@ -343,12 +317,20 @@ def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Mes
         yield Message(Against.WIDE, f"it is known {share}")
 
 
-def loop_verdict(estimate: EstimateParts) -> Verdict | None:
+# The verdict on controller and log
+
+
+def loop_verdict(estimate: Estimate) -> Verdict | None:
     """Return the verdict on controller and log; None without one."""
     return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
 
 
-def moved_by_loop(estimate: EstimateParts, threshold: float = 0.0) -> Mapping[str, float]:
+def _status_of_loop(estimate: Estimate) -> Status | None:
+    loop = loop_verdict(estimate)
+    return None if loop is None else loop.status
+
+
+def moved_by_loop(estimate: Estimate, threshold: float = 0.0) -> Mapping[str, float]:
     """Return by how much the parameters change when the faults of loop and log that were found are corrected.
 
     Where none was found, it is by how much another law would change them that the record does not exclude.
@@ -358,12 +340,16 @@ def moved_by_loop(estimate: EstimateParts, threshold: float = 0.0) -> Mapping[st
         threshold: standard errors by which a parameter must change at least.
     """
     loop = loop_verdict(estimate)
+    reasons = () if loop is None else loop.reasons
     rows = {row.name: row.stderr or 0.0 for row in estimate.params.rows}
-    total = sum_changes(() if loop is None else loop.reasons)
+    total: dict[str, float] = {}
+    for reason in [one for one in reasons if one.code != Reason.LAW_UNDECIDED] or reasons:
+        for name, by in reason.values.get("changes", {}).items():
+            total[name] = total.get(name, 0.0) + by
     return {name: by for name, by in total.items() if abs(by) > threshold * rows.get(name, 0.0)}
 
 
-def _moved_out(estimate: EstimateParts) -> Mapping[str, float]:
+def _moved_out(estimate: Estimate) -> Mapping[str, float]:
     """Return the changes by `moved_by_loop` that leave an interval."""
     changes, rows = moved_by_loop(estimate), {row.name: row for row in estimate.params.rows}
     return {name: by for name, by in changes.items() if name not in rows or _leaves_interval(rows[name], by)}
@@ -372,22 +358,3 @@ def _moved_out(estimate: EstimateParts) -> Mapping[str, float]:
 def _leaves_interval(row: EstimatedParameter, by: float) -> bool:
     """Test whether a change of a parameter is more than two standard errors, and not slight."""
     return abs(by) > max(2.0 * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0))
-
-
-def sum_changes(reasons: Sequence[Message]) -> dict[str, float]:
-    """Return by how much the reasons of a loop check change each parameter; see `moved_by_loop`."""
-    total: dict[str, float] = {}
-    for reason in [one for one in reasons if one.code != Reason.LAW_UNDECIDED] or reasons:
-        for name, by in reason.values.get("changes", {}).items():
-            total[name] = total.get(name, 0.0) + by
-    return total
-
-
-def is_another_law(reasons: Sequence[Message]) -> bool:
-    """Return True if nothing is wrong with the loop, but another law is not excluded: its changes are of an `if`."""
-    return bool(reasons) and all(one.code == Reason.LAW_UNDECIDED for one in reasons)
-
-
-def _in_words(name: str) -> str:
-    plain, _, record = name.partition("@")
-    return plain.replace("_", " ").capitalize() + (f" of record {record}" if record else "")

@@ -1,47 +1,14 @@
-"""The assembly of an estimate, once: what a method found, what its record says, and what the checks found."""
+"""An estimate with the results of its checks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
-from jointid.records.record import Record
+from jointid.estimation.result.parts import EstimatedParameter
 from jointid.uncertainty.verdict import MOTION_MEASURED, Subject, Verdict, bounds_verdict
-
-if TYPE_CHECKING:
-    from jointid.estimation.robots.problem import SolvedRobot
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
-class FitResult(EstimateParts):
-    """The result of a method: the parts of an estimate as far as it knows them, and the problem it solved.
-
-    Attributes:
-        problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
-        record: the one record; None for several, for a log in windows or for a robot.
-        records: of the joints of a robot.
-        solved: of a robot that was simulated along one log; None elsewhere.
-        undetermined: names of parameters that lose their values once all is checked.
-        shifts: (free,) each, by which the deviations of a joint's simulation were widened.
-    """
-
-    problem: ClosedLoopProblem | None = None
-    x: FloatArray | None = None
-    record: Record | None = None
-    records: tuple[Record, ...] = ()
-    solved: SolvedRobot | None = None
-    undetermined: tuple[str, ...] = ()
-    shifts: tuple[FloatArray, ...] = ()
-
-    def warn(self, *said: str) -> FitResult:
-        """Return the fit with further warnings."""
-        return replace(self, checks=replace(self.checks, warnings=(*self.checks.warnings, *said)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +39,8 @@ class CheckResults:
     diagnosis: Documented | None = None
 
 
-def assemble(fit: FitResult, checked: CheckResults | None = None) -> Estimate:
-    """Return the estimate of a fit.
+def assemble(fit: Estimate, checked: CheckResults | None = None) -> Estimate:
+    """Return an estimate as it is given back: with its checks, without the values that no record determines.
 
     Args:
         fit: the result of the method.
@@ -88,15 +55,15 @@ def assemble(fit: FitResult, checked: CheckResults | None = None) -> Estimate:
         else _widen(p, checked.widenings)
         for p in fit.params.rows
     )
-    held = bounds_verdict(tuple(p.name for p in rows if p.at_bound is not None))
+    held = bounds_verdict([p.name for p in rows if p.at_bound is not None])
     subjects = {v.subject for v in checked.verdicts}
     own = (
         held if v.subject is Subject.BOUNDS and fit.robot is None else v
         for v in fit.checks.verdicts
         if v.subject not in subjects
     )
-    warnings = (widening.warning for widening in checked.widenings if widening.warning)
     measured = (MOTION_MEASURED,) if fit.motion_measured else ()
+    warnings = (widening.warning for widening in checked.widenings if widening.warning)
     return Estimate(
         params=replace(fit.params, rows=rows),
         fit=fit.fit,
@@ -106,10 +73,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None) -> Estimate:
             warnings=(*fit.checks.warnings, *measured, *warnings),
             diagnosis=checked.diagnosis,
         ),
-        data=replace(
-            fit.data,
-            resampled=None if fit.record is None else fit.record.resampled,
-        ),
+        data=fit.data,
         settings=fit.settings,
         robot=fit.robot,
     )

@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Message
-from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import join
 from jointid.estimation.problems.base import RecordProblem
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.result.assemble import FitResult
-from jointid.estimation.result.estimate import fingerprint, relative_error
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, acts_on_whole
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known, identifiability
+from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import residual_report
 from jointid.uncertainty.verdict import (
-    Status,
-    StiffnessBound,
-    Verdict,
-    axes_verdict,
     bounds_verdict,
     fit_verdict,
-    friction_verdict,
     identifiability_verdict,
-    only_sums_verdict,
     residual_verdicts,
     solver_verdict,
     springs_verdict,
@@ -43,31 +35,6 @@ from jointid.uncertainty.verdict import (
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
 _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Visibility:
-    """Identifiability of a joint's spring.
-
-    Attributes:
-        verdict: whether its stiffness is reported, and why not.
-        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that it determines.
-        bounds: where the stiffness is refused.
-        simulations: that all this took.
-        notes: on the deviations of the rigid joint, where the stiffness is refused.
-    """
-
-    verdict: Verdict
-    rigid: Mapping[str, float]
-    rigid_std: Mapping[str, float]
-    bounds: tuple[StiffnessBound, ...]
-    simulations: int
-    notes: tuple[Message, ...] = ()
-
-    @property
-    def shown(self) -> bool:
-        """Whether the stiffness is reported."""
-        return self.verdict.status is Status.PASSED
 
 
 def build_params(
@@ -181,6 +148,7 @@ def build_data(record: Record, channels: tuple[str, ...], sample_time: float) ->
         sample_time=sample_time,
         torque_unit=record.torque.unit,
         fingerprint=fingerprint(record.torque.values),
+        resampled=record.resampled,
     )
 
 
@@ -193,10 +161,8 @@ def build_closed_loop_result(
     known: Uncertainty,
     J: FloatArray,
     simulations: int,
-    *,
-    spring: Visibility | None = None,
-) -> FitResult:
-    """Return the fit that ends a simulation of the loop.
+) -> Estimate:
+    """Return the estimate that ends a simulation of the loop, as if its record showed a spring.
 
     Args:
         record: what was identified from.
@@ -207,11 +173,10 @@ def build_closed_loop_result(
         known: of the errors of the free parameters.
         J: (rows, free) sensitivities, filtered.
         simulations: that were run.
-        spring: what the record shows of the spring of a flexible joint.
     """
     assert record.torque is not None
     assert problem.filtering.cutoff is not None
-    values, (stop, converged) = problem.values(x), end
+    stop, converged = end
     error, whole = problem.filter_error(run, problem.measured[:, np.newaxis])
     step = problem.sample_time * (problem.filtering.decimation or 1)
     report = residual_report(
@@ -221,28 +186,20 @@ def build_closed_loop_result(
     stated = identifiability(problem.free, problem.units, x, J, known.covariance)
     fit = build_fit(problem, run.torque, error, stop, converged=converged, simulations=simulations)
     held = find_active_bounds(problem.free, x, error, J)
-    params = build_params(problem, x, known.covariance, held=held)
-    bounds: tuple[StiffnessBound, ...] = ()
-    determined = identifiability_verdict(stated)
-    if spring is not None and not spring.shown:
-        params, stated = _refuse(params, stated, problem.joint, spring)
-        determined, bounds = only_sums_verdict(), spring.bounds
-    return FitResult(
-        params=params,
-        fit=replace(fit, residuals=report, initial=initial_of(values)),
+    return Estimate(
+        params=build_params(problem, x, known.covariance, held=held),
+        fit=replace(fit, residuals=report),
         checks=Checks(
             warnings=warn_of_limit(run.at_limit),
-            notes=tuple(map(str, (*known.warnings, *(() if spring is None else spring.notes)))),
+            notes=tuple(map(str, known.warnings)),
             verdicts=(
                 solver_verdict(stop, converged),
-                fit_verdict(report),
+                fit_verdict({"": report.relative}),
                 *residual_verdicts(report),
-                determined,
+                identifiability_verdict(stated),
                 bounds_verdict(held),
-                *([] if spring is None else [spring.verdict]),
             ),
             known=stated,
-            bounds=bounds,
         ),
         data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
         settings=Settings(
@@ -251,42 +208,12 @@ def build_closed_loop_result(
             system=problem.joint,
             loop=problem.loop_at(x),
             filtering=problem.filtering,
-            delay=values.get("delay", problem.experiment.law.delay),
+            delay=problem.values(x).get("delay", problem.experiment.law.delay),
         ),
         problem=problem,
         x=x,
         shifts=known.shifts,
     )
-
-
-def _refuse(
-    params: Params, stated: Identifiability, joint: Joint, spring: Visibility
-) -> tuple[Params, Identifiability]:
-    """Return the parameters without those that part the motor from the load, and the sums of both sides instead."""
-    assert isinstance(joint, FlexibleJoint)
-    sums = tuple(
-        Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
-        for p in joint.rigid.parameters
-        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
-    )
-    parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
-    rows = []
-    for p in params.rows:
-        if p.free and p.name in spring.rigid_std:  # of both joints: a spring that is not shown narrows no interval
-            rows.append(replace(p, value=spring.rigid[p.name], stderr=spring.rigid_std[p.name]))
-        elif p.free and (p.name.startswith(parted) or (p.of_joint and p.name in spring.rigid)):
-            rows.append(replace(p, value=None, stderr=None, identifiable=False))
-        else:
-            rows.append(p)
-    stated = replace(stated, physical=sums, limitations=(), undetermined=())
-    return replace(params, rows=tuple(rows)), stated
-
-
-def _sum_of(p: Parameter, unit: str) -> Combination:
-    """Return the sum of both sides that a rigid joint's parameter is."""
-    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
-    weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
-    return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
 
 
 def build_robot_result(
@@ -303,7 +230,7 @@ def build_robot_result(
     *,
     negative: Sequence[str] = (),
     warnings: tuple[str, ...] = (),
-) -> FitResult:
+) -> Estimate:
     """Return the fit of a robot.
 
     Args:
@@ -325,11 +252,10 @@ def build_robot_result(
     left = dict(zip(model.names, map(float, errors), strict=True))
     first = records[0].torque
     assert first is not None
-    held = bounds_verdict([row.name for row in rows if row.at_bound is not None])
     torques_of = [record.torque.values for record in records if record.torque is not None]
     starts = range(0, len(torques_of), len(model))
     channels = dict.fromkeys(name for record in records for name in record.channels)
-    return FitResult(
+    return Estimate(
         params=Params(
             rows,
             tuple(rows[i].name for i in free),
@@ -350,8 +276,8 @@ def build_robot_result(
         checks=Checks(
             verdicts=(
                 solver_verdict(stop, converged),
-                axes_verdict(left),
-                friction_verdict(negative) if negative else held,
+                fit_verdict(left),
+                bounds_verdict([row.name for row in rows if row.at_bound is not None], negative),
                 *((springs_verdict([str(s) for s in part.springs if not s.shown]),) if part.springs else ()),
             ),
             warnings=(*model.remarks, *warnings),

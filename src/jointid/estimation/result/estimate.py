@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +16,24 @@ from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.fields import write
 from jointid.estimation.result.answer import Answer, answer_of
-from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
-from jointid.models.joints import ClosedLoop
+from jointid.estimation.result.parts import (
+    Checks,
+    Data,
+    EstimatedParameter,
+    Fit,
+    Params,
+    Settings,
+    on_other_side,
+)
+from jointid.estimation.result.robot import IdentifiedRobot
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.position_forces import Motion
+from jointid.uncertainty.verdict import Subject
 
 if TYPE_CHECKING:
     import jointid
+    from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+    from jointid.estimation.robots.problem import SolvedRobot
     from jointid.records.record import Record
 
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
@@ -29,8 +41,10 @@ _MOST = 64  # times that a position loop may be slower
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Estimate(EstimateParts, Documented):
+class Estimate(Documented):
     """The result of an identification.
+
+    What follows `robot` is kept for the checks alone: `identify` returns an estimate without it.
 
     Attributes:
         params: the parameters with their standard errors and correlation.
@@ -38,6 +52,13 @@ class Estimate(EstimateParts, Documented):
         checks: verdicts, identifiable combinations, tests, bounds, warnings.
         data: the record or records.
         settings: the model and the method, defaults filled in.
+        robot: what only a robot has; None for a joint.
+        problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
+        record: the one record; None for several, for a log in windows or for a robot.
+        records: of the joints of a robot.
+        solved: of a robot that was simulated along one log; None elsewhere.
+        undetermined: names of parameters that lose their values once all is checked.
+        shifts: (free,) each, by which the deviations of a joint's simulation were widened.
 
     Example:
         >>> import jointid as ji
@@ -50,7 +71,20 @@ class Estimate(EstimateParts, Documented):
         (30.0, True)
     """
 
-    in_json = "answer parameters controller_sha256"
+    in_json = "answer parameters controller_sha256 -problem -record -records -solved -undetermined"
+    params: Params
+    fit: Fit
+    checks: Checks
+    data: Data
+    settings: Settings
+    robot: IdentifiedRobot | None = None
+    problem: ClosedLoopProblem | None = None
+    x: FloatArray | None = None
+    record: Record | None = None
+    records: tuple[Record, ...] = ()
+    solved: SolvedRobot | None = None
+    undetermined: tuple[str, ...] = ()
+    shifts: tuple[FloatArray, ...] = ()
 
     @property
     def success(self) -> bool:
@@ -88,10 +122,66 @@ class Estimate(EstimateParts, Documented):
         """Measured less predicted torque, raw, (samples,); empty for a log that is too long for memory."""
         return self.fit.measured - self.fit.predicted
 
+    @property
+    def signal(self) -> str:
+        """The name of the signal that the fit compares, such as a torque computed from the position."""
+        computed = any(verdict.subject is Subject.SCALE for verdict in self.checks.verdicts)
+        return f"torque{' computed from the position' if computed else ''}"
+
+    @property
+    def motion_measured(self) -> bool:
+        """True if the measured motion is taken as free of the error: on the drive side, and by IDIM without "iv"."""
+        method = self.settings.method
+        return method == "drive_side" or (method == "idim" and self.fit.simulations == 0)
+
+    def __getitem__(self, name: str) -> EstimatedParameter:
+        """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
+        return self.params[name]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters of the joint by name, fixed ones included; a refused one is missing."""
+        return {p.name: p.value for p in self.params.rows if p.of_joint and p.value is not None}
+
+    @property
+    def frequencies(self) -> dict[str, float]:
+        """Frequencies of a flexible joint, Hz, as `FlexibleJoint.frequencies` names them; none at a bound."""
+        found = [p for p in self.params.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
+        known = len(found) == 3 and all((p.value or 0.0) > 0 and p.at_bound is None for p in found)
+        return FlexibleJoint.frequencies(self.values) if known else {}
+
+    @property
+    def other_side(self) -> tuple[EstimatedParameter, ...]:
+        """The parameters on the other side of the transmission, in the same order; none without one."""
+        gear = getattr(self.settings.system, "transmission", None)  # a robot has none
+        return () if gear is None else on_other_side(self.params.rows, gear, self.data.torque_unit)
+
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""
         of = "robot" if self.robot is not None else f"{self.settings.joint.model} joint"
         return f"<Estimate of a {of} by {self.settings.method}: {self.answer}>"
+
+    def require_joint(self) -> Joint:
+        """Return the model of the joint.
+
+        Raises:
+            MethodError: the estimate is of a robot.
+        """
+        return self.settings.joint
+
+    def require_robot(self) -> IdentifiedRobot:
+        """Return the robot-only content.
+
+        Raises:
+            MethodError: the estimate is of a joint.
+        """
+        if self.robot is None:
+            raise MethodError("This needs the estimate of a robot, and received that of a joint; identify a robot.")
+        return self.robot
+
+    def warn(self, *said: str) -> Estimate:
+        """Return the estimate with further warnings."""
+        return replace(self, checks=replace(self.checks, warnings=(*self.checks.warnings, *said)))
 
     def require_values(self) -> dict[str, float]:
         """Return every parameter of the joint by name, and on the drive side the log's ``current_lag``.

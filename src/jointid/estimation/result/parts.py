@@ -15,19 +15,17 @@ from jointid.common.messages import suggest
 from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.estimation.result.agreement import Agreement, DriftTest
-from jointid.estimation.result.robot import IdentifiedRobot
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import EncoderLag
 from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Initial
 from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.model_tests import ChiSquareTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound, Subject, Verdict
+from jointid.uncertainty.verdict import StiffnessBound, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,10 +189,8 @@ class Fit:
         rows: filtered samples that were fitted.
         residuals: tests of the filtered error: whiteness, repetition with the motion.
         conditioning: of the regressor, for a linear regression.
-        initial: the motor's state at the first sample, for a simulation.
         simulations: that were run, all of them, those for derivatives and deviations included.
         passes: over the whole of a long log.
-        at_limit: share of the controller's periods at its limit, in a long log.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
         interrupted: True if the last pass over a long log was: the estimate is of its beginning.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
@@ -213,9 +209,7 @@ class Fit:
     converged: bool
     residuals: ResidualReport | None = None
     conditioning: Conditioning | None = None
-    initial: Initial | None = None
     passes: int = 0
-    at_limit: float = 0.0
     interrupted: bool = False
     axis_errors: Mapping[str, float] = field(default_factory=dict)
     position_rms: Mapping[str, float] = field(default_factory=dict)
@@ -373,76 +367,3 @@ class Settings:
         if isinstance(self.system, Robot):
             raise MethodError("This needs the estimate of one joint, and received that of a robot; identify the joint.")
         return self.system
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class EstimateParts:
-    """The five parts of an estimate, without what is computed from them.
-
-    Attributes:
-        params: the parameters with their standard errors and correlation.
-        fit: measured and predicted torque, errors, residual, and how the search went.
-        checks: verdicts, identifiable combinations, tests, bounds, warnings.
-        data: the record or records.
-        settings: the model and the method, defaults filled in.
-        robot: what only a robot has; None for a joint.
-    """
-
-    params: Params
-    fit: Fit
-    checks: Checks
-    data: Data
-    settings: Settings
-    robot: IdentifiedRobot | None = None
-
-    def require_joint(self) -> Joint:
-        """Return the model of the joint.
-
-        Raises:
-            MethodError: the estimate is of a robot.
-        """
-        return self.settings.joint
-
-    def require_robot(self) -> IdentifiedRobot:
-        """Return the robot-only content.
-
-        Raises:
-            MethodError: the estimate is of a joint.
-        """
-        if self.robot is None:
-            raise MethodError("This needs the estimate of a robot, and received that of a joint; identify a robot.")
-        return self.robot
-
-    @property
-    def signal(self) -> str:
-        """The name of the signal that the fit compares, such as a torque computed from the position."""
-        computed = any(verdict.subject is Subject.SCALE for verdict in self.checks.verdicts)
-        return f"torque{' computed from the position' if computed else ''}"
-
-    @property
-    def motion_measured(self) -> bool:
-        """True if the measured motion is taken as free of the error: on the drive side, and by IDIM without "iv"."""
-        method = self.settings.method
-        return method == "drive_side" or (method == "idim" and self.fit.simulations == 0)
-
-    def __getitem__(self, name: str) -> EstimatedParameter:
-        """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
-        return self.params[name]
-
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters of the joint by name, fixed ones included; a refused one is missing."""
-        return {p.name: p.value for p in self.params.rows if p.of_joint and p.value is not None}
-
-    @property
-    def frequencies(self) -> dict[str, float]:
-        """Frequencies of a flexible joint, Hz, as `FlexibleJoint.frequencies` names them; none at a bound."""
-        found = [p for p in self.params.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
-        known = len(found) == 3 and all((p.value or 0.0) > 0 and p.at_bound is None for p in found)
-        return FlexibleJoint.frequencies(self.values) if known else {}
-
-    @property
-    def other_side(self) -> tuple[EstimatedParameter, ...]:
-        """The parameters on the other side of the transmission, in the same order; none without one."""
-        gear = getattr(self.settings.system, "transmission", None)  # a robot has none
-        return () if gear is None else on_other_side(self.params.rows, gear, self.data.torque_unit)

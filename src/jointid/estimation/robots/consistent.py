@@ -18,7 +18,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.covariance import Covariance
@@ -54,7 +54,7 @@ class ConsistentRobot:
     least_inertia: float
 
 
-def consistent_robot(estimate: EstimateParts, prior: Robot | None = None) -> ConsistentRobot:
+def consistent_robot(estimate: Estimate, prior: Robot | None = None) -> ConsistentRobot:
     """Return the robot nearest to a prior whose parameters are those of an estimate, as far as bodies can.
 
     Args:

@@ -26,8 +26,8 @@ from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Instruments, Rows, instruments_of, not_simulated, solve_rows
 from jointid.estimation.problems.inverse_model import MeasuredMotion
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_robot_result
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
 from jointid.estimation.robots.regression import (
@@ -113,7 +113,7 @@ def identify_robot(
     *,
     filtering: Filtering | None = None,
     known: Mapping[str, Parameter] | None = None,
-) -> FitResult:
+) -> Estimate:
     """Identify a robot's base parameters and friction from motor positions and torques of all joints.
 
     Args:

@@ -20,7 +20,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit_robot
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.result.parts import EstimateParts
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import KNOWN
 from jointid.estimation.robots.regression import robot_record_warnings
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
@@ -127,7 +127,7 @@ def _verdict(name: str, value: float, std: float) -> str:
 @one_thread()
 def identify_payload(
     model: Robot | RobotLoop | RobotDriveSide,
-    empty: Sequence[Record] | EstimateParts,
+    empty: Sequence[Record] | Estimate,
     loaded: Sequence[Record],
     method: Method | None = None,
     *,
@@ -160,20 +160,20 @@ def identify_payload(
         if method is None
         else method.name
     )
-    if isinstance(empty, EstimateParts) and empty.settings.method != name:
+    if isinstance(empty, Estimate) and empty.settings.method != name:
         raise MethodError(
             f"The estimate without the payload is by {empty.settings.method}, and the record with it is identified by "
             f"{name}; expected one method for both: give the record without the payload."
         )
-    logs = [log for log in (empty, loaded) if not isinstance(log, EstimateParts)]
+    logs = [log for log in (empty, loaded) if not isinstance(log, Estimate)]
     if any(record.payload for log in logs for record in log):
         raise MethodError(
             "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
             "Record.payload, out."
         )
-    each, said_of = list[EstimateParts](), list[tuple[str, ...]]()
+    each, said_of = list[Estimate](), list[tuple[str, ...]]()
     for log in (empty, loaded):
-        if isinstance(log, EstimateParts):
+        if isinstance(log, Estimate):
             each.append(log)
             continue
         each.append(fit_robot(log, model, method, filtering=filtering, progress=progress))
@@ -182,7 +182,7 @@ def identify_payload(
     return Payload(found.link, found.inertial, found.covariance, tuple(dict.fromkeys(sum(said_of, ()))))
 
 
-def payload_difference(empty: EstimateParts, loaded: EstimateParts) -> Payload:
+def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
     """Return the payload that makes one estimate of a robot into the other, by generalised least squares.
 
     Args:

@@ -20,8 +20,8 @@ from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import position_rms
-from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_robot_result
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
 from jointid.estimation.robots.didim import identify_rigid_robot
@@ -170,7 +170,7 @@ def identify_simulated_robot(
     filtering: Filtering | None = None,
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
-) -> FitResult:
+) -> Estimate:
     """Identify a robot by DIDIM, or on the drive side; joints with a spring are flexible, all others rigid.
 
     Args:

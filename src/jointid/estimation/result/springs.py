@@ -1,0 +1,588 @@
+"""Whether a record shows a joint's spring at all; where it does not, how soft the spring could be.
+
+A search always ends somewhere, and its end has a stiffness. That number is reported only when
+
+- the flexible joint explains the torque significantly better than a rigid one, by a test made for a compliance that
+  cannot be negative (`uncertainty.model_tests`), and by more than the error that repeats with the motion and remains;
+- motor and load move, inertias and stiffness are distinguished from 0, and the mode is oscillatory and within the
+  range of a log of this rate;
+- starts apart led to the same end;
+- where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid;
+- the profile of the compliance 1/K12 is bounded on both sides.
+
+Otherwise the record says only how soft the spring may be, for each share of the load in the inertia, which is not known
+either. A joint is then written by its whole inertia, that share, the free-free frequency of its mode and that mode's
+damping ratio. The mode is held at one frequency after the other, from what is nearly rigid to below the loop's
+crossover, and everything else is fitted anew. What is within the noise of the best is not excluded. A resonance falls
+between the frequencies of a grid, but the damping is free, and on a grid point beside a resonance it grows until that
+one is a dip in the profile: from there, and from where the search ended, the mode is let go and found. A mode is
+excluded only where what its last linearisation promises (`Fit.least`), too, exceeds the noise, so that a fit that ended
+early makes a bound softer, never stiffer. No record distinguishes a mode damped by more than a sixth from a rigid
+joint: bounds are for modes damped by less.
+
+A random force in the loop (`methods.force_in_loop`) changes the mean torque through the friction. Where that moves a
+parameter of the rigid joint, its intervals are widened, and each bound is the softer one with and without that change.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.messages import Message, Progress
+from jointid.common.parallel import in_threads
+from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
+from jointid.estimation.descent import History, descend
+from jointid.estimation.methods.force_in_loop import InLoop, allow_for_force, simulate_mean, widened_for_force
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.build_result import find_lost
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.starts.flexible_joint import FASTEST, crossover, frequency_of
+from jointid.estimation.starts.nonlinear_laws import with_linear_spring
+from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, of_whole, split_by_mode
+from jointid.records.signals.filtering import Filtering
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
+from jointid.solvers.solve import Solution, solve
+from jointid.uncertainty.covariance import robust, white
+from jointid.uncertainty.identifiability import Combination, Kind, Known, find_separable
+from jointid.uncertainty.model_tests import flexible_against_rigid
+from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
+from jointid.uncertainty.profile import Profiling, profile_compliance
+from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict, springs_verdict
+
+SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
+"""Of the load in the inertia, for which a bound is given."""
+
+MOST_DAMPED = 0.15
+"""Damping ratio up to which bounds hold."""
+
+_TEST_SHARES = (0.1, 0.33, 0.6)
+# Times the cut-off, with each of those shares: the best counts, in every draw of the test as in the record. A mode
+# rings for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance.
+_TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
+_FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
+_TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
+_BOUNDED = Profiling(points=5, evaluations=15, tolerance=1e-4)  # asks whether there is an end, not where it is
+_LITTLE = 0.3  # of the rigid joint's sum of squares: a spring that explains less may be another one
+_SAME = 0.2  # of a stiffness: springs that the profile, on a band of its own, does not tell apart
+_APART = 3.0  # deviations: stiffnesses that are not the same
+_BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 / 2.706
+
+_BAND = 0.15  # of the sampling frequency, in which a bound is searched: modes above the fitted band show there
+_SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
+_STEPS, _HALVINGS = 10, 3  # between them; and of the last step
+_DAMPED, _SHARE = 0.03, 0.33  # of a mode, and of the load, to begin with
+_SMALL, _LARGE, _BETWEEN = 0.1, 0.4, 0.25  # shares of the load to begin with beside a dip, whatever it has
+_SMALLEST, _LARGEST = 0.03, 0.9  # shares of the load that are tried
+_QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
+_HELD, _FREE, _NEAR, _SEEK = 2, 4, 1, 8  # evaluations of a fit: its mode held, free, near an end, beside a resonance
+_CHANCE = 6.0  # thresholds: what the best of many modes gains on a rigid joint in noise alone
+_EDGE = 1e-6  # of the softest mode that is tried
+_ALIKE = 0.04  # of a mode and a share: minima so near are one
+_TOLERANCE = 1e-4  # of a fit
+_ROUNDING = 1e-9  # damping of a step, in columns of norm 1: what several columns make alike is shared
+_TINY = 1e-30  # of a complex step, which no digit of a real value has
+_SPRING = ("motor_inertia", "load_inertia", "stiffness", "damping")
+_DESCRIBED = ("inertia", "ratio", "share", "mode")
+
+
+# Whether the spring is shown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visibility:
+    """Identifiability of a joint's spring.
+
+    Attributes:
+        verdict: whether its stiffness is reported, and why not.
+        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that it determines.
+        bounds: where the stiffness is refused.
+        simulations: that all this took.
+        notes: on the deviations of the rigid joint, where the stiffness is refused.
+    """
+
+    verdict: Verdict
+    rigid: Mapping[str, float]
+    rigid_std: Mapping[str, float]
+    bounds: tuple[StiffnessBound, ...]
+    simulations: int
+    notes: tuple[Message, ...] = ()
+
+    @property
+    def shown(self) -> bool:
+        """Whether the stiffness is reported."""
+        return self.verdict.status is Status.PASSED
+
+    def state(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with the verdict; of a refused spring with the sums of both sides in its place."""
+        checks, joint, rows = estimate.checks, estimate.settings.joint, []
+        if self.shown:
+            return replace(estimate, checks=replace(checks, verdicts=(*checks.verdicts, self.verdict)))
+        assert isinstance(joint, FlexibleJoint) and checks.known is not None
+        sums = [
+            Known(_sum_of(p, joint.unit(p)), self.rigid[p.name], std, std / (abs(self.rigid[p.name]) or 1.0))
+            for p in joint.rigid.parameters
+            if (std := self.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
+        ]
+        parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
+        for p in estimate.params.rows:
+            if p.free and p.name in self.rigid_std:  # of both joints: a spring that is not shown narrows no interval
+                rows.append(replace(p, value=self.rigid[p.name], stderr=self.rigid_std[p.name]))
+            elif p.free and (p.name.startswith(parted) or (p.of_joint and p.name in self.rigid)):
+                rows.append(replace(p, value=None, stderr=None, identifiable=False))
+            else:
+                rows.append(p)
+        only = Message(Reason.ONLY_SUMS, "only the sums of both sides are determined, not their division")
+        verdicts = [
+            Verdict(one.subject, Status.FAILED, (only,)) if one.subject is Subject.IDENTIFIABILITY else one
+            for one in checks.verdicts
+        ]
+        checks = replace(
+            checks,
+            verdicts=(*verdicts, self.verdict),
+            known=replace(checks.known, physical=tuple(sums), limitations=(), undetermined=()),
+            bounds=self.bounds,
+            notes=(*checks.notes, *map(str, self.notes)),
+        )
+        return replace(estimate, params=replace(estimate.params, rows=tuple(rows)), checks=checks)
+
+
+def _sum_of(p: Parameter, unit: str) -> Combination:
+    """Return the sum of both sides that a rigid joint's parameter is."""
+    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
+    weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
+    return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
+
+
+def visible(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    J: FloatArray,
+    known: Uncertainty,
+    together: tuple[int, int],
+    progress: Progress,
+    shares: Sequence[float] = SHARES,
+) -> Visibility:
+    """Return whether a record shows the spring of an estimate, or else how soft it may be.
+
+    Args:
+        problem: of the flexible joint, as it was solved.
+        x: its free parameters.
+        J: (rows, free) the derivatives of the torque there, filtered.
+        known: how well.
+        together: how many of how many starts led to the estimate.
+        progress: receives messages.
+        shares: of the load in the inertia, for which bounds are searched.
+    """
+    rigid, at = _fit_rigid(problem, problem.values(x))
+    error, slopes = rigid.linearise(at.x)
+    where = rigid.cells(rigid.simulate(at.x))
+    values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
+    judged = uncertainty(slopes, slopes, error, where, problem.torque_unit)
+    linear, said, made = with_linear_spring(problem), "", None
+    reasons = [*_doubts(problem, x, J, known, error, together)]
+    if not reasons:
+        remains = problem.residual(x)
+        left = float(remains @ remains)
+        # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
+        springs = _springs(linear, values, error) or [(remains - error)[:, np.newaxis]]
+        # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
+        fitted = left if left < _FAR * float(error @ error) else None
+        test = flexible_against_rigid(error, slopes, springs, where, fitted)
+        runs += len(_TEST_SHARES) * len(_TEST_MODES)
+        reasons, said = [] if test.significant else [str(test)], str(test)
+        if not reasons and test.gained < _LITTLE:
+            made = profile_modes(linear, values, found, thorough=True)
+            reasons = [*_other_springs(made, found["stiffness"], known, [p.name for p in problem.free])]
+    if not reasons:
+        used, reasons = _follow_compliance(problem, x, known)
+        runs += used
+    bounds: tuple[StiffnessBound, ...] = ()
+    if reasons:
+        progress("the record does not show the spring; looking how soft it may be")
+        made = made or profile_modes(linear, values, found, thorough=False)
+        bounds = bound_all(made, shares)
+        history = History(progress)
+        moved = allow_for_force(rigid, at.x, -slopes, judged.covariance.std, history)
+        judged = widened_for_force(judged, rigid, at.x, moved)
+        if moved is not None:
+            change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
+            forced = with_linear_spring(replace(problem, measured=problem.measured - change))
+            beside = profile_modes(forced, rigid.values(moved[0]), found, thorough=False)
+            pairs = zip(bounds, bound_all(beside, shares), strict=True)
+            bounds = tuple(min(pair, key=lambda one: one.stiffness or 0.0) for pair in pairs)
+            runs += history.tally.evaluations + beside.simulations
+        reasons[0] = f"not identifiable from this record: {reasons[0]}"
+    runs += 0 if made is None else made.simulations
+    determined = slopes.any(axis=0) & find_separable(slopes)
+    stated = zip(rigid.free, judged.covariance.std, determined, strict=True)
+    std = {p.name: float(one) for p, one, told in stated if told}
+    notes = tuple(one for one in judged.warnings if one.code is InLoop.FORCE)
+    return Visibility(springs_verdict(reasons, said), values, std, bounds, runs, notes)
+
+
+def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
+    """Return the problem of a rigid joint on the same band, and its solution."""
+    flexible = problem.joint
+    assert isinstance(flexible, FlexibleJoint)
+    joint = flexible.rigid
+    surroundings = problem.parameters[len(flexible.parameters) :]
+    loop = ClosedLoop(joint, problem.loop.controller)
+    rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
+    start = {p.name: values[p.name] for p in surroundings}
+    start |= {p.name: of_whole(p, values) for p in joint.parameters}
+    return rigid, descend(rigid, rigid.vector(start), 1e-8)
+
+
+def _doubts(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    J: FloatArray,
+    known: Uncertainty,
+    rigid_error: FloatArray,
+    together: tuple[int, int],
+) -> Iterator[str]:
+    """Yield why the spring that was found is not to be believed, whatever a test says."""
+    # Whatever its inertia, a mass that its friction holds makes the same torque: where the search left it says nothing.
+    idle = {p.name for p, column in zip(problem.free, J.T, strict=True) if not column.any()}
+    for side in ("motor", "load"):
+        if f"{side}_inertia" in idle:
+            yield f"with the joint that was found the {side} never moves, so that no torque tells its inertia"
+    left = float(np.sum(problem.residual(x) ** 2))
+    gained, repeated = float(np.sum(rigid_error**2)) - left, known.repeatable.share * left
+    if known.repeatable.significant and gained < repeated:
+        yield (
+            f"the spring explains {100 * gained / left:.2g} % of what remains, less than the "
+            f"{100 * repeated / left:.2g} % of it that repeats with the motion and no noise explains"
+        )
+    yield from (f"the interval of {name} holds 0" for name in find_lost(problem.free, x, known.covariance.std))
+    mode, ratio = frequency_of(problem.values(x)), damping_ratio(problem.values(x))
+    if mode > FASTEST / problem.experiment.sample_time:
+        yield f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow"
+    if ratio > 1:
+        yield f"the mode that was found is damped by {100 * ratio:.3g} %, so that it does not swing"
+    if together[1] > 1 and together[0] < 2:
+        yield f"of {together[1]} starts no two led to the same flexible joint"
+
+
+def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
+    """Return the effects of springs on the residual, each (rows, 1), at some load shares and modes."""
+    cutoff = problem.filtering.cutoff
+    assert cutoff is not None
+    free = problem.all_free()
+
+    def residual_at(at: tuple[float, float]) -> FloatArray:
+        values = friction_on_motor(problem.parameters, rigid)
+        values |= split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
+        return free.residual(np.array([values[p.name] for p in free.parameters]))
+
+    tried = in_threads(residual_at, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
+    size = 10 * float(np.linalg.norm(problem.filter(problem.measured)))
+    return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
+
+
+def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> Iterator[str]:
+    """Yield another admissible spring at 95 %, or a rigid joint."""
+    if not math.isfinite(made.threshold):
+        yield "a joint that is nearly rigid cannot be simulated, so that no other spring is excluded"
+        return
+    limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
+    if made.stiff.least <= limit:
+        yield "a joint that is nearly rigid explains the torque as well, within 95 %"
+        return
+    std = float(known.covariance.std[names.index("stiffness")]) if "stiffness" in names else 0.0
+    for end in made.minima:
+        other = spring(end.at)["stiffness"]
+        if end.least <= limit and abs(other - stiffness) > max(_APART * std, _SAME * stiffness):
+            yield (
+                f"a spring of {other:.3g}, with its mode at {end.mode:.3g} Hz, explains the torque as well as the one "
+                f"of {stiffness:.3g} that was found, within 95 %"
+            )
+            return
+
+
+def _follow_compliance(problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty) -> tuple[int, list[str]]:
+    """Return the simulations of a profile of the compliance, and what is wrong with it; of a narrow interval, none."""
+    names = [p.name for p in problem.free]
+    if "stiffness" not in names:
+        return 0, []
+    at = names.index("stiffness")
+    if 2 * float(known.covariance.std[at]) <= _TIGHT * float(x[at]):
+        return 0, []
+    found = profile_compliance(problem, x, known.covariance, problem.joint.unit, _BOUNDED)
+    side = "stiff" if found.interval[0] is None else "soft"
+    wrong = [] if found.bounded else [f"the profile of the compliance has no end on its {side} side ({found})"]
+    return found.evaluations, wrong
+
+
+# How soft it may be
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringProblem:
+    """A flexible problem by inertia, share, mode and damping ratio, of which share and mode may be held.
+
+    Attributes:
+        problem: of the flexible joint, every parameter free.
+        names: of what is fitted beside the four: what was free of friction, offset and first state.
+        share: of the load in the inertia, held; free where it is None.
+        mode: Hz, free-free, held; free where it is None.
+        room: the modes a free one stays between, Hz.
+    """
+
+    problem: ClosedLoopProblem
+    names: tuple[str, ...]
+    share: float | None
+    mode: float | None
+    room: tuple[float, float]
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The whole inertia, the damping ratio, what is free of share and mode, then the others."""
+        found = [
+            Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300),
+            Parameter("ratio", "zeta", Quantity.RATIO, lower=0.0, upper=MOST_DAMPED),
+        ]
+        if self.share is None:
+            found.append(Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST))
+        if self.mode is None:
+            found.append(Parameter("mode", "f", Quantity.GAIN, lower=self.room[0], upper=self.room[1]))
+        own = {p.name: p for p in self.problem.parameters}
+        return (*found, *(own[name] for name in self.names))
+
+    def values_by_name(self, x: FloatArray) -> dict[str, float]:
+        """Return inertia, ratio, share, mode and the others by name."""
+        held = {"share": self.share, "mode": self.mode}
+        known = {name: value for name, value in held.items() if value is not None}
+        return known | dict(zip((p.name for p in self.free), map(float, x), strict=True))
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual, (rows,)."""
+        return self.problem.residual(self._vector(x))
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives, (rows, free)."""
+        error, J = self.problem.linearise(self._vector(x))
+        if not np.isfinite(np.vdot(J, J)):
+            # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
+            return error, np.zeros((error.size, len(self.free)))
+        by = {p.name: J[:, i] for i, p in enumerate(self.problem.free)}
+        slopes = spring_slopes(self.values_by_name(x))
+        columns = [
+            sum(slopes[p.name][name] * by[name] for name in _SPRING) if p.name in slopes else by[p.name]
+            for p in self.free
+        ]
+        return error, np.column_stack(columns)
+
+    def _vector(self, x: FloatArray) -> FloatArray:
+        fixed = {p.name: p.start or 0.0 for p in self.problem.parameters}
+        described = self.values_by_name(x)
+        return self.problem.vector(fixed | {name: described[name] for name in self.names} | spring(described))
+
+
+def spring(described: Mapping[str, Any]) -> dict[str, Any]:
+    """Return both inertias, stiffness and damping of a joint described by inertia, share, mode and ratio."""
+    whole, share, ratio = described["inertia"], described["share"], described["ratio"]
+    reduced, rate = share * (1 - share) * whole, 2 * math.pi * described["mode"]
+    values = ((1 - share) * whole, share * whole, reduced * rate**2, 2 * ratio * reduced * rate)
+    return dict(zip(_SPRING, values, strict=True))
+
+
+def spring_slopes(described: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return the derivatives of both inertias, stiffness and damping by inertia, ratio, share and mode."""
+    stepped = {name: spring({**described, name: described[name] + 1j * _TINY}) for name in _DESCRIBED}
+    return {name: {of: np.imag(value) / _TINY for of, value in one.items()} for name, one in stepped.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The end of a fit.
+
+    Attributes:
+        at: inertia, ratio, share, mode and the others by name.
+        cost: sum of squares. least: what its last linearisation promises, if that is less.
+    """
+
+    at: Mapping[str, float]
+    cost: float
+    least: float
+
+    @property
+    def mode(self) -> float:
+        """Hz, free-free."""
+        return self.at["mode"]
+
+
+@dataclass(slots=True, eq=False)
+class ModeProfile:
+    """The criterion over modes, with everything else fitted anew, on a band that shows modes above the fitted one, too.
+
+    Attributes:
+        problem: every parameter free. names: see `SpringProblem`. room: the modes between which it is made, Hz.
+        threshold: how much worse than the best a joint may be; infinite where the stiff joint explains nothing.
+        stiff: the joint that is nearly rigid.
+        points: with the mode held, the stiffest first.
+        minima: with it free, the best first.
+        simulations: so far.
+    """
+
+    problem: ClosedLoopProblem
+    names: tuple[str, ...]
+    room: tuple[float, float]
+    threshold: float = 0.0
+    stiff: Fit = field(default=Fit({}, math.inf, math.inf))
+    points: list[Fit] = field(default_factory=list)
+    minima: list[Fit] = field(default_factory=list)
+    simulations: int = 0
+
+    def fit(self, start: Mapping[str, float], share: float | None, mode: float | None, evaluations: int) -> Fit:
+        """Return the best joint near a start, with its share or its mode held where they are not None."""
+        held = SpringProblem(self.problem, self.names, share, mode, self.room)
+        bounds = Bounds.of(held.free)
+        end = solve(held, LevenbergMarquardt(_TOLERANCE, evaluations), np.array([start[p.name] for p in held.free]))
+        self.simulations += end.evaluations
+        cost = float(end.residual @ end.residual)
+        if not end.jacobian.any():
+            return Fit(held.values_by_name(end.x), cost, cost)
+        step = damped_step(end.residual, end.jacobian, bounds.shift_to(end.x), _ROUNDING, bounds.upper - bounds.lower)
+        promised = end.residual + end.jacobian @ step
+        return Fit(held.values_by_name(end.x), cost, min(cost, float(promised @ promised)))
+
+
+def profile_modes(
+    problem: ClosedLoopProblem, rigid: Mapping[str, float], found: Mapping[str, float], *, thorough: bool
+) -> ModeProfile:
+    """Return the profile over all modes, the load's share free.
+
+    Args:
+        problem: of the flexible joint, as it was solved.
+        rigid: every parameter of a rigid joint on the same band, and of what surrounds it.
+        found: every parameter of the flexible joint that the search ended on.
+        thorough: whether a dip is also followed from another share and a small damping, as before a value is given.
+    """
+    sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
+    assert cutoff is not None
+    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
+    high = _STIFFEST * cutoff
+    low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
+    names = tuple(p.name for p in problem.free if p.name not in _SPRING)
+    start = friction_on_motor(problem.parameters, rigid)
+    start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
+    made = ModeProfile(replace(problem, filtering=band).all_free(), names, (low, high))
+    made.stiff = last = made.fit(start, _SHARE, high, _HELD)
+    made.threshold = _compute_cost_limit(made)
+    for mode in np.geomspace(high, low, _STEPS)[1:]:
+        last = made.fit({**last.at, "ratio": max(last.at["ratio"], _DAMPED)}, None, float(mode), _HELD)
+        made.points.append(last)
+        if last.cost > 2 * made.stiff.cost:
+            last = made.stiff
+    least = [made.stiff.least, *(point.least for point in made.points), math.inf]
+    near = made.stiff.least + made.threshold
+    dips = [made.points[i - 1] for i in range(1, len(least) - 1) if least[i] < min(least[i - 1], least[i + 1], near)]
+    ends = [made.fit(point.at, None, None, _FREE) for point in dips]
+    for point in dips if thorough else ():
+        beside = {**point.at, "ratio": _DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
+        ends.append(made.fit(beside, None, None, _SEEK))
+    whole = found["motor_inertia"] + found["load_inertia"]
+    ratio = min(damping_ratio(found), MOST_DAMPED)
+    own = {"inertia": whole, "ratio": ratio, "share": found["load_inertia"] / whole, "mode": frequency_of(found)}
+    if low < own["mode"] < high:
+        ends.append(made.fit(start | {n: found[n] for n in names} | own, None, None, _FREE))
+    for end in sorted(ends, key=lambda end: end.cost):
+        same = (abs(end.mode / one.mode - 1) + abs(end.at["share"] / one.at["share"] - 1) for one in made.minima)
+        if not any(apart < _ALIKE for apart in same):
+            made.minima.append(end)
+    return made
+
+
+def damping_ratio(values: Mapping[str, float]) -> float:
+    """Return the damping ratio of a flexible joint's mode; 0 of a joint without a spring."""
+    motor, load = values["motor_inertia"], values["load_inertia"]
+    size = 2 * math.sqrt(values["stiffness"] * motor * load / (motor + load))
+    return values["damping"] / size if size > 0 else 0.0
+
+
+def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float]) -> dict[str, float]:
+    """Return values of a flexible joint's parameters from those of a rigid one, all friction on the motor's side.
+
+    A speed or a displacement that a friction depends on is that of both sides.
+    """
+    values = {}
+    for p in parameters:
+        of_motor = p.name.startswith("motor_") or p.quantity not in ADDED or acts_on_whole(p.name.removeprefix("load_"))
+        whole = p.name.removeprefix("motor_").removeprefix("load_") if of_motor else p.name
+        values[p.name] = rigid.get(p.name, rigid.get(whole, 0.0))
+    return values
+
+
+def _compute_cost_limit(made: ModeProfile) -> float:
+    """Return the chi-square threshold on the cost, scaled for the autocorrelation of the residual.
+
+    The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff, and
+    its friction on the motor's side: there the load's does nothing else. Where that joint explains nothing, as when its
+    loop is unstable, there is no such ratio, and nothing is excluded.
+    """
+    if made.stiff.cost > np.sum(made.problem.filter(made.problem.measured) ** 2):
+        return math.inf
+    names = tuple(name for name in made.names if not name.startswith("load_"))
+    x = np.array([made.stiff.at[name] for name in ("inertia", "ratio", *names)])
+    stiff = SpringProblem(made.problem, names, _SHARE, made.room[1], made.room)
+    error, J = stiff.linearise(x)
+    bent = replace(stiff, mode=made.room[1] / 1.2).residual(x) - error
+    made.simulations += 2
+    J = np.column_stack([np.delete(J, 1, axis=1), bent])
+    ratio = float(robust(J, J, error).std[-1] / white(J, error).std[-1])
+    return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)
+
+
+def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessBound:
+    """Return the softest spring at a load share.
+
+    Args:
+        made: the profile over modes, the load's share free: what it excludes is not tried again.
+        share: of the load in the inertia.
+        floor: Hz, of a mode that is excluded at a smaller share: of a larger one it moves more of the torque.
+    """
+    limit, own = made.stiff.cost + made.threshold, {}
+    if made.minima and made.stiff.cost - made.minima[0].cost > _CHANCE * made.threshold:
+        best = own[made.minima[0].mode] = made.fit({**made.minima[0].at, "share": share}, share, None, _FREE)
+        limit = min(limit, best.cost + made.threshold)
+    softest, rejected = made.stiff, made.room[0]
+    for point in sorted((*made.points, *made.minima), key=lambda point: point.mode):
+        tried = point
+        held = None if point in made.minima else point.mode
+        if held and held <= floor:
+            rejected = max(rejected, held)
+            continue
+        if point.least <= limit:  # else it is excluded at any share
+            tried = made.fit({**point.at, "share": share}, share, held, _HELD)
+        tried = own.get(point.mode, tried)  # it is within its own limit
+        if tried.least <= limit:
+            softest = tried
+            break
+        rejected = max(rejected, tried.mode)
+    if softest.mode <= rejected * (1 + _EDGE):
+        return StiffnessBound(share, None, None)
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(rejected * softest.mode)
+        tried = made.fit(softest.at, share, middle, _NEAR)
+        if tried.least <= limit:
+            softest = tried
+        else:
+            rejected = middle
+    reduced = share * (1 - share) * made.stiff.at["inertia"]
+    return StiffnessBound(share, reduced * (2 * math.pi * rejected) ** 2, rejected)
+
+
+def bound_all(made: ModeProfile, shares: Sequence[float] = SHARES) -> tuple[StiffnessBound, ...]:
+    """Return the softest spring at each of some load shares."""
+    found: list[StiffnessBound] = []
+    for share in sorted(shares):
+        found.append(bound_stiffness(made, share, (found[-1].frequency if found else None) or 0.0))
+    return tuple(found)
