@@ -11,6 +11,7 @@ import jointid as ji
 from jointid.common.messages import Message
 from jointid.estimation.result.answer import Found, Trust
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import Params
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import EncoderLag
@@ -45,7 +46,8 @@ def judged(estimate: Estimate, *more: Verdict, **changes: float) -> Estimate:
         clause = "velocity_gain is 25 % smaller"
         reason = Message(Reason.LOOP_NOT_AS_DECLARED, f"{clause} (p < 1e-6)", {"changes": changes}, clause)
     verdict = Verdict(Subject.LOOP, Status.of(not changes), (reason,))
-    return amended(estimate, checks={"verdicts": (verdict, *more)})
+    found = amended(estimate, checks={"verdicts": (verdict, *more)})
+    return amended(found, checks={"verdicts": judge(found)})
 
 
 def flexible(stiffness: float | None = 17467.0, stderr: float | None = 1057.0, **more: float) -> Estimate:
@@ -80,20 +82,19 @@ BOUND = with_row(flexible(), "load_inertia", stderr=None, free=False, at_bound=0
         ),
         (judged(flexible(), stiffness=-2200.0), "not_reliable_yet", ["loop_not_as_declared"], []),
         (
-            amended(judged(RIGID, viscous=1.0), fit=UNEXPLAINED),
-            "not_reliable_yet", ["loop_not_as_declared", "not_converged", "torque_unexplained"], [],
+            judged(amended(RIGID, fit=UNEXPLAINED), viscous=1.0),
+            "not_reliable_yet", ["loop_not_as_declared", "search_ended", "torque_unexplained"], [],
         ),
-        (amended(judged(RIGID), fit={"filtered_error": np.nan}), "not_reliable_yet", ["torque_unexplained"], []),
+        (judged(amended(RIGID, fit={"filtered_error": np.nan})), "not_reliable_yet", ["torque_unexplained"], []),
         # By how much a fault alone moves a value says little where others give way: 28,210 came out for 20,000.
-        (judged(BOUND, damping=1.0), "not_reliable_yet", ["loop_not_as_declared", "others_at_bound"], []),
+        (judged(BOUND, damping=1.0), "not_reliable_yet", ["loop_not_as_declared"], []),
         (judged(flexible(1e-14, 1.0, at_bound=0.0)), "not_reliable_yet", ["at_bound"], []),
         (judged(flexible(1000.0, 300.0)), "not_reliable_yet", ["wide_interval"], []),
         (judged(flexible(0.0, 1.0)), "not_reliable_yet", ["wide_interval"], []),
         (judged(flexible(1000.0, np.nan)), "not_reliable_yet", ["no_interval"], []),
         (judged(flexible(1000.0, np.inf)), "not_reliable_yet", ["no_interval"], []),
-        (judged(with_row(flexible(), "stiffness", identifiable=False)), "not_reliable_yet", ["only_together"], []),
-        (amended(judged(flexible()), checks={"encoder_lag": LAG}), "not_reliable_yet", ["encoder_lag"], []),
-        (amended(judged(RIGID), checks={"encoder_lag": LAG}), "reliable", [], []),
+        (judged(amended(flexible(), checks={"encoder_lag": LAG})), "not_reliable_yet", ["encoder_lag"], []),
+        (judged(amended(RIGID, checks={"encoder_lag": LAG})), "reliable", [], []),
         (judged(flexible(None, None)), "refused", [], []),
         *(
             (

@@ -5,15 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.controllers import Cascade
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.paper.twin import CONTROLLERS, twin
-from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.model_tests import BoundaryTest, flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Cells, cells
-from tests.estimation.conftest import CONTROLLER
 from tests.estimation.linear import solved
 from tests.estimation.motions import columns, field, motion
 
@@ -130,44 +123,3 @@ def test_a_fit_that_was_made_takes_the_place_of_the_linear_one() -> None:
     assert found.gained == pytest.approx(0.1)
     assert found.significant
     assert flexible_against_rigid(residual, -W, [BEND], fitted=1.1 * total).statistic == 0.0
-
-
-def of_record(record: Record, controller: Cascade, start: dict[str, float]) -> BoundaryTest:
-    """Return the test of a record, by compliances that put the mode at 150 Hz, at three load shares."""
-    filtering = Filtering(cutoff=60.0)
-    rigid, flexible = (ClosedLoop(joint, controller) for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic")))
-    problem = torque_problem(record, rigid, filtering, rigid.joint.parameters)
-    x = problem.vector(start)
-    for _ in range(8):
-        residual, J = problem.linearise(x)
-        scale = np.linalg.norm(J, axis=0)
-        x = x - solved(J / scale, residual) / scale
-    residual, J = problem.linearise(x)
-    values, run = problem.values(x), problem.simulate(x)
-    larger = torque_problem(record, flexible, filtering, flexible.joint.parameters)
-    none = dict.fromkeys((p.name for p in larger.parameters), 0.0)
-    motor = {f"motor_{name}": values[name] for name in ("viscous", "coulomb")}
-    extra = []
-    for share in (0.1, 0.33, 0.6):
-        reduced = values["inertia"] * share * (1 - share)
-        stiffness = reduced * (2 * np.pi * 150.0) ** 2
-        inertias = {"motor_inertia": values["inertia"] * (1 - share), "load_inertia": values["inertia"] * share}
-        spring = {"stiffness": stiffness, "damping": 0.04 * reduced * 2 * np.pi * 150.0}
-        around = {name: values[name] for name in ("offset", "initial_position", "initial_velocity")}
-        bent = larger.residual(larger.vector(none | motor | inertias | spring | around))
-        extra.append(((bent - residual) * stiffness)[:, np.newaxis])
-    keep = problem.filtering.decimation or 1
-    last = (problem.measured.size - 1) % keep
-    where = cells(run.motor_position[last::keep], run.motor_velocity[last::keep])
-    return flexible_against_rigid(residual, J, extra, where)
-
-
-def test_the_real_axis_shows_no_spring_and_the_twin_does(emps: Record) -> None:
-    start = {"viscous": 207.5, "coulomb": 20.1, "offset": -3.17, "initial_position": 0.0}
-    real = of_record(emps, CONTROLLER, start | {"inertia": 94.9, "initial_velocity": 0.0069})
-    assert not real.significant
-    assert real.over == "place"
-    axis = twin("L19", seed=3)
-    spring = of_record(axis.record, CONTROLLERS["L19"], start | {"inertia": 104.9, "initial_velocity": 0.0})
-    assert spring.significant
-    assert spring.gained > 0.2

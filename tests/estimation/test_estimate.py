@@ -17,7 +17,6 @@ from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.regression import conditioning, least_squares
 from tests.estimates import amended
 from tests.estimation.conftest import CONTROLLER
 
@@ -168,19 +167,6 @@ def test_the_error_leaves_out_the_borders() -> None:
     predicted[:50] = 1e6
     assert relative_error(TORQUE, predicted, (50, 0)) == 0.0
     assert relative_error(TORQUE, predicted, (49, 0)) > 1.0
-
-
-def test_least_squares_is_the_textbook_s() -> None:
-    random = np.random.default_rng(2)
-    W = random.normal(size=(300, 3)) * [1.0, 1e3, 1e-4]
-    truth = np.array([2.0, -3e-3, 5e4])
-    Y = W @ truth + 0.1 * random.normal(size=300)
-    found, expected = least_squares(W, Y, ("a", "b", "c")), np.linalg.lstsq(W, Y, rcond=None)[0]
-    assert np.allclose(found, expected, rtol=1e-9)
-    condition = conditioning(W, found)
-    assert condition.raw == pytest.approx(np.linalg.cond(W))
-    assert condition.normalised < 2.0
-    assert condition.scaled == pytest.approx(np.linalg.cond(W * np.abs(expected)))
 
 
 @pytest.mark.parametrize("slow", [2e-3, 3.1e-3, 16e-3, 1.0])

@@ -17,7 +17,6 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.starts import flexible_joint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
 from jointid.records.signals.filtering import Filtering
@@ -41,15 +40,6 @@ def test_idim_recovers_the_noise_free_twin(loop: str) -> None:
     assert estimate.data.channels == ("torque", "motor_position", "load_position", "injected")
     for name, value in estimate.values.items():
         assert abs(value / axis.truth[name] - 1) <= (0.01 if name == "damping" else 1e-3), name
-
-
-@pytest.mark.parametrize("loop", ["L19", "L30"])
-@pytest.mark.parametrize("seed", [1, 2])
-def test_idim_under_the_paper_s_noise_on_the_log(loop: str, seed: int) -> None:
-    axis = twin(loop, noise="white", seed=seed)  # type: ignore[arg-type]
-    estimate = identify(axis.record, axis.loop, IDIM())
-    assert estimate.fit.filtered_error == pytest.approx(0.08, abs=0.005)
-    assert all(abs(d) <= 3.0 for d in deviations(estimate, axis.truth).values())
 
 
 def test_an_idim_estimate_is_validated_on_both_rows() -> None:
@@ -188,21 +178,6 @@ def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it(seed:
 
 
 @pytest.mark.slow
-def test_a_record_that_tells_no_rigid_joint_is_begun_with_the_joint_that_would_follow_its_reference(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    axis = twin(noise="white")
-
-    def none(*_: object) -> Estimate:
-        raise MethodError("An inertia is not positive.")
-
-    monkeypatch.setattr(stiffness_search, "rough_rigid_joint", none)
-    monkeypatch.setattr(flexible_joint, "antiresonance_starts", lambda _: [])
-    estimate = identify(torque_only(axis), axis.loop)
-    assert estimate.values["stiffness"] == pytest.approx(axis.truth["stiffness"], rel=0.02)
-
-
-@pytest.mark.slow
 def test_a_torque_of_the_wrong_sign_is_refused_in_a_sentence() -> None:
     axis = twin(noise="white")
     record = torque_only(axis)
@@ -223,8 +198,3 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | DIDIM) -> None
         true_change = after.truth[name] - before.truth[name]
         spread = float(np.hypot(first[name].stderr or 0.0, second[name].stderr or 0.0))
         assert abs(second.values[name] - value - true_change) <= 3 * spread, name
-
-
-def test_two_ends_without_a_spring_agree() -> None:
-    assert stiffness_search._agree((1.0, 0.0), (1.0, 0.0), 10.0)
-    assert not stiffness_search._agree((1.0, 5.0), (1.0, 0.0), 10.0)

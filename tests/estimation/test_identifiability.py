@@ -58,12 +58,6 @@ def test_of_two_frictions_the_sum_is_to_be_used() -> None:
     assert f"apart they are known to ± {2 * covariance.std[0]:.0f} N s/m and " in found.limitations[0].words
 
 
-def test_what_is_well_known_apart_needs_no_sentence() -> None:
-    J = sensitivities(2.0)
-    found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
-    assert not found.limitations
-
-
 def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
     J = sensitivities(0.01)
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))

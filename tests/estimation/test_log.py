@@ -32,7 +32,6 @@ from jointid.estimation.problems.log_windows import (
     repeats,
     window_problem,
 )
-from jointid.estimation.result.summary import describe_drift
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -234,7 +233,6 @@ def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
     assert len(steady.checks.drift.segments) == 8
     assert steady.checks.drift.agreement is not None
     assert not steady.checks.drift.agreement.differs
-    assert "no parameter changes" in describe_drift(steady.checks.drift, steady.params.rows)
     warming = joined(*(rigid(100.0, seed=k, viscous=80.0 - 10.0 * k) for k in range(4)))
     estimate = identify(warming, LOOP, windows=Windowing(length=4.0))
     assert "viscous" in estimate.checks.drift.names
@@ -244,7 +242,6 @@ def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
     assert values[-1] == pytest.approx(50.0, abs=5.0)
     trend = next(t for t in estimate.checks.drift.trends if t.name == "viscous")
     assert trend.per_hour == pytest.approx(-10.0 * 36, rel=0.2)
-    assert "per hour" in str(estimate)
 
 
 def test_windows_without_motion_are_left_out() -> None:

@@ -93,15 +93,3 @@ def test_a_bad_row_ends_it_with_its_line(joint: Path, tmp_path: Path, capsys: py
     bad.write_text("\n".join(lines), encoding="utf-8")
     assert run("identify", joint, "--record", bad, "--window", 4, "-q") == 2
     assert "bad.csv: line 54322 has" in capsys.readouterr().err
-
-
-def test_a_window_of_0_is_refused(joint: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("identify", joint, "--window", 0, "-q") == 2
-    assert "A window lasts a finite time; received 0 s" in capsys.readouterr().err
-
-
-def test_it_needs_a_controller(tmp_path: Path) -> None:
-    path = tmp_path / "joint.toml"
-    bare = JOINT_FILE.split("[controller]", maxsplit=1)[0]
-    path.write_text(bare + 'motor_position = { column = "q" }\n[method]\nname = "idim"\n', encoding="utf-8")
-    assert run("identify", path, "--window", 60, "-q") == 2

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import residual_report, whiteness
-from jointid.uncertainty.verdict import residual_verdicts
 
 FILTERING = Filtering(cutoff=60.0).resolve(1e-3)
 STEP = 6e-3
@@ -84,10 +82,3 @@ def test_the_bands_are_octaves_below_the_cutoff_and_hold_all_of_it() -> None:
     assert found.bands[-1].share < 0.1
     assert found.bands[-2].share == pytest.approx(0.5, abs=0.06)  # half of the pass band holds half of white noise
     assert all(band.error == pytest.approx(0.1) for band in found.bands)
-
-
-def test_what_repeats_is_reported_beside_it() -> None:
-    e = np.random.default_rng(6).standard_normal(4000)
-    repeats = Repeatable(1.65, 0.47, 0.001, "N")
-    found = residual_report(e, e + 20.0, STEP, 60.0, repeatable=repeats)
-    assert [verdict.said for verdict in residual_verdicts(found)] == [str(found.whiteness), str(repeats)]

@@ -67,11 +67,7 @@ def test_two_runs_that_differ_say_so_and_what_two_are_worth() -> None:
     assert inertia.statistic == pytest.approx(2.0**2 / (2 * 0.2**2))
     assert inertia.between == pytest.approx(np.sqrt(2.0**2 / 2 - 0.2**2))
     assert inertia.widening == pytest.approx(inertia.between**2 / 2)
-    assert "disagree by more than their intervals allow" in str(found)
-    assert "one degree of freedom" in str(found)
     assert found["coulomb"].widening == 0.0
-    same = compare_records([run_of(np.array([95.0, 200.0, 20.0]))] * 2, UNITS)
-    assert str(same).startswith("the 2 records agree within their intervals")
 
 
 def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:
@@ -82,7 +78,6 @@ def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:
     )
     assert found.differs
     assert not any(p.differs for p in found.parameters)
-    assert "jointly" in str(found)
 
 
 def test_parameters_of_some_records_are_compared_among_those() -> None:
@@ -94,4 +89,3 @@ def test_parameters_of_some_records_are_compared_among_those() -> None:
     nothing = compare_records([first, Alone({"viscous": 3.0}, covariance_of(np.eye(1), 0))], UNITS)
     assert nothing.p_value is None
     assert not nothing.differs
-    assert "nothing says whether they agree" in str(nothing)

@@ -9,35 +9,26 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.check_loop import compute_signatures, search_faults
-from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
-from jointid.diagnostics.model_free import LawOnPosition
 from jointid.diagnostics.score import fit_whitener, rank_tests, score
 from jointid.diagnostics.search_state import LoopTests
-from jointid.estimation.descent import descend
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record, Tap
-from jointid.solvers.solve import Solution
 from jointid.uncertainty.position_dependent_error import cells
-from jointid.uncertainty.residual_tests import Whiteness
 from jointid.uncertainty.verdict import Reason
-from studies.healthy import drive
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
-from tests.faults import FAULTS, Fault, line_7, on, problem, setting, solved
+from tests.faults import FAULTS, Fault, on, problem, setting, solved
 from tests.tested import faults_of
 
 SIZES = {
@@ -81,14 +72,6 @@ def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
     assert first.test.name == "log_delay"
     assert first.test.size == pytest.approx(1e-3, abs=6e-5)
     assert first.changes["motor_inertia"].sigmas < -3
-
-
-@pytest.mark.slow
-def test_several_faults_are_named_one_after_another() -> None:
-    where = setting("L19", brief=True)
-    made = problem(where, replace(FAULTS["offset"], law=line_7), "disturbance", 1)
-    check = search_faults(made, solved(made, where), LoopTests(most=2))[0]
-    assert {"offset", "delay"} == {f.test.name for f in check.findings}
 
 
 def test_a_clean_record_is_as_declared() -> None:
@@ -204,39 +187,6 @@ def _check(name: str, size: float, std: float, declared: float = 0.0, **more: ob
     return AxisFaults((changed,), (changed.test,), 0.05, symbols, units)
 
 
-def _diagnosis(faults: AxisFaults) -> Diagnosis:
-    """Return the diagnosis of a joint with these faults, without a residual."""
-    axis = AxisDiagnosis("", 0.0, None, None, 1.0, "m", "N", (), None, faults)
-    none = np.zeros((1, 0))
-    own = np.zeros((1, 0, 0))
-    torques = AxisTorques(
-        ("",), none[0], 1e-3, 60.0, none, none, none.astype(bool), none, none, own, False, ((),)
-    )  # fmt: skip
-    return Diagnosis("run", "didim", (axis,), torques)
-
-
-@pytest.mark.parametrize(("repeats", "explained"), [(False, True), (True, False), (None, False)])
-def test_a_coloured_residual_that_does_not_repeat_with_the_motion_is_noise(
-    repeats: bool | None, explained: bool
-) -> None:
-    whole = _diagnosis(AxisFaults((), (), 0.05, {}, {}, of_loop=True))
-    coloured = replace(whole.axes[0], left=0.08, whiteness=Whiteness(600.0, 20, 1e-9), repeats=repeats)
-    found = replace(whole, axes=(coloured,))
-    assert found.explained is explained
-    assert ("does not explain" in found.answer) is not explained
-    assert ("does not repeat with the motion" in found.answer) is explained
-    assert ("like coloured noise" in found.sentences[0]) is explained
-
-
-def test_a_loop_whose_controller_does_not_make_the_torque_is_not_as_declared() -> None:
-    faults = AxisFaults((), (_check("delay", 4e-4, 2.5e-5).tests[0],), 0.05, {}, {}, of_loop=True)
-    whole = _diagnosis(faults)
-    assert "Loop and log are as declared" in whole.answer
-    wrong = replace(whole, axes=(replace(whole.axes[0], law=LawOnPosition(0.2, 1.0, 0.0, 0.2, 0.01)),))
-    assert wrong.as_declared is False
-    assert "Loop and log are as declared" not in wrong.answer and "does not make the logged torque" in wrong.answer
-
-
 @pytest.mark.parametrize(
     ("name", "code"),
     [
@@ -247,23 +197,6 @@ def test_a_loop_whose_controller_does_not_make_the_torque_is_not_as_declared() -
 )  # fmt: skip
 def test_every_fault_has_the_code_of_its_verdict(name: str, code: Reason) -> None:
     assert _check(name, 0.2, 0.02, shape=0.1).reasons[0].code is code
-
-
-@pytest.mark.slow
-def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    where = setting("L19", brief=True)
-    made = problem(where, FAULTS["position_gain"], "disturbance", 1)
-    x = solved(made, where)
-
-    def vanishes(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
-        if "position_gain" in {p.name for p in problem.free}:
-            raise MethodError("The position_gain of this controller is 0, so it has no derivative.")
-        return descend(problem, start, tolerance)
-
-    monkeypatch.setattr("jointid.diagnostics.check_loop.descend", vanishes)
-    check = search_faults(made, x, LoopTests(most=1))[0]
-    assert check.findings[0].test.name == "position_gain"
-    assert check.findings[0].value is None
 
 
 def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,17 +212,6 @@ def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch)
     assert "StopIteration" in loop.said and "faults of loop and log" in loop.said
     assert estimate.answer.trust.code == "not_checked"
     assert abs(estimate.params["stiffness"].value - 8e5) < 3 * (estimate.params["stiffness"].stderr or 0.0)
-
-
-@pytest.mark.slow
-def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
-    where = setting("L19", brief=True)
-    made = problem(where, FAULTS["position_gain"], "disturbance", 1)
-    x = solved(made, where)
-    own = search_faults(made, x, LoopTests(most=1))[0].findings[0].changes
-    wider = dict.fromkeys(own, 10.0)
-    measured = search_faults(made, x, LoopTests(most=1), wider)[0].findings[0].changes
-    assert all(change.sigmas == pytest.approx(change.by / 10.0) for change in measured.values())
 
 
 def test_what_is_significant_stands_first_however_strong_the_others_are() -> None:
@@ -316,13 +238,6 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
         assert friction.std < 1.2
         assert 0.13e-3 < late.size < 0.25e-3
         assert 2 * late.std < 0.13e-3
-
-
-@pytest.mark.slow
-def test_what_forces_in_the_loop_show_by_themselves_is_no_fault() -> None:
-    """Nothing is wrong with this drive; a white force on it looks like less friction near standstill."""
-    axis = drive(147, longest=12.0)
-    assert faults_of(identify(axis.record, axis.loop), axis.record).as_declared
 
 
 @pytest.mark.slow

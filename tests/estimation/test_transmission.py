@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -14,23 +13,19 @@ import pytest
 
 from jointid.common.transmission import Side, Transmission
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids
-from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED
-from tests.tested import faults_of
 
 GEAR = Transmission(load="revolute", ratio=100.0)
 TURNED = Transmission(load="revolute", ratio=100.0, sign=-1)
@@ -242,14 +237,6 @@ def test_inverse_models_have_both_sides_too(gear: Transmission) -> None:
     assert [p.unit for p in there.other_side] == [p.unit for p in motor.params.rows]
 
 
-def test_the_drive_side_has_both_sides_too() -> None:
-    method = DriveSideFit(log_delay=0.0)
-    motor = identify(logged("rigid"), DriveSide(joint_of("rigid", None)), method)
-    there = identify(on_side(logged("rigid"), SCREW), DriveSide(joint_of("rigid", SCREW)), method)
-    assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-6
-    assert there.fit.simulations == motor.fit.simulations
-
-
 def test_a_gain_that_is_freed_is_that_of_the_law_on_its_own_side() -> None:
     """Kv is 5 % more than declared: freed, it is found in the unit it is declared in, on either side."""
     wrong, settings = replace(LAW, velocity_gain=LAW.velocity_gain / 1.05), DIDIM(free=("velocity_gain",))
@@ -265,51 +252,3 @@ def test_a_gain_that_is_freed_is_that_of_the_law_on_its_own_side() -> None:
         there["velocity_gain"].value,
         "as declared",
     )
-
-
-def test_a_drive_of_today_is_the_same_on_either_side() -> None:
-    """With an integral, whose torque at the first sample is estimated too, feed-forward and a limit of the velocity."""
-    law = Cascade(
-        position_gain=25.0,
-        velocity_gain=0.02,
-        integral_gain=30.0,
-        limit=3.0,
-        velocity_limit=70.0,
-        viscous_feedforward=5e-4,
-    )
-    loop = ClosedLoop(joint_of("rigid", None), law)
-    noisy = logged("rigid")
-    assert noisy.reference is not None
-    noise = 0.004 * np.random.default_rng(7).standard_normal(len(noisy.reference))
-    record = simulated_record(loop, noisy.reference.values, RIGID, sample_time=RATE, torque_noise=noise)
-    motor = identify(record, loop)
-    for gear in (TURNED, SCREW):
-        seen = ClosedLoop(joint_of("rigid", gear), replace(law, ratio=gear.torque("motor")))
-        there = identify(on_side(record, gear), seen)
-        assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-8
-        assert there.fit.simulations == motor.fit.simulations
-    assert motor["initial_torque"].free
-
-
-@pytest.mark.slow
-def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> None:
-    clean = logged("flexible")
-    assert clean.reference is not None
-    assert clean.torque is not None
-    assert clean.injected is not None
-    known = clean.injected.channel.values
-    level = 0.7 * float(np.max(np.abs(clean.torque.values - known)))
-    law = replace(LAW, velocity_gain=LAW.velocity_gain / 2, gain=2.0, limit=level / 2)
-    noise = 0.004 * np.random.default_rng(7).standard_normal(known.size)
-    record = simulated_record(
-        ClosedLoop(joint_of("flexible", None), law), clean.reference.values, FLEXIBLE, sample_time=RATE, injected=known,
-        torque_noise=noise,
-    )  # fmt: skip
-    declared = replace(law, limit=math.inf, ratio=TURNED.torque("motor"))
-    geared = on_side(record, TURNED)
-    estimate = identify(geared, ClosedLoop(joint_of("flexible", TURNED), declared))
-    check = faults_of(estimate, geared)
-    (finding,) = check.findings
-    assert re.match(r"the controller's output stops at \d+\.?\d* N m on the load side, which is", check.sentences[0])
-    assert finding.test.name == "limit"
-    assert finding.value == pytest.approx(100 * level, rel=5e-3)

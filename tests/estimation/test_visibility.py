@@ -5,23 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
-from jointid.common.parameters import Parameter
-from jointid.diagnostics import identify as checks
 from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
-from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
@@ -29,7 +24,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.verdict import POOR_FIT, Status, Verdict
+from jointid.uncertainty.verdict import POOR_FIT, Status
 from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
@@ -96,29 +91,6 @@ def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(stiff_
     assert "if the controller is as declared, which was not checked" in str(estimate.answer)
 
 
-def test_the_loop_of_a_refused_spring_is_checked_with_its_identified_delay(
-    stiff_axis: tuple[Record, Estimate], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    record, estimate = stiff_axis
-    loop, judged = estimate.settings.loop, list[ClosedLoop]()
-    assert loop is not None
-    problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters).freeing("delay")
-    x = np.array([{"delay": 2e-3}.get(p.name, 1.0) for p in problem.free])
-    fit: Any = SimpleNamespace(robot=None, record=record, problem=problem, x=x, params=estimate.params)
-    skipped = check_without_joint(record.without("motor_position"), loop)
-    monkeypatch.setattr(checks, "assemble", lambda _: None)
-    monkeypatch.setattr(checks, "find_gross_cause", lambda *_: None)
-    monkeypatch.setattr(checks, "explain_misfit", lambda *_: None)
-
-    def judge(_: Record, loop: ClosedLoop) -> Verdict:
-        judged.append(loop)
-        return skipped
-
-    monkeypatch.setattr(checks, "check_without_joint", judge)
-    checks.run_checks(fit)
-    assert [numbers_of(one.controller)["delay"] for one in judged] == [2e-3]
-
-
 @pytest.mark.slow
 def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     estimate = identify(emps.without("motor_position"), LOOP)
@@ -127,20 +99,6 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be determined from this record"):
         validate(estimate, emps)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "which"), [(0, "emps"), (1, "emps_pulses")])
-def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureRequest) -> None:
-    record = request.getfixturevalue(which)
-    rng = np.random.default_rng(seed)
-    typical = {"motor_inertia": 50.0, "load_inertia": 45.0, "stiffness": 1e6, "damping": 200.0, "motor_viscous": 100.0}
-    starts: dict[str, Parameter] = {
-        p.name: replace(p, start=typical[p.name] * 10 ** rng.uniform(-1, 1))
-        for p in LOOP.joint.parameters
-        if p.name in typical
-    }
-    require_refused(identify(record.without("motor_position"), LOOP, parameters=starts))
 
 
 @pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])

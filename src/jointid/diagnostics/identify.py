@@ -39,6 +39,7 @@ from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.answer import SLIGHT, Trust
 from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import judge
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -327,7 +328,7 @@ def _check_joint(
     with _contained("a residual that follows the motion", failures):  # the verdict stands, however wide it is
         widenings.append(widen_for_rest(state.problem, state.x, rest))
     follows = rest.verdict
-    before = next((one for one in fit.checks.verdicts if one.subject is follows.subject), None)
+    before = next((one for one in judge(fit) if one.subject is follows.subject), None)
     kept = before.reasons if before is not None and before.status is Status.FAILED else ()
     follows = replace(follows, reasons=(*follows.reasons, *kept))
     return CheckResults((follows, verdict), tuple(widenings), found)

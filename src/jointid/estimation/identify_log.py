@@ -44,6 +44,7 @@ from jointid.estimation.problems.several_records import RecordsProblem
 from jointid.estimation.result.agreement import Segment, drift
 from jointid.estimation.result.build_result import find_active_bounds, find_lost, warn_of_limit
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import negative_friction
 from jointid.estimation.result.parts import Checks, Data, Fit, Params, RecordFit, Settings, Windows
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.joints import ClosedLoop
@@ -54,12 +55,6 @@ from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.resampling import Sums, left_out, scale_of, step_of
-from jointid.uncertainty.verdict import (
-    Subject,
-    bounds_verdict,
-    fit_verdict,
-    solver_verdict,
-)
 
 _STARTS = 5  # windows that are tried to start from
 _CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
@@ -384,12 +379,6 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     names = [] if told.robot is None else told.robot.model.names
     axis_errors = dict(zip(names, map(float, errors), strict=False))
-    verdicts = () if told.robot is None else (
-        solver_verdict(end.stop, end.converged),
-        fit_verdict(axis_errors),
-        bounds_verdict(held, told.negative),
-        *(one for one in first.fit.checks.verdicts if one.subject is Subject.STIFFNESS),
-    )  # fmt: skip
     return Estimate(
         params=told.params,
         fit=Fit(
@@ -407,13 +396,12 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
             axis_errors=axis_errors,
         ),
         checks=Checks(
-            verdicts=verdicts,
+            verdicts=negative_friction(told.negative),
             known=None if names else identifiability(problem.free, units, end.x, slopes, covariance),
             repeatable=repeated if len(errors) == 1 and len(spans) == 1 else None,
             drift=changes if len(spans) == 1 and not told.by_logarithm else None,
             agreement=agreement,
             warnings=(
-                *([str(agreement)] if agreement is not None and agreement.differs else []),
                 *warnings,
                 *warn_of_limit(at_limit),
             ),

@@ -227,7 +227,6 @@ def _build_result(solved: _Solved, simulations: int) -> Estimate:
         checks=Checks(
             agreement=compared,
             warnings=(
-                *([str(compared)] if compared.differs else []),
                 *map(str, judged.warnings),
                 *([str(judged.repeatable)] if judged.repeatable.significant else []),
                 *(

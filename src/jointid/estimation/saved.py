@@ -23,6 +23,7 @@ from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict
 from jointid.estimation.robots.drive_side import of_record
@@ -115,6 +116,7 @@ def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: Cl
     )  # fmt: skip
     if any(_size(one) is None for one in (*found.fit.axis_errors.values(), *found.fit.position_rms.values())):
         raise ValueError
+    found = replace(found, checks=replace(found.checks, verdicts=judge(found)))
     found.summary(details=True)  # what cannot be described is damaged
     return found
 

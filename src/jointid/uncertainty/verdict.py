@@ -8,8 +8,6 @@ from enum import StrEnum
 
 from jointid.common.messages import Message
 from jointid.common.text import join
-from jointid.uncertainty.identifiability import Identifiability
-from jointid.uncertainty.residual_tests import ResidualReport
 
 POOR_FIT = 0.15
 """Share of the filtered torque that a right model leaves at most: the EMPS axis leaves 0.045, the paper's 0.08."""
@@ -24,6 +22,9 @@ class Subject(StrEnum):
     REPEATABLE = "repeatable residual"
     IDENTIFIABILITY = "identifiability"
     BOUNDS = "bounds"
+    AGREEMENT = "agreement"
+    DRIFT = "drift"
+    ENCODERS = "encoders"
     STIFFNESS = "stiffness"
     LOOP = "loop"
     SCALE = "scale"
@@ -78,6 +79,13 @@ class Reason(StrEnum):
     MOTION_MEASURED = "motion_measured"
     SCALE_DECLARED = "scale_declared"
     SCALE_KNOWN = "scale_known"
+    RECORDS_AGREE = "records_agree"
+    RECORDS_DISAGREE = "records_disagree"
+    NO_DRIFT = "no_drift"
+    DRIFTS = "drifts"
+    ENCODER_LAG = "encoder_lag"
+    WIDE_INTERVAL = "wide_interval"
+    NO_INTERVAL = "no_interval"
 
 
 MOTION_MEASURED = (
@@ -87,7 +95,13 @@ MOTION_MEASURED = (
 """The warning of a method that takes a measured motion as free of the error, where no instrument tests that."""
 
 
-AGAINST_EVERY_VALUE = (Reason.CAUSE_FOUND, Reason.RESIDUAL_FOLLOWS_MOTION, Reason.FRICTION_NEGATIVE)
+AGAINST_EVERY_VALUE = (
+    Reason.SEARCH_ENDED,
+    Reason.TORQUE_UNEXPLAINED,
+    Reason.CAUSE_FOUND,
+    Reason.RESIDUAL_FOLLOWS_MOTION,
+    Reason.FRICTION_NEGATIVE,
+)
 """Reasons of a failed check, but that of the loop, that speak against every value of the estimate."""
 
 
@@ -130,68 +144,6 @@ class StiffnessBound:
     frequency: float | None
 
 
-def solver_verdict(stop: str, converged: bool) -> Verdict:
-    """Return the verdict on the search's end; `stop` says how it ended."""
-    return _judge(Subject.SOLVER, converged, Reason.SEARCH_ENDED, stop)
-
-
-def fit_verdict(errors: Mapping[str, float]) -> Verdict:
-    """Verdict on the share of the filtered torque of each axis that remains; a joint alone has the name ""."""
-    worst = max(errors, key=lambda axis: errors[axis])
-    of = f" of {worst}" if worst else ""
-    said = f"{100 * errors[worst]:.2f} % of the filtered torque{of} remains"
-    values = {"remaining": dict(errors) if worst else errors[worst]}
-    if errors[worst] <= POOR_FIT:
-        return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
-    said += ", more than a right model leaves"
-    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, said, values)
-
-
-def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
-    """Verdicts on whiteness and on the repeatable part of the residual."""
-    white, repeats = report.whiteness, report.repeatable
-    if white is None:
-        noise = _judge(Subject.WHITENESS, None, Reason.TOO_FEW_ROWS, "too few rows to say")
-    else:
-        code = Reason.RESIDUAL_WHITE if white.white else Reason.RESIDUAL_COLOURED
-        values = {"statistic": white.statistic, "lags": white.lags, "p_value": white.p_value}
-        noise = _judge(Subject.WHITENESS, white.white, code, str(white), values)
-    if repeats is None:
-        return noise, skip_test(Subject.REPEATABLE, "not examined")
-    if repeats.p_value is None:
-        return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
-    code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
-    sizes = {"rms": repeats.rms, "unit": repeats.unit, "share": repeats.share, "p_value": repeats.p_value}
-    return noise, _judge(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes)
-
-
-def identifiability_verdict(known: Identifiability) -> Verdict:
-    """Verdict on whether the record determines every parameter."""
-    if known.limitations:
-        return Verdict(Subject.IDENTIFIABILITY, Status.FAILED, known.limitations)
-    said = "every parameter is distinguished from 0 and from the others"
-    return _judge(Subject.IDENTIFIABILITY, True, Reason.ALL_DETERMINED, said)
-
-
-def bounds_verdict(touched: Sequence[str], negative: Sequence[str] = ()) -> Verdict:
-    """Verdict on parameters at a bound; `negative` are axes whose friction is negative by more than its interval."""
-    if negative:
-        said = f"the friction of {join(negative)} is negative: check the signs of torque, motor position and gear"
-        return _judge(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*negative]})
-    if not touched:
-        return _judge(Subject.BOUNDS, True, Reason.NONE_AT_BOUND, "no parameter is held by a bound")
-    said = f"{join(touched)} at a bound, where the record is not followed"
-    return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": [*touched]})
-
-
-def springs_verdict(refused: Sequence[str], shown: str = "the record shows every spring") -> Verdict:
-    """Verdict on springs; `refused` has a sentence for each reason or spring that the record does not show."""
-    if not refused:
-        return _judge(Subject.STIFFNESS, True, Reason.STIFFNESS_SHOWN, shown)
-    reasons = tuple(Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in refused)
-    return Verdict(Subject.STIFFNESS, Status.FAILED, reasons)
-
-
 def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Verdict:
     """Verdict on the scale of a torque that is computed from the controller.
 
@@ -210,15 +162,16 @@ def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified:
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
     values = {"parameters": [*known], "undetermined": [*lost]}
-    return _judge(Subject.SCALE, True if known else None, code, said, values)
+    return verdict_of(Subject.SCALE, True if known else None, code, said, values)
 
 
 def skip_test(subject: Subject, why: str, axes: Sequence[str] = ()) -> Verdict:
     """Verdict for a question that was not tested, or not for some axes, with the reason."""
-    return _judge(subject, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
+    return verdict_of(subject, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
 
 
-def _judge(
+def verdict_of(
     subject: Subject, good: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
 ) -> Verdict:
+    """Return a verdict with one reason; `good` is None where nothing could be tested."""
     return Verdict(subject, Status.of(good), (Message(code, said, values or {}),))

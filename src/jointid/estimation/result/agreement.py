@@ -17,12 +17,10 @@ It widens the deviation of the common value by ``t^2 sum w^2 / (sum w)^2``. From
 as uncertain as its own size. The records' errors are taken to be independent; what repeats in both of them alike (the
 same friction at the same place) makes them agree too well, and is no business of this test.
 
-Does the joint stay what it is? A segment is a number of windows of a long record that follow each other. What it says
-alone is one Gauss-Newton step from what all of them say, which is near. Its deviations come from how its windows
-differ, in units of what a window of it tells: so measured, windows scatter alike in all segments, and from all of them
-together that is known well enough to test by (from its own twenty windows for four parameters, one steady joint in four
-would be called drifting). A straight line through the segments tells how fast what they say changes: a gear that warms
-up, a bearing that runs dry.
+A segment is a number of windows of a long record that follow each other. What it says alone is one Gauss-Newton step
+from what all of them say, which is near. Its deviations come from how its windows differ, in units of what a window of
+it tells: so measured, windows scatter alike in all segments, and from all of them together that is known well enough to
+test by. A straight line through the segments tells how fast what they say changes.
 """
 
 from __future__ import annotations
@@ -128,20 +126,11 @@ class Agreement:
             return "no parameter is shared by records that could each tell it alone, so nothing says whether they agree"
         records = max(p.records for p in self.parameters)
         tested = f"chi-square {number(self.statistic, 3)} of {self.degrees}, p = {self.p_value:.2g}"
-        off = [p for p in self.parameters if p.differs]
-        few = "; two runs give it one degree of freedom, so it is a rough number" if records == 2 else ""
-        if off:
-            listed = ", ".join(f"{p.name} {number(p.between, 2)} {p.unit} (p = {p.p_value:.2g})" for p in off)
-            return (
-                f"the {records} records disagree by more than their intervals allow ({tested}); standard deviation "
-                f"between runs: {listed}{few}; the interval of the common value is widened by it"
-            )
-        if self.differs:
-            return (
-                f"the {records} records disagree jointly by more than their intervals allow ({tested}), though no "
-                "parameter does by itself: what they share is not the same in all of them"
-            )
-        return f"the {records} records agree within their intervals ({tested})"
+        if not self.differs:
+            return f"the {records} records agree within their intervals ({tested})"
+        off = [f"{p.name} {number(p.between, 2)} {p.unit}" for p in self.parameters if p.differs]
+        listed = f"between runs by {', '.join(off)} rms, which widens the common value" if off else "only jointly"
+        return f"the {records} records disagree by more than their intervals allow ({tested}): {listed}"
 
 
 def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
@@ -263,6 +252,19 @@ class DriftTest:
     def names(self) -> tuple[str, ...]:
         """Of the parameters that change by more than their intervals allow."""
         return () if self.agreement is None else tuple(p.name for p in self.agreement.parameters if p.differs)
+
+    def describe(self, units: Mapping[str, str]) -> str:
+        """Return the drift in a sentence, in the units of the parameters."""
+        if self.agreement is None or not self.agreement.differs:
+            return f"no parameter changes by more than its intervals allow over {len(self.segments)} segments"
+        changes = [
+            f"{t.name} by {number(self.agreement[t.name].between, 2)} {units[t.name]} rms "
+            f"({number(t.per_hour, 3)} ± {number(2 * t.std, 2)} {units[t.name]} per hour)"
+            for t in self.trends
+            if t.name in self.names
+        ]
+        listed = "; ".join(changes) or "none by itself, all of them together"
+        return f"parameters change between {len(self.segments)} segments by more than their intervals allow: {listed}"
 
 
 def drift(

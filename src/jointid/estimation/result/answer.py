@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
-_OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
+_OF_SPRING = ("stiffness", "damping")
+_OF_VALUES = (Subject.BOUNDS, Subject.AGREEMENT, Subject.DRIFT, Subject.ENCODERS)  # speak against what they name
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 SLIGHT = 1e-3
 """Share of a value that no decision depends on; the log of a simulator without noise shows smaller faults."""
@@ -57,22 +58,6 @@ class Trust(StrEnum):
     NOT_YET = "not_reliable_yet"
     NOT_CHECKED = "not_checked"
     REFUSED = "refused"
-
-
-class Against(StrEnum):
-    """Reasons against a value that are not of a verdict."""
-
-    NOT_CONVERGED = "not_converged"
-    TORQUE_UNEXPLAINED = "torque_unexplained"
-    AT_BOUND = "at_bound"
-    HELD = "others_at_bound"
-    RECORDS_DISAGREE = "records_disagree"
-    DRIFTS = "drifts"
-    WIDE = "wide_interval"
-    NO_INTERVAL = "no_interval"
-    ONLY_TOGETHER = "only_together"
-    INTERRUPTED = "interrupted"
-    ENCODER_LAG = "encoder_lag"
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +134,8 @@ def _refuse(estimate: Estimate, asked: EstimatedParameter) -> Message:
 
 def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
     """Return the bounds of a refused stiffness; none where loop or model are not those of the torque they come from."""
-    wrong = estimate.fit.filtered_error > POOR_FIT or _status_of_loop(estimate) is Status.FAILED
+    loop = loop_verdict(estimate)
+    wrong = estimate.fit.filtered_error > POOR_FIT or (loop is not None and loop.status is Status.FAILED)
     return () if wrong else estimate.checks.bounds
 
 
@@ -197,7 +183,7 @@ def _name_remedy(estimate: Estimate) -> Message:
 
 def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     """Return the trust in a value; in all values of a robot where none is asked for."""
-    against = [*_reasons_against(estimate, asked)]
+    against = [*_of_loop(estimate, asked), *_of_others(estimate, asked)]
     if against:
         words = "; ".join(one.brief for one in against[:2])
         return _trust(Trust.NOT_YET, f"Do not rely on it yet: {words}", against)
@@ -221,17 +207,15 @@ def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
 
 def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
     """Return what an answer depends on that was not checked; "" if nothing."""
-    scale = [v for v in estimate.checks.verdicts if v.subject is Subject.SCALE]
-    left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
-    if estimate.motion_measured:  # another record has the same bias
-        return f"Checked by its fit only ({left}): {MOTION_MEASURED}"
-    if loop is None and len(scale) == len(estimate.checks.verdicts):
-        return f"Checked by its fit only ({left}): validate it on another record"
-    if loop is None or loop.status is Status.UNKNOWN:
-        axes = () if loop is None else loop.reasons[0].values.get("axes", ())
+    if estimate.motion_measured or loop is None:  # another record has the same bias where the motion was measured
+        left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
+        remedy = MOTION_MEASURED if estimate.motion_measured else "validate it on another record"
+        return f"Checked by its fit only ({left}): {remedy}"
+    if loop.status is Status.UNKNOWN:
+        axes = loop.reasons[0].values.get("axes", ())
         which = f"controller of {join(axes)}" if axes else "controller"
         return f"You can rely on it if the {which} is as declared, which was not checked"
-    if any(v.status is Status.UNKNOWN for v in scale):
+    if any(v.subject is Subject.SCALE and v.status is Status.UNKNOWN for v in estimate.checks.verdicts):
         return "You can rely on it if the scale of the controller's gains is right, which positions do not show"
     return ""
 
@@ -243,78 +227,51 @@ def _trust(
     return Message(code, words, values)
 
 
-def _reasons_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield the reasons against a value, or against all values of a robot, causes before effects."""
-    effects = [*_effects(estimate)]
-    if asked is not None:
-        effects += _effects_on(estimate, asked)
+def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
+    """Yield what is wrong with loop and log, where it moves the value; all that is wrong where no value is asked for.
+
+    Where a parameter is held at a bound, or the torque is not explained, others make up for what is wrong: how far it
+    moves a value alone says little then.
+    """
     loop = loop_verdict(estimate)
-    if loop is None or loop.status is not Status.FAILED:
-        yield from effects
+    if loop is None or loop.status is Status.PASSED:
         return
-    # A second fault was found beside the first one, corrected; another law that is not excluded is none.
-    faults = [loop.reasons[0], *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
-    held = [in_words(row.name) for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
-    gross = asked is None or not any("changes" in reason.values for reason in loop.reasons)
-    unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in effects)
-    if held and asked is not None:  # parameters make up for what is wrong: how far it moves the others says little then
-        yield from faults
-        yield from effects
-        yield Message(Against.HELD, f"{join(held)} {'end' if len(held) > 1 else 'ends'} at a bound")
-    elif gross or unexplained or asked is None or asked.name in _moved_out(estimate):
-        yield from faults
-        yield from effects
-    else:
+    if loop.status is Status.UNKNOWN:
+        for reason in loop.reasons:
+            if asked is None or asked.value is None or not asked.stderr or reason.code is not Reason.LAW_UNDECIDED:
+                continue
+            by = reason.values["changes"].get(asked.name, 0.0)
+            if _leaves_interval(asked, by):
+                words = f"it would be {number(asked.value + by, 4)} {asked.unit} if {reason.values['condition']}, "
+                yield replace(reason, clause=f"{words}which this record does not exclude; see the drive's manual")
+        return
+    held = any(row.of_joint and row.at_bound is not None for row in estimate.params.rows)
+    gross = held or not any("changes" in reason.values for reason in loop.reasons)
+    unexplained = not estimate.fit.filtered_error <= POOR_FIT
+    if asked is None or gross or unexplained or asked.name in _moved_out(estimate):
+        # A second fault was found beside the first one, corrected; another law that is not excluded is none.
+        yield from [loop.reasons[0], *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
+    elif asked.name in _OF_SPRING:
         # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
-        yield from (one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING)
-        yield from effects
+        yield from (one for one in loop.reasons if one.code in _OF_MECHANICS)
 
 
-def _effects(estimate: Estimate) -> Iterator[Message]:
-    """Yield what speaks against every value of an estimate."""
-    fit = estimate.fit
-    if fit.interrupted:
-        yield Message(Against.INTERRUPTED, "it was interrupted, and is of the record's beginning only")
-    elif not fit.converged:
-        yield Message(Against.NOT_CONVERGED, "the search did not converge")
-    others = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP and v.status is Status.FAILED]
-    yield from (one for v in others for one in v.reasons if one.code in AGAINST_EVERY_VALUE)
-    left = max(fit.axis_errors.values(), default=fit.filtered_error)
-    if not left <= POOR_FIT:  # nor is it where the error is no number
-        words = f"{number(100 * left, 2)} % of the {estimate.signal} is not explained"
-        yield Message(Against.TORQUE_UNEXPLAINED, words, {"remaining": left})
-
-
-def _effects_on(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]:
-    """Yield what speaks against one value alone."""
-    checks, loop = estimate.checks, loop_verdict(estimate)
-    if checks.encoder_lag is not None and asked.name in _OF_SPRING:
-        lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"
-        words = f"{checks.encoder_lag.late} seems {lag} late, which hides the spring"
-        yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
-    for reason in () if loop is None else loop.reasons:
-        by = reason.values["changes"].get(asked.name, 0.0) if reason.code is Reason.LAW_UNDECIDED else 0.0
-        if asked.value is not None and asked.stderr and _leaves_interval(asked, by):
-            words = f"it would be {number(asked.value + by, 4)} {asked.unit} if {reason.values['condition']}, "
-            words += "which this record does not exclude; see the drive's manual"
-            yield replace(reason, clause=words)
-    if asked.at_bound is not None:
-        yield Message(Against.AT_BOUND, "at a bound it does not follow the record")
+def _of_others(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
+    """Yield what the other checks that failed say against a value, and its interval if that is wide."""
+    failed = [v for v in estimate.checks.verdicts if v.status is Status.FAILED and v.subject is not Subject.LOOP]
+    for verdict in failed:
+        name = asked.name if asked is not None and verdict.subject in _OF_VALUES else ""
+        for reason in verdict.reasons:
+            if reason.code in AGAINST_EVERY_VALUE or name in reason.values.get("parameters", ()):
+                yield reason
+    if asked is None or not asked.free or asked.at_bound is not None:
         return
-    if checks.agreement is not None and any(p.differs and p.name == asked.name for p in checks.agreement.parameters):
-        yield Message(Against.RECORDS_DISAGREE, "the records disagree in it by more than their intervals allow")
-    if checks.drift is not None and asked.name in checks.drift.names:
-        yield Message(Against.DRIFTS, "it changes along the record by more than its intervals allow")
-    if not asked.free:
-        return
-    if not asked.identifiable:
-        yield Message(Against.ONLY_TOGETHER, "the record determines it only together with others")
     deviation = asked.deviation
     if asked.value is None or deviation is None or not math.isfinite(asked.value + deviation):
-        yield Message(Against.NO_INTERVAL, "its interval is not known")
+        yield Message(Reason.NO_INTERVAL, "its interval is not known")
     elif 2 * deviation > _WIDE * abs(asked.value):
         share = f"to {number(200 * deviation / abs(asked.value), 2)} % only" if asked.value else "not even by its sign"
-        yield Message(Against.WIDE, f"it is known {share}")
+        yield Message(Reason.WIDE_INTERVAL, f"it is known {share}")
 
 
 # The verdict on controller and log
@@ -323,11 +280,6 @@ def _effects_on(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Messa
 def loop_verdict(estimate: Estimate) -> Verdict | None:
     """Return the verdict on controller and log; None without one."""
     return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
-
-
-def _status_of_loop(estimate: Estimate) -> Status | None:
-    loop = loop_verdict(estimate)
-    return None if loop is None else loop.status
 
 
 def moved_by_loop(estimate: Estimate, threshold: float = 0.0) -> Mapping[str, float]:

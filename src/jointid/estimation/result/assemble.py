@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from jointid.common.document import Documented
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.uncertainty.verdict import MOTION_MEASURED, Subject, Verdict, bounds_verdict
+from jointid.uncertainty.verdict import MOTION_MEASURED, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,28 +56,18 @@ def assemble(fit: Estimate, checked: CheckResults | None = None) -> Estimate:
         else _widen(p, checked.widenings)
         for p in fit.params.rows
     )
-    held = bounds_verdict([p.name for p in rows if p.at_bound is not None])
     subjects = {v.subject for v in checked.verdicts}
-    own = (
-        held if v.subject is Subject.BOUNDS and fit.robot is None else v
-        for v in fit.checks.verdicts
-        if v.subject not in subjects
-    )
+    own = tuple(v for v in fit.checks.verdicts if v.subject not in subjects)
     measured = (MOTION_MEASURED,) if fit.motion_measured else ()
     warnings = (widening.warning for widening in checked.widenings if widening.warning)
-    return Estimate(
-        params=replace(fit.params, rows=rows),
-        fit=fit.fit,
-        checks=replace(
-            fit.checks,
-            verdicts=(*own, *checked.verdicts),
-            warnings=(*fit.checks.warnings, *measured, *warnings),
-            diagnosis=checked.diagnosis,
-        ),
-        data=fit.data,
-        settings=fit.settings,
-        robot=fit.robot,
+    checks = replace(
+        fit.checks,
+        verdicts=(*own, *checked.verdicts),
+        warnings=(*fit.checks.warnings, *measured, *warnings),
+        diagnosis=checked.diagnosis,
     )
+    found = Estimate(replace(fit.params, rows=rows), fit.fit, checks, fit.data, fit.settings, fit.robot)
+    return replace(found, checks=replace(checks, verdicts=judge(found)))
 
 
 def _widen(p: EstimatedParameter, widenings: tuple[Widening, ...]) -> EstimatedParameter:

@@ -13,6 +13,7 @@ from jointid.common.text import join
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
+from jointid.estimation.result.judge import negative_friction
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.joints import ClosedLoop
@@ -23,14 +24,6 @@ from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import residual_report
-from jointid.uncertainty.verdict import (
-    bounds_verdict,
-    fit_verdict,
-    identifiability_verdict,
-    residual_verdicts,
-    solver_verdict,
-    springs_verdict,
-)
 
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
@@ -192,13 +185,6 @@ def build_closed_loop_result(
         checks=Checks(
             warnings=warn_of_limit(run.at_limit),
             notes=tuple(map(str, known.warnings)),
-            verdicts=(
-                solver_verdict(stop, converged),
-                fit_verdict({"": report.relative}),
-                *residual_verdicts(report),
-                identifiability_verdict(stated),
-                bounds_verdict(held),
-            ),
             known=stated,
         ),
         data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
@@ -274,12 +260,7 @@ def build_robot_result(
             axis_errors=left,
         ),
         checks=Checks(
-            verdicts=(
-                solver_verdict(stop, converged),
-                fit_verdict(left),
-                bounds_verdict([row.name for row in rows if row.at_bound is not None], negative),
-                *((springs_verdict([str(s) for s in part.springs if not s.shown]),) if part.springs else ()),
-            ),
+            verdicts=negative_friction(negative),
             warnings=(*model.remarks, *warnings),
         ),
         data=Data(

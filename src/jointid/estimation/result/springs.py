@@ -43,6 +43,7 @@ from jointid.estimation.methods.force_in_loop import InLoop, allow_for_force, si
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import springs_verdict
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, frequency_of
 from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, of_whole, split_by_mode
@@ -54,7 +55,7 @@ from jointid.uncertainty.identifiability import Combination, Kind, Known, find_s
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 from jointid.uncertainty.profile import Profiling, profile_compliance
-from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict, springs_verdict
+from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""
@@ -139,13 +140,10 @@ class Visibility:
             else:
                 rows.append(p)
         only = Message(Reason.ONLY_SUMS, "only the sums of both sides are determined, not their division")
-        verdicts = [
-            Verdict(one.subject, Status.FAILED, (only,)) if one.subject is Subject.IDENTIFIABILITY else one
-            for one in checks.verdicts
-        ]
+        sides = Verdict(Subject.IDENTIFIABILITY, Status.FAILED, (only,))
         checks = replace(
             checks,
-            verdicts=(*verdicts, self.verdict),
+            verdicts=(*checks.verdicts, sides, self.verdict),
             known=replace(checks.known, physical=tuple(sums), limitations=(), undetermined=()),
             bounds=self.bounds,
             notes=(*checks.notes, *map(str, self.notes)),

@@ -16,7 +16,7 @@ from jointid.estimation.result.agreement import DriftTest
 from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.uncertainty.identifiability import Kind
-from jointid.uncertainty.verdict import Status
+from jointid.uncertainty.verdict import Status, Subject
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
@@ -27,6 +27,7 @@ Column: TypeAlias = tuple[str, Sequence[str], bool]
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
+_SAID = (Subject.AGREEMENT, Subject.DRIFT)  # verdicts that are shown though they passed
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
 
 
@@ -99,19 +100,14 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
             f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
             f"{number(windows.duration / 3600, 3)} h",
         )
-    if checks.agreement is not None and not checks.agreement.differs:  # else it is a warning
-        yield "agreement", str(checks.agreement)
-    if checks.drift is not None:
-        yield "drift", describe_drift(checks.drift, estimate.params.rows)
+    yield from ((str(v.subject), v.said) for v in checks.verdicts if v.subject in _SAID and v.good and not details)
     if windows is not None and checks.repeatable is not None:
         yield "residual", str(checks.repeatable)
-    if windows is not None and checks.known is not None:
-        yield from (("limitation", str(one)) for one in checks.known.limitations)
     if details:
         yield from (("test", f"{test.name}: {test.sentence}") for test in checks.tests)
         passes = f", {fit.passes} times over the whole" if fit.passes else ""
         yield "effort", f"{fit.simulations} simulations{passes}"
-    if details or estimate.robot is not None or not (fit.converged or checks.verdicts):
+    if estimate.robot is not None and not details:
         yield "search", fit.stop
     if checks.verdicts:
         passed = [verdict.good for verdict in checks.verdicts].count(True)
@@ -159,22 +155,6 @@ def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             listed.append((str(verdict.subject), verdict.good, (f"{verdict.reasons[0].brief}{more}",)))
     if listed:
         yield Verdicts(tuple(listed))
-
-
-def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> str:
-    """Return the drift of the parameters in a sentence."""
-    if drift.agreement is None or drift.agreement.p_value is None:
-        return "not tested: the record has too few windows for two segments"
-    if not drift.agreement.differs:
-        return f"no parameter changes by more than its intervals allow over {len(drift.segments)} segments"
-    units, trends = {p.name: p.unit for p in params}, {t.name: t for t in drift.trends}
-    changes = [
-        f"{name} by {number(drift.agreement[name].between, 2)} {units[name]} rms "
-        f"({number(trends[name].per_hour, 3)} ± {number(2 * trends[name].std, 2)} {units[name]} per hour)"
-        for name in drift.names
-    ]
-    listed = "; ".join(changes) or "none by itself, all of them together"
-    return f"parameters change between {len(drift.segments)} segments by more than their intervals allow: {listed}"
 
 
 # The tables
