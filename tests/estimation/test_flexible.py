@@ -10,7 +10,6 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
-from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
 from jointid.estimation.methods import stiffness_search
 from jointid.estimation.methods.didim import DIDIM
@@ -40,14 +39,6 @@ def test_idim_recovers_the_noise_free_twin(loop: str) -> None:
     assert estimate.data.channels == ("torque", "motor_position", "load_position", "injected")
     for name, value in estimate.values.items():
         assert abs(value / axis.truth[name] - 1) <= (0.01 if name == "damping" else 1e-3), name
-
-
-def test_an_idim_estimate_is_validated_on_both_rows() -> None:
-    axis, other = twin(noise="white", seed=1), twin(noise="white", seed=2)
-    estimate = identify(axis.record, axis.loop, IDIM())
-    own = validate(estimate, axis.record).filtered_error  # the load encoder's zero is found anew in each record
-    assert own == pytest.approx(estimate.fit.filtered_error, rel=1e-5)
-    assert validate(estimate, other.record).filtered_error == pytest.approx(0.08, abs=0.005)
 
 
 def torque_only(axis: Twin) -> Record:
@@ -132,17 +123,6 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     (bounds,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "bounds")
     assert "motor_coulomb at a bound" in bounds.said
     assert not bounds.good
-
-
-def test_a_sum_has_the_deviation_of_a_sum(identified: Callable[..., Estimate]) -> None:
-    axis = twin(noise="white")
-    estimate = identified("L19", DIDIM(frequency=30.0), noise="white")
-    total, std = estimate.params.total(("Fv1", "load_viscous"))
-    assert total == estimate.values["motor_viscous"] + estimate.values["load_viscous"]
-    assert std < 0.4 * float(estimate["Fv1"].stderr or 0.0)
-    fixed = {"offset": axis.loop.joint.parameters[-1].fix(-3.16)}
-    held = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), parameters=fixed)
-    assert held.params.total(("Fv1", "Fv2", "offset"))[1] == held.params.total(("Fv1", "Fv2"))[1]
 
 
 def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
-from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import remarks
 from jointid.models.controllers import Cascade
@@ -157,21 +155,3 @@ def test_a_short_travel_tells_only_sums(travel: float) -> None:
     assert_covered(estimate, ARM_TRUTH, 4.0)
     told_of = [remarks(identify(one, ARM, IDIM())) for one in (record, arm())]
     assert ["only with" in one.get("gravity_cos", "") for one in told_of] == [True, False]
-
-
-def test_fixing_the_offset_tells_the_rest() -> None:
-    offset = next(p for p in ARM.joint.parameters if p.name == "offset")
-    estimate = identify(torque_only(arm(0.2, noise=0.3)), ARM, parameters={"offset": offset.fix(0.5)})
-    cosine = estimate["gravity_cos"]
-    assert cosine.value == pytest.approx(40.0, abs=0.1)
-    assert cosine.stderr is not None
-    assert cosine.stderr < 0.02
-
-
-def test_a_counterbalance_without_a_spring_is_no_lost_spring() -> None:
-    """Its rate has the unit of the joint's stiffness, which no joint is without; a counterbalance may have no rate."""
-    gravity = Gravity("link", Counterbalance(rate=5.0))
-    free = [replace(p, free=True) for p in FlexibleJoint(kind="revolute", gravity=gravity).parameters]
-    assert "counterbalance_rate" in [p.name for p in free]
-    nothing = np.zeros(len(free))
-    assert find_lost(free, nothing, nothing) == ("motor_inertia", "stiffness", "load_inertia")

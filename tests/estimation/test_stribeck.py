@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
 from jointid.diagnostics.compare import compare
 from jointid.diagnostics.model_free import compare_law
 from jointid.diagnostics.validation import validate
@@ -17,7 +16,6 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import InjectionPoint, Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
-from jointid.uncertainty.verdict import Subject
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.plants import Case, prismatic
@@ -62,21 +60,6 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
     assert estimate["stiffness"].stderr < 1e-3 * values["stiffness"]  # type: ignore[operator]
 
 
-def test_a_model_without_it_names_the_law_to_try_and_is_biased() -> None:
-    case = rigid(prismatic(1))
-    loop, values = slow(case, RISES)
-    plain = replace(loop, joint=loop.joint.linear)
-    estimate = ji.identify(noisy(case, loop, values), plain)
-    verdict = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
-    assert any('the joint with friction = "stribeck"' in str(reason) for reason in verdict.reasons)
-    assert not any('the joint with friction = "stribeck"' in str(one) for one in _reasons(case, loop, values))
-
-
-def _reasons(case: Case, loop: ClosedLoop, values: dict[str, float]) -> list[str]:
-    estimate = ji.identify(noisy(case, loop, values), loop)
-    return [str(reason) for verdict in estimate.checks.verdicts for reason in verdict.reasons]
-
-
 @pytest.mark.parametrize("friction", list(EMPS_RESIDUAL))
 def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps: Record, emps_pulses: Record) -> None:
     """The 7.7 N that the check of the loop finds near standstill are a law, which holds on the other record, too."""
@@ -90,17 +73,6 @@ def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps:
         assert change.interval is not None
         assert change.interval[0] < -7.7 < change.interval[1] < 0
         assert estimate["stribeck_speed"].value == pytest.approx(0.015, abs=0.001)
-
-
-@pytest.mark.slow
-def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
-    changes = []
-    for record in (emps, emps_pulses):
-        found = compare(record.without("motor_position"), ClosedLoop(RigidJoint("prismatic"), CONTROLLER), "frictions")
-        assert found.shown.name == "asymmetric-stribeck"
-        changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
-    (first, std), (second, other) = changes
-    assert abs(first - second) < 2 * np.hypot(std, other)
 
 
 @pytest.mark.slow
@@ -126,14 +98,6 @@ def test_the_first_line_of_every_law_agrees_with_the_comparison_and_the_motor_po
     for key, value in shown.values.items():
         assert estimate.params[key].value == pytest.approx(value, rel=1e-3)
     assert 1e3 * estimate["delay"].value == pytest.approx(0.29, abs=0.02)
-
-
-def test_a_speed_without_a_change_is_not_told() -> None:
-    case = rigid(prismatic(1))
-    loop, values = slow(case, RISES)
-    change = next(p for p in loop.joint.parameters if p.name == "stribeck_force")
-    with pytest.raises(MethodError, match="stribeck_speed"):
-        identify(noisy(case, loop, values), loop, parameters={"stribeck_force": change.fix(0.0)})
 
 
 def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:

@@ -16,19 +16,19 @@ from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
-from jointid.diagnostics.score import fit_whitener, rank_tests, score
+from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
-from jointid.records.record import Record, Tap
+from jointid.records.record import Record
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.verdict import Reason
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
-from tests.faults import FAULTS, Fault, on, problem, setting, solved
+from tests.faults import FAULTS, problem, setting, solved
 from tests.tested import faults_of
 
 SIZES = {
@@ -97,48 +97,12 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
     assert np.linalg.norm(shown - scale * nearest.column) < 0.25 * np.linalg.norm(shown)
 
 
-def test_the_gain_of_a_known_signal_is_a_column() -> None:
-    where = setting("L19", brief=True)
-    clean = problem(where, None, None)
-    x = clean.vector(where.truth)
-    column = next(a.column for a in compute_signatures(clean, x)[2] if a.fault.name == "injected_gain")
-    assert where.record.injected is not None
-    known = where.record.injected.channel
-    stronger = replace(where.record.injected, channel=replace(known, values=1.01 * known.values))
-    other = problem(replace(where, record=replace(where.record, injected=stronger)), None, None)
-    shown = clean.filter(other.torque(x) - clean.torque(x))
-    assert np.linalg.norm(shown - 0.01 * column) < 0.01 * np.linalg.norm(shown)
-
-
-def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction() -> None:
-    """The log of a measured torque shows what is added to it; a friction's force acts on the mass, and is not added."""
-    where = setting("L19", brief=True)
-    columns = {}
-    for tap in (Tap.COMMAND, Tap.MEASURED):
-        made = problem(replace(where, record=replace(where.record, tap=tap)), None, None)
-        alternatives = compute_signatures(made, made.vector(where.truth))[2]
-        columns[tap] = next(a.column for a in alternatives if a.fault.name == "stribeck")
-    apart = np.linalg.norm(columns[Tap.MEASURED] - columns[Tap.COMMAND])
-    assert apart < 1e-3 * np.linalg.norm(columns[Tap.COMMAND])
-
-
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["delay"], "white", 1).freeing("delay")
     check = search_faults(made, solved(made, where))[0]
     assert check.as_declared
     assert "delay" not in {s.name for s in check.tests}
-
-
-def test_the_whitener_leaves_no_correlation() -> None:
-    rng = np.random.default_rng(0)
-    coloured = np.zeros(4000)
-    for i, step in enumerate(rng.standard_normal(coloured.size)[1:], start=1):
-        coloured[i] = 0.8 * coloured[i - 1] + step
-    white = fit_whitener(coloured)(coloured)
-    assert np.std(white) == pytest.approx(1.0, rel=0.05)
-    for lag in range(1, 10):
-        assert abs(float(white[lag:] @ white[:-lag]) / float(white @ white)) < 0.08
 
 
 @pytest.mark.slow
@@ -238,15 +202,6 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
         assert friction.std < 1.2
         assert 0.13e-3 < late.size < 0.25e-3
         assert 2 * late.std < 0.13e-3
-
-
-@pytest.mark.slow
-def test_a_loop_that_needs_more_delay_than_it_can_bear_is_not_explained_away() -> None:
-    """0.4 ms more make L30 a limit cycle, which no joint under the declared loop can be: nothing fits."""
-    where = setting("L30")
-    made = problem(where, Fault(on("L19", "delay").law), "white", 1)
-    x = solved(made, where)
-    assert np.linalg.norm(made.residual(x)) > 0.9 * np.linalg.norm(made.filter(made.measured))
 
 
 @pytest.mark.slow

@@ -158,7 +158,7 @@ def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified:
         said += ", which the free gain takes up" if identified else ": free gain to identify it"
     else:
         code = Reason.SCALE_DECLARED
-        said += "so gains 10 % too large make every parameter 10 % too large: check their units"
+        said += "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
     values = {"parameters": [*known], "undetermined": [*lost]}

@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
 
 def judge(estimate: Estimate) -> tuple[Verdict, ...]:
-    """Return the verdicts of an estimate; one that it has already stands."""
+    """Return the verdicts of an estimate; one that it has already stands, but those on solver and fit."""
     found = {verdict.subject: verdict for verdict in _of_parts(estimate)}
-    return tuple((found | {verdict.subject: verdict for verdict in estimate.checks.verdicts}).values())
+    given = {v.subject: v for v in estimate.checks.verdicts if v.subject not in (Subject.SOLVER, Subject.FIT)}
+    return tuple((found | given).values())
 
 
 def _of_parts(estimate: Estimate) -> Iterator[Verdict]:
@@ -89,9 +90,10 @@ def _of_bounds(touched: Sequence[str]) -> Verdict:
 
 def negative_friction(axes: Sequence[str]) -> tuple[Verdict, ...]:
     """Return the verdict on axes whose friction is negative by more than its interval; none without any."""
+    if not axes:
+        return ()
     said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
-    found = verdict_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*axes]})
-    return (found,) if axes else ()
+    return (verdict_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*axes]}),)
 
 
 def springs_verdict(refused: Sequence[str], shown: str = "the record shows every spring") -> Verdict:
