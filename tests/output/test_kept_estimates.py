@@ -21,7 +21,6 @@ from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.output.json import read_report
-from jointid.records.signals.filtering import window_torque
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from tests.estimation.robots.test_rigid_robots import recorded
@@ -115,22 +114,6 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     assert [row.after for row in change.rows] == pytest.approx([row.before for row in change.rows], rel=1e-6)
 
 
-def test_a_flexible_joint_moves_as_one_in_a_feed_forward() -> None:
-    axis = ji.twin("L19", noise="none")
-    estimate = replace(found("joint"), settings=replace(found("joint").settings, system=axis.loop.joint, loop=None))
-    rows = tuple(
-        replace(found("joint").params.rows[0], name=name, symbol=name, value=value)
-        for name, value in axis.truth.items()
-        if name in {p.name for p in axis.loop.joint.parameters}
-    )
-    estimate = replace(estimate, params=replace(estimate.params, rows=rows))
-    x, whole = estimate.values, estimate.torque(0.3, 0.2, 2.0)
-    moved = sum(
-        2.0 * x[f"{side}_inertia"] + 0.2 * x[f"{side}_viscous"] + x[f"{side}_coulomb"] for side in ("motor", "load")
-    )
-    assert whole == pytest.approx(moved + x["offset"])
-
-
 def places(part: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Yield the path of every part of a document."""
     for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
@@ -181,13 +164,6 @@ def test_an_error_that_is_not_known_is_not_relied_on(tmp_path: Path) -> None:
         path.write_text(dumps(document | {part: lacking}), "utf-8")
         with pytest.raises(RecordError):
             ji.load_estimate(path, setup_of("joint"))
-
-
-def test_a_delay_that_is_longer_than_the_record_is_refused() -> None:
-    torque = ji.Channel(np.zeros(100), "N m", 1e-3, "held")
-    for delay in (1e300, 1e6, -0.2, float("nan")):
-        with pytest.raises(RecordError):
-            window_torque(torque, delay)
 
 
 @pytest.mark.parametrize("method", ["idim", pytest.param("didim", marks=pytest.mark.slow), "delays"])

@@ -88,13 +88,6 @@ class Reason(StrEnum):
     NO_INTERVAL = "no_interval"
 
 
-MOTION_MEASURED = (
-    "the motion was measured under control: what disturbs it biases these values; identify by DIDIM, or with the "
-    "reference as instrument"
-)
-"""The warning of a method that takes a measured motion as free of the error, where no instrument tests that."""
-
-
 AGAINST_EVERY_VALUE = (
     Reason.SEARCH_ENDED,
     Reason.TORQUE_UNEXPLAINED,

@@ -20,7 +20,6 @@ from jointid.estimation.result.robot import KNOWN
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import (
     AGAINST_EVERY_VALUE,
-    MOTION_MEASURED,
     POOR_FIT,
     Reason,
     Status,
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
+_MEASURED = "the motion was measured under control: what disturbs it biases these values; identify by DIDIM"
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")
 _OF_VALUES = (Subject.BOUNDS, Subject.AGREEMENT, Subject.DRIFT, Subject.ENCODERS)  # speak against what they name
@@ -199,7 +199,7 @@ def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     if asked is not None and not asked.free:
         return _trust(Trust.NOT_CHECKED, "It was declared, not identified")
     if unchecked := _name_unchecked(estimate, loop):
-        measured = [Message(Reason.MOTION_MEASURED, MOTION_MEASURED)] if estimate.motion_measured else []
+        measured = [Message(Reason.MOTION_MEASURED, _MEASURED)] if estimate.motion_measured else []
         return _trust(Trust.NOT_CHECKED, unchecked, measured)
     within = ": what is wrong with loop or log moves it by less than its interval" if loop in failed else ""
     return _trust(Trust.RELIABLE, f"You can rely on it{within}")
@@ -209,7 +209,7 @@ def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
     """Return what an answer depends on that was not checked; "" if nothing."""
     if estimate.motion_measured or loop is None:  # another record has the same bias where the motion was measured
         left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
-        remedy = MOTION_MEASURED if estimate.motion_measured else "validate it on another record"
+        remedy = _MEASURED if estimate.motion_measured else "validate it on another record"
         return f"Checked by its fit only ({left}): {remedy}"
     if loop.status is Status.UNKNOWN:
         axes = loop.reasons[0].values.get("axes", ())

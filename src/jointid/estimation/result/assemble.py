@@ -9,7 +9,7 @@ from jointid.common.document import Documented
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.uncertainty.verdict import MOTION_MEASURED, Verdict
+from jointid.uncertainty.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,11 @@ def assemble(fit: Estimate, checked: CheckResults | None = None) -> Estimate:
     )
     subjects = {v.subject for v in checked.verdicts}
     own = tuple(v for v in fit.checks.verdicts if v.subject not in subjects)
-    measured = (MOTION_MEASURED,) if fit.motion_measured else ()
     warnings = (widening.warning for widening in checked.widenings if widening.warning)
     checks = replace(
         fit.checks,
         verdicts=(*own, *checked.verdicts),
-        warnings=(*fit.checks.warnings, *measured, *warnings),
+        warnings=(*fit.checks.warnings, *warnings),
         diagnosis=checked.diagnosis,
     )
     found = Estimate(replace(fit.params, rows=rows), fit.fit, checks, fit.data, fit.settings, fit.robot)
