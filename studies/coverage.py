@@ -16,6 +16,7 @@ from jointid.paper.form import inverse_model_deviations
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.identifiability import identifiability
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.residual_tests import whiteness
 
@@ -60,7 +61,7 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", 
     x, J = end.x, -end.jacobian
     error, names = problem.residual(x), [p.name for p in problem.free]
     joint = names[: len(problem.free_joint)]
-    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)))
+    known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
     cutoff, step = problem.filtering.cutoff, problem.experiment.sample_time * (problem.filtering.decimation or 1)
     assert cutoff is not None
     found = whiteness(error, step, cutoff)

@@ -10,7 +10,7 @@ from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.score import rank_tests
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
-from jointid.uncertainty.covariance import sandwich
+from jointid.uncertainty.influence import Influence
 from tests.faults import Fault, Loop, Noise, line_7, on, problem, setting, solved
 
 NOTHING = "nothing"
@@ -59,7 +59,7 @@ def judge_freed(seed: int, noise: Noise) -> Freed:
     made = problem(where, Fault(line_7), noise, seed).freeing(*FREED)
     end = descend(made, made.vector(where.truth), 1e-6)
     x, J = end.x, -end.jacobian
-    std = sandwich(J, J, made.residual(x)).std
+    std = Influence(J, made.residual(x)).by_time().std
     error = {p.name: (float(x[i] - truth[p.name]), float(std[i])) for i, p in enumerate(made.free) if p.name in truth}
     return Freed(
         {name: off / deviation for name, (off, deviation) in error.items()},

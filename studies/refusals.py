@@ -17,6 +17,7 @@ from jointid.estimation.result.springs import visible
 from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 Noise = Literal["disturbance", "white"]
@@ -62,10 +63,10 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     names = [p.name for p in problem.free]
     at, truth = names.index("stiffness"), problem.vector({**axis.truth, "initial_position": 0.0})
     error, J = problem.linearise(truth)
-    predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth))).robust.std[at] / truth[at]
+    predicted = uncertainty(Influence(J, error), problem.cells(problem.simulate(truth))).robust.std[at] / truth[at]
     end = descend(problem, truth, _EXACTLY)
     x, J = end.x, -end.jacobian
-    known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)))
+    known = uncertainty(Influence(J, problem.residual(x)), problem.cells(problem.simulate(x)))
     spring = visible(problem, x, J, known, (2, 2), ignore_progress, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None

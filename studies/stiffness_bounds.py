@@ -28,6 +28,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 PLAIN, INVISIBLE = 0.03, 0.5  # predicted deviations of K12: below, it must be reported; above, it must not
@@ -115,7 +116,7 @@ def _predict(plant: BoundedPlant) -> float:
     error, J = problem.linearise(truth)
     names = [p.name for p in problem.free]
     at, cells = names.index("stiffness"), problem.cells(problem.simulate(truth))
-    return float(uncertainty(J, J, error, cells).robust.std[at] / truth[at])
+    return float(uncertainty(Influence(J, error), cells).robust.std[at] / truth[at])
 
 
 def random_plant(seed: int) -> BoundedPlant:

@@ -19,7 +19,8 @@ from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import Filtering, apply_window, differentiate_twice, window_torque
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.covariance import bandwidth, sandwich, white
+from jointid.uncertainty.covariance import white
+from jointid.uncertainty.influence import Influence, bandwidth
 
 T = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
@@ -187,7 +188,7 @@ def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
     rng = np.random.default_rng(1)
     W = rng.normal(size=(20000, 3)) @ np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 2.0]])
     residual = rng.normal(size=len(W))
-    assert np.allclose(sandwich(W, W, residual).std, white(W, residual).std, rtol=0.05)
+    assert np.allclose(Influence(W, residual).by_time().std, white(W, residual).std, rtol=0.05)
     assert bandwidth(4000) == 10
 
 

@@ -46,20 +46,10 @@ def test_chance_is_found_significant_as_often_as_the_level_says(kind: str) -> No
     assert all(test.p_value == 1.0 for test in tests if test.statistic == 0)
 
 
-def test_the_draws_of_white_noise_are_the_textbook_s_mixture() -> None:
-    """With one direction: 0 in half of the draws, chi-square of one degree of freedom in the others."""
-    random = np.random.default_rng(2)
-    residuals = [left(noise(random, "white")) for _ in range(60)]
-    draws = np.concatenate([quick(r, [BEND]).draws for r in residuals])
-    assert np.mean(draws == 0) == pytest.approx(0.5, abs=0.02)
-    assert np.mean(draws > 2.706) == pytest.approx(0.05, abs=0.015)
-
-
 def test_a_spring_is_found() -> None:
     error = noise(np.random.default_rng(3), "white") - 6.0 * BEND[:, 0]
     found = flexible_against_rigid(left(error), -W, [BEND], WHERE)
     assert found.significant
-    assert "asks for the flexible model" in str(found)
     both = np.hstack([W, -BEND])
     taken = np.sum(left(error) ** 2) - np.sum((error - both @ solved(both, error)) ** 2)
     assert found.gained == pytest.approx(taken / np.sum(left(error) ** 2))
@@ -72,7 +62,6 @@ def test_a_negative_compliance_is_no_spring() -> None:
     found = flexible_against_rigid(left(error), -W, [BEND])
     assert found.statistic == 0.0
     assert found.p_value == 1.0
-    assert "does not ask for" in str(found)
 
 
 def test_a_direction_is_projected_on_as_by_nnls() -> None:
@@ -116,10 +105,3 @@ def test_what_repeats_with_the_motion_is_not_taken_for_a_spring() -> None:
     assert of_place <= 11
 
 
-def test_a_fit_that_was_made_takes_the_place_of_the_linear_one() -> None:
-    residual = left(noise(np.random.default_rng(8), "white"))
-    total = float(residual @ residual)
-    found = flexible_against_rigid(residual, -W, [BEND], fitted=0.9 * total)
-    assert found.gained == pytest.approx(0.1)
-    assert found.significant
-    assert flexible_against_rigid(residual, -W, [BEND], fitted=1.1 * total).statistic == 0.0

@@ -15,7 +15,7 @@ from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
-from jointid.uncertainty.covariance import band_deviations, sandwich, with_measured_motion
+from jointid.uncertainty.influence import Influence
 
 JOINT = ji.FlexibleJoint("prismatic")
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
@@ -128,48 +128,11 @@ def test_white_noise_on_the_log_leaves_the_truth_in_the_intervals() -> None:
         made = twin("L19", noise="white", seed=seed)
         problem = problem_of(made.record, log_delay=0.0)
         solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-        std = sandwich(solution.jacobian, solution.jacobian, solution.residual).std
-        std = np.maximum(std, band_deviations(solution.jacobian, solution.jacobian, solution.residual))
+        influence = Influence(solution.jacobian, solution.residual)
+        std = influence.widen_for_bands(influence.by_time()).std
         own = slice(0, len(JOINT.parameters))
         inside += list((np.abs(solution.x - problem.vector(TABLE_2)) < 2 * std)[own])
     assert np.mean(inside) > 0.85
-
-
-def test_bands_see_a_gain_that_falls_with_frequency() -> None:
-    rng = np.random.default_rng(0)
-    J = rng.standard_normal((4000, 1))
-    spectrum = np.fft.rfft(J[:, 0])
-    error = np.fft.irfft(spectrum * np.linspace(0.05, -0.05, spectrum.size), 4000)
-    error -= J[:, 0] * (J[:, 0] @ error) / (J[:, 0] @ J[:, 0])
-    by_rows = sandwich(J, J, error).std[0]
-    assert band_deviations(J, J, error)[0] > 5 * by_rows
-
-
-def test_deviations_along_a_measured_motion_hold_the_bias_of_a_force_that_moves_it() -> None:
-    """An inertia of 2 that a reference moves slowly, and a force, as d / 2, at all frequencies."""
-    rng, before, after = np.random.default_rng(0), [], []
-    slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(4000)) * (np.arange(2001) < 100), 4000)
-    for _ in range(50):
-        d = 0.03 * rng.standard_normal(4000)
-        J = (slow + d / 2)[:, np.newaxis]
-        x = float(J[:, 0] @ (2 * slow)) / float(J[:, 0] @ J[:, 0])
-        error = 2 * slow - J[:, 0] * x
-        plain = sandwich(J, J, error)
-        wide = with_measured_motion(plain, J, J, error)
-        before.append(abs(x - 2) / plain.std[0])
-        after.append(abs(x - 2) / wide.std[0])
-    assert np.mean(np.array(before) < 2) < 0.3
-    assert np.mean(np.array(after) < 2) > 0.9
-
-
-def test_noise_on_the_log_widens_deviations_along_a_measured_motion_by_a_third() -> None:
-    rng, factors = np.random.default_rng(0), []
-    for _ in range(50):
-        J, error = rng.standard_normal((2000, 2)), rng.standard_normal(2000)
-        error -= J @ np.linalg.lstsq(J, error, rcond=None)[0]
-        plain = sandwich(J, J, error)
-        factors.append(with_measured_motion(plain, J, J, error).std / plain.std)
-    assert np.mean(factors) == pytest.approx(1.35, abs=0.05)
 
 
 def test_a_rigid_joint_needs_no_load() -> None:

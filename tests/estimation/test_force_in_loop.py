@@ -21,6 +21,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import Solution, solve
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from tests.servos import Servo, servo
 
@@ -84,7 +85,7 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     problem = problem.keeping({"initial_velocity": 0.0})
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     error, slopes = problem.linearise(x)
-    std = uncertainty(slopes, slopes, error, problem.cells(problem.simulate(x)))
+    std = uncertainty(Influence(slopes, error), problem.cells(problem.simulate(x)))
     assert allow_for_force(problem, x, -slopes, std.covariance.std, History(ignore_progress)) is None
 
 
@@ -130,7 +131,7 @@ def test_sums_beside_a_refused_spring_hold_what_a_force_moves() -> None:
     start = dict.fromkeys(INITIAL, 0.0) | half | {"stiffness": 1e9, "damping": 0.0, "offset": axis.truth["offset"]}
     x = problem.vector(start)
     error, J = problem.linearise(x)
-    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)))
+    known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
     found = visible(problem, x, J, known, (2, 2), ignore_progress, ())
     assert not found.shown
     for name in SUMS:

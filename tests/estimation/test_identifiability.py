@@ -52,10 +52,8 @@ def test_of_two_frictions_the_sum_is_to_be_used() -> None:
     assert total.verdict == "well"
     assert difference.verdict == "poorly"
     assert len(found.limitations) == 1
-    assert found.limitations[0].words.startswith(
-        f"use the sum of motor viscous and load viscous, 201.0 ± {2 * total.std:.1f} N s/m; "
-    )
-    assert f"apart they are known to ± {2 * covariance.std[0]:.0f} N s/m and " in found.limitations[0].words
+    assert found.limitations[0].values["value"] == pytest.approx(total.value)
+    assert found.limitations[0].values["std"] == pytest.approx(total.std)
 
 
 def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
@@ -63,7 +61,6 @@ def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
     told = [one for one in found.limitations if one.code == "not_significant"]
     assert [one.values["parameter"] for one in told] == ["motor_viscous", "load_viscous"]
-    assert told[0].words.startswith("Fv1 is not")
     free = tuple(replace(p, lower=-np.inf) for p in FRICTIONS)
     unbounded = identifiability(free, UNITS, X, J, white(J, residual()))
     assert not any(one.code == "not_significant" for one in unbounded.limitations)
@@ -80,8 +77,6 @@ def test_two_of_different_units_are_to_be_used_together() -> None:
     covariance = white(J, random.standard_normal(3000))
     found = identifiability(parameters, {"coulomb": "N", "stiffness": "N/m"}, np.array([20.0, 2e5]), J, covariance)
     (limitation,) = found.limitations
-    assert limitation.brief == "use coulomb and stiffness only together: what one gains the other makes up for"
-    assert f"apart they are known to ± {2 * covariance.std[0]:.2g} N and " in limitation.words
     together = np.array([1.0, float(limitation.values["weight"])])
     assert limitation.values["std"] == pytest.approx(covariance.std_of(together))
     assert limitation.values["std"] < 0.2 * covariance.std[0]
@@ -95,8 +90,6 @@ def test_of_what_has_one_effect_only_the_combination_is_stated() -> None:
     assert [known.combination.formula for known in found.physical] == ["Fv1 + Fv2"]
     assert found.physical[0].verdict == "well"
     (limitation,) = found.limitations
-    said = "this record does not separate motor viscous and load viscous: their sum is 201.0 ± "
-    assert limitation.words.startswith(said)
     assert limitation.values["std"] == pytest.approx(found.physical[0].std)
 
 
@@ -111,7 +104,6 @@ def test_combinations_without_an_effect_are_stated_one_by_one() -> None:
     found = identifiability(parameters, units, np.ones(5), J, white(J, residual(500)))
     pairs = sorted(one.values["parameters"] for one in found.limitations)
     assert pairs == [["motor_coulomb", "load_coulomb"], ["motor_viscous", "load_viscous"]]
-    assert all("fix one of them" in one.words and "their sum is" in one.words for one in found.limitations)
 
 
 @pytest.mark.slow

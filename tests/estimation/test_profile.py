@@ -12,8 +12,9 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import robust, sandwich, white
+from jointid.uncertainty.covariance import white
 from jointid.uncertainty.identifiability import Combination, single
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.profile import ByCompliance, Profiling, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 
@@ -50,12 +51,10 @@ def test_a_linear_problem_has_the_textbook_s_interval(which: int | str) -> None:
 def test_another_covariance_scales_the_threshold() -> None:
     A, y = line(1)
     free, x = parameters("a", "b", "c"), solved(A, y)
-    by_lags = sandwich(A, A, y - A @ x)
+    by_lags = Influence(A, y - A @ x).by_time()
     found = profile(linear(free, A, y), x, single(free[2], ""), by_lags)
     half = stats.t.ppf(0.5 + 0.9545 / 2, ROWS - 3) * by_lags.std[2]
     assert found.interval == pytest.approx((x[2] - half, x[2] + half), rel=1e-6)
-    by_itself = profile(linear(free, A, y), x, single(free[2], ""), robust(A, A, y - A @ x))
-    assert profile(linear(free, A, y), x, single(free[2], "")).interval == pytest.approx(by_itself.interval)
 
 
 def decay(seed: int) -> Toy:
@@ -95,7 +94,6 @@ def test_a_bent_problem_is_profiled_as_by_hand() -> None:
     assert low is not None
     assert high is not None
     assert high - x[1] > 1.1 * (x[1] - low)  # which no symmetric interval is
-    assert " 1/s, 95.45 % profile interval 0." in str(found)
 
 
 def test_a_bound_within_the_interval_leaves_it_open() -> None:
@@ -109,7 +107,6 @@ def test_a_bound_within_the_interval_leaves_it_open() -> None:
     assert found.interval[1] is not None
     assert not found.bounded
     assert found.reached[0] == pytest.approx(x[0] - std[0], abs=1e-3 * std[0])
-    assert "without an end down to" in str(found)
 
 
 def test_what_leaves_no_trace_has_no_ends() -> None:
@@ -117,17 +114,9 @@ def test_what_leaves_no_trace_has_no_ends() -> None:
     A[:, 1] = 2e-3 * A[:, 0]
     free = parameters("a", "b", "c")
     x = solved(A, y)
-    assert profile(linear(free, A, y), x, single(free[0], "")).interval == (None, None)
+    assert profile(linear(free, A, y), x, single(free[0], ""), white(A, y - A @ x)).interval == (None, None)
     together = Combination("both", "A + 0.002 B", "", {"a": 1.0, "b": 2e-3})
-    assert profile(linear(free, A, y), x, together).bounded
-
-
-def test_what_is_known_without_error_has_an_interval_of_no_width() -> None:
-    A, _ = line()
-    free, x = parameters("a", "b", "c"), np.array([3.0, 2000.0, -0.5])
-    found = profile(linear(free, A, A @ x), x, single(free[2], ""))
-    assert found.interval == (-0.5, -0.5)
-    assert found.bounded
+    assert profile(linear(free, A, y), x, together, white(A, y - A @ x)).bounded
 
 
 def test_candidates_that_cannot_be_simulated_end_the_interval() -> None:
@@ -150,8 +139,8 @@ def test_a_wrong_minimum_is_noticed() -> None:
     off = x + 0.7 * white(A, y - A @ x).std * np.eye(3)[2]
     found = profile(linear(free, A, y), off, single(free[2], ""), white(A, y - A @ x))
     assert found.improved
-    assert "was not the minimum" in str(found)
-    assert found.interval == pytest.approx(profile(linear(free, A, y), x, single(free[2], "")).interval, rel=0.6)
+    right = profile(linear(free, A, y), x, single(free[2], ""), white(A, y - A @ x))
+    assert found.interval == pytest.approx(right.interval, rel=0.6)
 
 
 def spring(stiffness: float, noise: float, seed: int = 0) -> Toy:
@@ -180,7 +169,7 @@ def test_a_stiffness_that_is_seen_is_bounded_by_its_compliance() -> None:
     slope = (by.residual(there + step) - by.residual(there - step)) / 2e-6
     assert J[:, 1] == pytest.approx(slope, abs=1e-7)
     assert residual == pytest.approx(toy.residual(x))
-    found = profile(by, there, single(by.free[1], "m/N"))
+    found = profile(by, there, single(by.free[1], "m/N"), white(J, residual))
     low, high = found.interval
     assert low is not None
     assert high is not None
@@ -192,7 +181,8 @@ def test_a_stiffness_that_is_not_seen_has_a_lower_bound_only() -> None:
     toy = spring(1e3, 0.1, seed=3)
     by = ByCompliance(toy, 1e-6)
     start = np.array([0.3, 1e-3])
-    found = profile(by, start, single(by.free[1], "m/N"))
+    error, J = by.linearise(start)
+    found = profile(by, start, single(by.free[1], "m/N"), white(J, error))
     assert found.interval[0] is None
     assert found.interval[1] is not None
     assert 0.005 < found.interval[1] < 0.08
@@ -212,14 +202,15 @@ def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_know
     by = ByCompliance(problem, 1e-3 / axis.truth["stiffness"])
     there = by.exchange(x)
     stiff = [p.name for p in by.free].index("compliance")
-    found = profile(by, there, single(by.free[stiff], "m/N"), settings=Profiling(tolerance=1e-6))
+    residual, J = by.linearise(there)
+    known = Influence(J, residual).robust()
+    found = profile(by, there, single(by.free[stiff], "m/N"), known, Profiling(tolerance=1e-6))
     assert found.bounded
     assert found.interval[0] is not None
     assert found.interval[1] is not None
     assert found.interval[0] < 1 / axis.truth["stiffness"] < found.interval[1]
     assert found.interval[1] - found.interval[0] < 0.04 * there[stiff]
     total = Combination("total viscous", "Fv1 + Fv2", "N s/m", {"motor_viscous": 1.0, "load_viscous": 1.0})
-    both = profile(by, there, total, settings=Profiling(tolerance=1e-6))
-    J = by.linearise(there)[1]
-    std = sandwich(J, J, by.residual(there)).std_of(total.vector(by.free))
+    both = profile(by, there, total, known, Profiling(tolerance=1e-6))
+    std = known.std_of(total.vector(by.free))
     assert both.interval == pytest.approx((both.estimate - 2 * std, both.estimate + 2 * std), abs=0.4 * std)

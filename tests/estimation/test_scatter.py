@@ -14,7 +14,7 @@ COVARIANCE = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.3], [0.0, 0.3, 1.0]]) * np.
 
 
 def run_of(values: np.ndarray, covariance: np.ndarray = COVARIANCE) -> Alone:
-    return Alone(dict(zip(NAMES, map(float, values), strict=True)), covariance_of(covariance, 0))
+    return Alone(dict(zip(NAMES, map(float, values), strict=True)), covariance_of(covariance))
 
 
 def drawn(random: np.random.Generator, records: int, between: float = 0.0) -> Agreement:
@@ -81,11 +81,11 @@ def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:
 
 
 def test_parameters_of_some_records_are_compared_among_those() -> None:
-    first = Alone({"inertia": 95.0}, covariance_of(np.array([[0.04]]), 0))
+    first = Alone({"inertia": 95.0}, covariance_of(np.array([[0.04]])))
     others = [run_of(np.array([95.0, 200.0, 20.0]))] * 2
     found = compare_records([first, *others], UNITS)
     assert [p.records for p in found.parameters] == [3, 2, 2]
     assert found.degrees == 4
-    nothing = compare_records([first, Alone({"viscous": 3.0}, covariance_of(np.eye(1), 0))], UNITS)
+    nothing = compare_records([first, Alone({"viscous": 3.0}, covariance_of(np.eye(1)))], UNITS)
     assert nothing.p_value is None
     assert not nothing.differs

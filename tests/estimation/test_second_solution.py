@@ -14,6 +14,7 @@ from jointid.models.controllers import Cascade
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import solve
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.model_tests import second_solution, widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
@@ -36,13 +37,13 @@ def by_instruments(Z: FloatArray, J: FloatArray, torque: FloatArray) -> FloatArr
 def judged(lack: float) -> tuple[FloatArray, FloatArray, FloatArray, Uncertainty]:
     Z, J, torque = equations(lack)
     error = torque - J @ by_instruments(J, J, torque)
-    return Z, J, error, uncertainty(J, J, error, PLACES)
+    return Z, J, error, uncertainty(Influence(J, error), PLACES)
 
 
 def test_of_linear_equations_the_step_ends_at_the_other_solution() -> None:
     Z, J, torque = equations(1.0)
     least = by_instruments(J, J, torque)
-    step, _ = second_solution(Z, J, torque - J @ least)
+    step, _ = second_solution(Z, Influence(J, torque - J @ least))
     assert least + step == pytest.approx(by_instruments(Z, J, torque))
 
 
@@ -53,14 +54,14 @@ def test_the_deviation_is_what_noise_makes_of_the_step() -> None:
     for _ in range(100):
         torque = J @ TRUTH + random.standard_normal(2000)
         steps.append(by_instruments(Z, J, torque) - by_instruments(J, J, torque))
-        told.append(second_solution(Z, J, torque - J @ by_instruments(J, J, torque))[1])
+        told.append(second_solution(Z, Influence(J, torque - J @ by_instruments(J, J, torque)))[1].std)
     assert np.std(steps, axis=0) == pytest.approx(np.mean(told, axis=0), rel=0.3)
 
 
 def test_what_a_model_lacks_widens_the_parameter_that_it_moves() -> None:
     Z, J, error, known = judged(1.0)
     wide = widened_to_second(known, Z, J, error, np.array([True, True]))
-    (shift, _), _ = second_solution(Z, J, error)
+    (shift, _), _ = second_solution(Z, Influence(J, error))
     assert abs(shift) > 5 * known.covariance.std[0]
     assert wide.covariance.std[0] == pytest.approx(np.hypot(known.covariance.std[0], shift))
     assert wide.covariance.std[1] == pytest.approx(known.covariance.std[1], rel=0.02)
@@ -89,8 +90,8 @@ def test_a_right_model_leaves_a_step_of_the_size_that_noise_makes(kind: str) -> 
         start = problem.vector(truth | {"initial_position": 0.0, "initial_velocity": 10.0, "initial_torque": 0.0})
         end = solve(problem, least_squares(problem, 1e-8), start)
         J, W = -end.jacobian, problem.filter(problem.regressor(problem.simulate(end.x)))
-        step, deviation = second_solution(np.hstack([W, J[:, 4:]]), J, end.residual)
-        steps.append((step / deviation)[:4])
+        step, deviation = second_solution(np.hstack([W, J[:, 4:]]), Influence(J, end.residual))
+        steps.append((step / deviation.std)[:4])
     size = np.sqrt(np.mean(np.square(steps), axis=0))
     assert np.all((size > 0.5) & (size < 1.3)), size
     assert np.mean(np.abs(steps) > 2.0) <= 0.08

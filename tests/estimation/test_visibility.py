@@ -23,6 +23,7 @@ from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import POOR_FIT, Status
 from tests.estimates import amended, identify
@@ -123,7 +124,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     error, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
-    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)))
+    known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
     found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
     assert not found.shown
     assert "the load never moves" in found.verdict.said

@@ -30,7 +30,8 @@ from jointid.controller_id.columns import (
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, LATE, Structure, bounds, may_be_negative, starts
-from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
+from jointid.uncertainty.covariance import Covariance, covariance_of, larger
+from jointid.uncertainty.influence import Influence
 
 _STEP, _ENOUGH = 1e-4, 1e-5  # of a filter's number, for its difference; of the cost, for the end of a search
 _STEPS = 12  # of the last search, for all numbers
@@ -164,7 +165,7 @@ class Fitter:
         for _ in range(2):  # the noise follows the law
             found, J, white = fitter._search(fitter.law, one.structure, one.numbers, one.noise, max_nfev=_STEPS)
             one = fitter.law(one.structure, found)
-        return one, larger(robust(J, J, white), covariance_by_frequency(J, white))
+        return one, larger(Influence(J, white).robust(), covariance_by_frequency(J, white))
 
     def predict(self, one: FittedLaw) -> FloatArray:
         """Torque of a law, (samples,), as logged, without limit."""
@@ -261,8 +262,8 @@ def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
     products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]
     scores = 2.0 / white.size * np.real(products)
     spread = np.linalg.pinv((J / norms).T @ (J / norms))
-    found = covariance_of(spread @ (scores.T @ scores) @ spread.T, 0)
-    return Covariance(found.std / norms, found.correlation, 0)
+    found = covariance_of(spread @ (scores.T @ scores) @ spread.T)
+    return Covariance(found.std / norms, found.correlation)
 
 
 def _advance(signal: FloatArray, samples: int) -> FloatArray:

@@ -61,7 +61,7 @@ from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
-from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import widen
 
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
@@ -348,6 +348,7 @@ def _make_finding(
         return Finding(suspect, suspect.fault.value(state.problem, value), rivals, changes)
     residual, slopes = after.problem.linearise(after.x)
     columns = stack_columns(after, -slopes)
-    covariance, _ = widen(robust(columns, columns, residual), columns, columns, residual, assign_cells(after))
+    influence = Influence(columns, residual)
+    covariance, _ = widen(influence.robust(), influence, assign_cells(after))
     refined_std = float(covariance.std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)

@@ -24,13 +24,9 @@ from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.identifiability import Combination
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.profile import (
-    ProfileInterval,
-    is_parabola,
-    profile,
-    profile_compliance,
-)
+from jointid.uncertainty.profile import ProfileInterval, profile, profile_compliance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,17 +36,15 @@ class Intervals(Documented):
     Attributes:
         profiles: of the quantities asked for.
         transmission: on whose `side` all numbers are.
-        parabolic: quantities that were left out, since the criterion is a parabola out to their intervals' ends.
     """
 
     profiles: tuple[ProfileInterval, ...]
     transmission: Transmission | None = None
-    parabolic: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """The first interval that was found."""
-        return f"{self.profiles[0]}." if self.profiles else "The criterion is a parabola out to the intervals' ends."
+        return f"{self.profiles[0]}."
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return one profile after the other; there are no further details."""
@@ -64,7 +58,6 @@ def intervals(
     record: Record,
     quantities: Sequence[str] | None = None,
     *,
-    curved_only: bool = False,
     progress: Progress = ignore_progress,
 ) -> Intervals:
     """Return profiles of an estimate by DIDIM.
@@ -75,8 +68,6 @@ def intervals(
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
             "motor_viscous + load_viscous". None means the stiffness, or the inertia of a rigid joint; where that is
             fixed, the first free parameter.
-        curved_only: True to leave out quantities along which the criterion is a parabola within a tenth: the profile of
-            such a one ends where its interval does.
         progress: called with each quantity.
 
     Raises:
@@ -98,16 +89,12 @@ def intervals(
     residual, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
-    spread = uncertainty(J, J, residual, where, problem.torque_unit).covariance
+    spread = uncertainty(Influence(J, residual), where, problem.torque_unit).covariance
     if quantities is None:
         quantities = ("stiffness",) if "stiffness" in names else names[:1]
     if "compliance" in quantities and "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
     wanted = {name: _parse_combination(problem, name) for name in quantities if name != "compliance"}
-    parabolic = tuple(name for name, one in wanted.items() if curved_only and is_parabola(problem, x, one, spread))
-    # What the stiffness shows, its inverse shows too.
-    parabolic += ("compliance",) if "compliance" in quantities and "stiffness" in parabolic else ()
-    followed = [name for name in quantities if name not in parabolic]
 
     def profile_of(quantity: str) -> ProfileInterval:
         if quantity == "compliance":
@@ -116,11 +103,11 @@ def intervals(
 
     profiles = []
     # Side by side: a simulation does not hold the interpreter's lock.
-    with ThreadPoolExecutor(max(min(len(followed), os.cpu_count() or 1), 1)) as pool:
-        found = pool.map(profile_of, followed)
-        for _ in follow(followed, progress, "profiling", len(followed), "quantities"):
+    with ThreadPoolExecutor(max(min(len(quantities), os.cpu_count() or 1), 1)) as pool:
+        found = pool.map(profile_of, quantities)
+        for _ in follow(quantities, progress, "profiling", len(quantities), "quantities"):
             profiles.append(next(found))
-    return Intervals(tuple(profiles), estimate.settings.joint.transmission, parabolic)
+    return Intervals(tuple(profiles), estimate.settings.joint.transmission)
 
 
 def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[ClosedLoopProblem, FloatArray]:

@@ -41,6 +41,7 @@ from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.solve import solve
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 PARTS, TIMES = 24, 3
@@ -257,7 +258,7 @@ def judge(
     problem, x = solved.problem, solved.solution.x
     error, slopes = problem.linearise(x)
     names = [p.name for p in problem.free]
-    known = uncertainty(-slopes, -slopes, error, problem.cells(problem.simulate(x)), problem.torque_unit)
+    known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x)), problem.torque_unit)
     shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
     std = {n: float(sigma) for n, sigma, stated in zip(names, known.covariance.std, shown, strict=True) if stated}
     values, units = problem.values(x), problem.units

@@ -47,7 +47,7 @@ from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.influence import Influence
 
 _EXCLUDED = 2.0  # deviations: a law so far away is excluded
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
@@ -270,7 +270,7 @@ def may_matter(
         return True
     own = stack_columns(state, found.own)
     by = np.linalg.lstsq(own, moved, rcond=None)[0]
-    std = robust(own, own, found.residual).std
+    std = Influence(own, found.residual).robust().std
     names = [p.name for p in state.problem.free_joint]
     return any(_REACH * abs(by[k]) > _MATTERS * known.get(name, float(std[k])) for k, name in enumerate(names))
 

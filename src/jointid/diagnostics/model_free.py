@@ -34,7 +34,7 @@ from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
-from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.influence import Influence
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""
@@ -263,7 +263,7 @@ def excludes(
     if np.ptp(columns[:, 0]) == 0.0:
         return False
     weights = np.linalg.lstsq(columns / sizes, left, rcond=None)[0]
-    std = robust(columns / sizes, columns / sizes, left - columns / sizes @ weights).std
+    std = Influence(columns / sizes, left - columns / sizes @ weights).robust().std
     return bool(abs(weights[0]) + _SURELY * std[0] < _A_QUARTER * sizes[0])
 
 
@@ -334,7 +334,7 @@ def fit_law_changes(record: Record, loop: ClosedLoop, others: Sequence[Controlle
             error = target - columns @ weights
             left = float(np.linalg.norm(error) / np.linalg.norm(logged))
             if left < best[k].left:
-                std = float(robust(columns, columns, error).std[0]) if k else math.inf
+                std = float(Influence(columns, error).robust().std[0]) if k else math.inf
                 best[k] = LawChange(float(weights[0]) if k else 0.0, std, left)
     return tuple(best)
 

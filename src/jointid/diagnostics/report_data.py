@@ -106,7 +106,6 @@ class ReportData:
         diagnosis: of loop, log and residual.
         response: of the joint.
         profiles: of single quantities.
-        parabolic: quantities that are not profiled, since the criterion is a parabola out to their intervals' ends.
         checks: of the same estimate on other records.
         absent: reason why a part is missing, by its name, in a sentence.
     """
@@ -119,7 +118,6 @@ class ReportData:
     motion_source: MotionSource = "measured"
     response: FrequencyResponse | None = None
     profiles: tuple[ProfileInterval, ...] = ()
-    parabolic: tuple[str, ...] = ()
     checks: tuple[Validation, ...] = ()
     absent: dict[str, str] = field(default_factory=dict)
 
@@ -162,14 +160,12 @@ def collect_report_data(
         estimate = replace(estimate, fit=fit)
     motion, motion_source = _find_motion(estimate, record, validation)
     response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
-    curved_only = profiles is None
     if profiles is None:
-        free = tuple(p.name for p in estimate.params.rows if p.of_joint and p.free)
-        profiles = (*free, "compliance") if "stiffness" in free else free
+        flexible = any(p.name == "stiffness" and p.free for p in estimate.params.rows)
+        profiles = ("stiffness", "compliance") if flexible else ()
     followed = attempt(
-        "profiles", "profiling the criterion",
-        lambda: intervals(estimate, record, profiles, curved_only=curved_only, progress=progress),
-    )  # fmt: skip
+        "profiles", "profiling the criterion", lambda: intervals(estimate, record, profiles, progress=progress)
+    )
     check = estimate.checks.diagnosis
     return ReportData(
         estimate=estimate,
@@ -180,7 +176,6 @@ def collect_report_data(
         diagnosis=check if isinstance(check, Diagnosis) else None,
         response=response,
         profiles=() if followed is None else followed.profiles,
-        parabolic=() if followed is None else followed.parabolic,
         checks=tuple(checks),
         absent=absent,
     )

@@ -30,7 +30,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
-from jointid.uncertainty.covariance import robust, smoothed_spectrum
+from jointid.uncertainty.influence import Influence, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, widen
 
 RARER = 10
@@ -239,11 +239,12 @@ def _test_group(
         p_value = min(float(tail) * tests, 1.0) if abs(step.size) >= fault.least else 1.0
         return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, step.signature.shape, opposite)
 
-    covariance = robust(alone, alone, after)
+    influence = Influence(alone, after)
+    covariance = influence.robust()
     test = judge(float(covariance.std[0]))
     if test.p_value > widened:
         return test
-    test = judge(float(widen(covariance, alone, alone, after, where())[0].std[0]))
+    test = judge(float(widen(covariance, influence, where())[0].std[0]))
     if test.p_value > _WIDENED or not simulate_forces().size:
         return test
     shown = simulate_forces() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes

@@ -15,7 +15,7 @@ from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.score import score
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
@@ -114,7 +114,7 @@ def compute_shifts(
     """Return the shifts of the joint's parameters from a state to other values."""
     own = stack_columns(state, found.own)
     names = [p.name for p in state.problem.free_joint]
-    by_itself = robust(own, own, found.residual).std[: len(names)]
+    by_itself = Influence(own, found.residual).robust().std[: len(names)]
     std = [known.get(name, float(one)) for name, one in zip(names, by_itself, strict=True)]
     moved = np.array([values[name] for name in names]) - state.x[: len(names)]
     return {

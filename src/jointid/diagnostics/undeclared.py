@@ -30,7 +30,7 @@ from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_sensitivities import respond_to_laws
 from jointid.simulation.robots import RobotLoop, RobotRun
-from jointid.solvers.regression import projection
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
@@ -75,7 +75,7 @@ def widen_for_undeclared(fit: Estimate, torques: AxisTorques, named: Sequence[Co
     sigma = np.sqrt(np.mean(torques.error**2, axis=1))
     sigma[sigma == 0.0] = 1.0
     own = (torques.own / sigma[:, np.newaxis, np.newaxis]).reshape(-1, len(names))
-    solve = projection(own, own)
+    solve = Influence(own, torques.error).matrix
     moved: dict[str, float] = {}
     elements: dict[str, float] = {}
     sizes = in_threads(lambda one: _largest_size(torques, one[0], one[1], one[3]), columns)

@@ -15,6 +15,7 @@ from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.solve import Counted, Solution, Step, Tally, solve
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
@@ -174,6 +175,6 @@ def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     if "initial_velocity" not in names:
         return True
     history.tally.evaluations += 1
-    known = uncertainty(J, J, moving.solution.residual, problem.cells(problem.simulate(x)), problem.torque_unit)
+    known = uncertainty(Influence(J, moving.solution.residual), problem.cells(problem.simulate(x)), problem.torque_unit)
     at = names.index("initial_velocity")
     return bool(abs(x[at]) > _SURELY * known.covariance.std[at])

@@ -371,7 +371,7 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
     agreement = changes.agreement if len(spans) > 1 and len(found.sizes[0]) == 1 else None
     if agreement is not None:  # what records differ by is no noise of theirs
         more = {p.name: p.widening for p in agreement.parameters}
-        covariance = covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in units]), 0)
+        covariance = covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in units]))
     residual, slopes = compress(sums)
     held = find_active_bounds(problem.free, end.x, residual, slopes)
     lost, errors = find_lost(problem.free, end.x, covariance.std), found.relative_errors()

@@ -42,10 +42,10 @@ from jointid.records.checks import find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.regression import projection
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.identifiability import find_separable
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
 _SOLVER = LevenbergMarquardt(evaluations=100)
@@ -214,7 +214,7 @@ def _build_result(solved: _Solved, simulations: int) -> Estimate:
     # The variance between runs of what they do not agree in is added to that of their common value.
     more = {p.name: p.widening for p in compared.parameters}
     wider = judged.covariance.matrix + np.diag([more.get(p.name, 0.0) for p in problem.free])
-    covariance = covariance_of(wider, judged.covariance.bandwidth)
+    covariance = covariance_of(wider)
     torques = [one.torque(problem.of_member(end.x, k)) for k, one in enumerate(problem.problems)]
     predicted = np.concatenate(torques)
     shares = tuple(_record_fit(solved, k, torque) for k, torque in enumerate(torques))
@@ -255,7 +255,8 @@ def _judge_together(solved: _Solved) -> Uncertainty:
     positions = [run.motor_position[p.kept] for p, run in zip(each, runs, strict=True)]
     velocities = [run.motor_velocity[p.kept] for p, run in zip(each, runs, strict=True)]
     where, rows = cells(np.concatenate(positions), np.concatenate(velocities)), [at.size for at in positions]
-    known = uncertainty(end.jacobian, end.jacobian, end.residual, where, each[0].torque_unit, rows)
+    influence = Influence(end.jacobian, end.residual, series=rows)
+    known = uncertainty(influence, where, each[0].torque_unit)
     moved = _moved_together(solved, np.cumsum(rows)[:-1])
     return known.widened_by(moved) if np.any(moved) else known
 
@@ -270,7 +271,7 @@ def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
         ends: the first rows of the second record and of those that follow.
     """
     problem, J = solved.problem, solved.end.jacobian
-    answers, total = np.split(projection(J, J), ends, axis=1), np.zeros(J.shape[1])
+    answers, total = np.split(Influence(J, solved.end.residual).matrix, ends, axis=1), np.zeros(J.shape[1])
     for k, (one, rows, answer) in enumerate(zip(solved.alone, np.split(J, ends), answers, strict=True)):
         steps = np.zeros_like(total)
         for shift in one.fit.shifts:
@@ -297,7 +298,7 @@ def _compare(solved: _Solved) -> Agreement:
         values = {row.name: row.value or 0.0 for row in rows}
         # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
         std = np.array([max(row.stderr or 0.0, _ROUNDING * abs(row.value or 0.0)) for row in rows])
-        each.append(Alone(values, Covariance(std, one.fit.params.correlation_of([*values]), 0)))
+        each.append(Alone(values, Covariance(std, one.fit.params.correlation_of([*values]))))
     return compare_records(each, units)
 
 

@@ -138,7 +138,7 @@ def _part(
     common: dict[str, Any] = {
         "names": tuple(row.name for row in rows),
         "values": np.array([row.value for row in rows], dtype=np.float64),
-        "covariance": Covariance(std, correlation, 0),
+        "covariance": Covariance(std, correlation),
         "nominal": np.array([finite(said["nominal"][i]) for i in order]),
         "nominal_errors": np.array([np.inf if e is None else finite(e) for e in said["nominal_errors"]]),
         "formulas": tuple(str(said["formulas"][i]) for i in order),

@@ -329,7 +329,7 @@ def _by_inverse_model(
         part = replace(
             part,
             values=values,
-            covariance=Covariance(std, correlation, 0),
+            covariance=Covariance(std, correlation),
             nominal=nominal,
             nominal_errors=_errors_of(solved, solved.x + step),
         )

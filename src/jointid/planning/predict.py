@@ -42,7 +42,8 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation, require_success
 from jointid.simulation.loop_input import to_log
 from jointid.simulation.robots import RobotSimulation
-from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
+from jointid.uncertainty.covariance import Covariance, covariance_of
+from jointid.uncertainty.influence import Influence
 
 _SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding
 _PART = 1e-3  # of a direction, that a parameter takes
@@ -98,7 +99,7 @@ class Noise:
                 "does not identify all: jointid.design takes rough values."
             )
         error, slopes = problem.linearise(x)
-        alone = stationary(-slopes, -slopes, error).std
+        alone = Influence(-slopes, error).stationary().std
         reported = {p.name: p.stderr for p in estimate.params.rows}
         wider = {
             p.name: (reported.get(p.name) or std) / std for p, std in zip(problem.free, map(float, alone), strict=True)
@@ -247,14 +248,14 @@ def predict_joints(
         errors = _draw_errors(problem, x, noise, runs, seed)
         matrix = _scatter(problem, J, errors)
         if noise.left is not None:
-            matrix = matrix + stationary(J, J, np.resize(noise.left, len(J))).matrix * np.outer(wider, wider)
+            matrix = matrix + Influence(J, np.resize(noise.left, len(J))).stationary().matrix * np.outer(wider, wider)
         if encoders != (None, None):
             residual = errors[0] if noise.left is None else _whiten(noise.left, run.torque.size)
             disturbed = replace(problem, measured=run.torque + residual)
             matrix = add_information(matrix, encoder_information(disturbed, x, noise.source, encoders))
         yield PredictedTest(
             test.name, names, {p.name: p.symbol for p in free}, {name: problem.units[name] for name in names},
-            {name: values[name] for name in names}, covariance_of(matrix[:own, :own], 0), run.torque[np.newaxis],
+            {name: values[name] for name in names}, covariance_of(matrix[:own, :own]), run.torque[np.newaxis],
             problem.sample_time, (_find_reached(run, reference, noise, errors),), run, reference.values,
             None if test.injected is None else test.injected.channel.values,
         )  # fmt: skip
@@ -350,7 +351,7 @@ def _whiten(left: FloatArray, samples: int) -> FloatArray:
 def _scatter(problem: ClosedLoopProblem, J: FloatArray, errors: Sequence[FloatArray]) -> FloatArray:
     """Return the covariance of all free parameters from runs with noise, (free, free); of one by its spectrum."""
     if len(errors) == 1:
-        return stationary(J, J, problem.filter(errors[0])).matrix
+        return Influence(J, problem.filter(errors[0])).stationary().matrix
     norms = np.linalg.norm(J, axis=0)
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv((J / norms).T @ (J / norms))

@@ -434,12 +434,12 @@ def _covariance(J: FloatArray, times: float = 1.0) -> Covariance:
     """
     norms = np.linalg.norm(J, axis=0)
     seen = norms > 0.0
-    found = Covariance(np.full(J.shape[1], np.inf), np.eye(J.shape[1]), 0)
+    found = Covariance(np.full(J.shape[1], np.inf), np.eye(J.shape[1]))
     R = np.linalg.qr(J[:, seen] / norms[seen], mode="r")
     sizes = np.linalg.svd(R, compute_uv=False)
     if sizes.size and sizes[-1] > _SINGULAR * sizes[0]:
         inverse = np.linalg.inv(R)
-        own = covariance_of(inverse @ inverse.T / times, 0, norms[seen])
+        own = covariance_of(inverse @ inverse.T / times, norms[seen])
         found.std[seen] = own.std
         found.correlation[np.ix_(seen, seen)] = own.correlation
     return found

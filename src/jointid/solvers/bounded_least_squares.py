@@ -116,7 +116,9 @@ def _gain(norm: float, after: FloatArray) -> float:
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
 
 
-def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, widths: FloatArray) -> FloatArray:
+def damped_step(
+    error: FloatArray, J: FloatArray, room: Bounds, damping: float = 0.0, widths: FloatArray | float = math.inf
+) -> FloatArray:
     """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the column norms.
 
     Args:

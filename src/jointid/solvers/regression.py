@@ -1,4 +1,4 @@
-"""Linear least squares by QR, and the projection on columns by others."""
+"""Linear least squares by QR."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 
 _RANK = 1e-10  # of the largest: a normalised singular value below this is a parameter nothing excites
@@ -72,13 +72,3 @@ def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
             "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
         )
-
-
-def projection(Z: FloatArray, J: FloatArray) -> FloatArray:
-    """Return ``(Z' J)^-1 Z'``, (parameters, rows), computed with scaled columns.
-
-    A parameter with a zero column has a row of zeros.
-    """
-    of_Z, of_J = column_norms(Z), column_norms(J)
-    scaled = np.linalg.pinv((Z / of_Z).T @ (J / of_J)) @ (Z / of_Z).T
-    return np.asarray(scaled / of_J[:, np.newaxis])

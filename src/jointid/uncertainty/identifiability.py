@@ -156,7 +156,7 @@ def identifiability(
     """
     own = [i for i, p in enumerate(parameters) if p.quantity not in _SURROUNDING]
     joint = [parameters[i] for i in own]
-    spread = Covariance(covariance.std[own], covariance.correlation[np.ix_(own, own)], covariance.bandwidth)
+    spread = Covariance(covariance.std[own], covariance.correlation[np.ix_(own, own)])
     scale = np.where(x == 0.0, covariance.std, np.abs(x))
     scale = np.where(scale > 0, scale, 1.0)
 
@@ -176,12 +176,11 @@ def identifiability(
     limitations = []
     for vector in unseen:
         parts = {p.name: float(vector[i] / norms[i]) for p, i in zip(joint, own, strict=True) if abs(vector[i]) > _PART}
-        limitations += [_describe_together(joint, parts, units, assess)] if parts else []
-    limitations += [
-        _describe_pair(joint, each, spread, i, j)
-        for i, j in combinations(apart, 2)
-        if abs(spread.correlation[i, j]) > _INSEPARABLE
-    ]
+        if parts:
+            limitations.append(_describe_unseen(parts, units, assess))
+    for i, j in combinations(apart, 2):
+        if abs(spread.correlation[i, j]) > _INSEPARABLE:
+            limitations.append(_describe_pair(each[i], each[j], float(spread.correlation[i, j]), assess))
     for p, one in ((joint[k], each[k]) for k in apart):
         if p.lower >= 0 and one.interval[0] <= 0.0:
             said = f"{p.symbol} is not significant: its interval holds 0"
@@ -220,53 +219,47 @@ def find_separable(J: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(np.all(np.abs(find_unseen(J)) <= _PART, axis=0))
 
 
-def _describe_together(
-    parameters: Sequence[Parameter],
-    unseen: Mapping[str, float],
-    units: Mapping[str, str],
-    assess: Callable[[Combination], Known],
+def _describe_unseen(
+    unseen: Mapping[str, float], units: Mapping[str, str], assess: Callable[[Combination], Known]
 ) -> Message:
     """Message on parameters whose changes in these proportions change nothing in the record."""
-    names = [p.name for p in parameters if p.name in unseen]
+    names = list(unseen)
     listed = join([in_words(name) for name in names])
     values: dict[str, object] = {"parameters": names}
-    if len(names) == 1:
-        return Message(Limitation.UNDETERMINED, f"this record does not determine {listed}", values)
-    said = f"this record does not separate {listed}"
-    first, second = names[:2]
-    weight = -unseen[first] / unseen[second]
-    if len(names) == 2 and units[first] == units[second] and math.isclose(abs(weight), 1.0, rel_tol=_PART):
-        kind = Kind.SUM if weight > 0 else Kind.DIFFERENCE
-        known = assess(Combination(f"{kind} of {listed}", "", units[first], {first: 1.0, second: weight}, kind))
-        said += f": their {kind} is {interval(known.value, 2 * known.std)} {units[first]}"
-        values |= {"weight": weight, "value": known.value, "std": known.std, "unit": units[first]}
+    said = f"this record does not {'determine' if len(names) == 1 else 'separate'} {listed}"
+    weight = -unseen[names[0]] / unseen[names[-1]]
+    if len(names) == 2 and units[names[0]] == units[names[1]] and math.isclose(abs(weight), 1.0, rel_tol=_PART):
+        clause, more = _sum_of(names, weight, units[names[0]], assess)
+        said, values = f"{said}: their {clause}", values | more
     if any(name.endswith("friction_per_torque") for name in names):
         said += (
-            ": where the torque never brakes, a share of it scales them all; identify records with other known loads"
+            ": where the torque never brakes, a share of it scales them all; identify records with other known loads "
+            "in one fit, or brake harder"
         )
-        said += " in one fit, or brake harder"
     return Message(Limitation.UNDETERMINED, f"{said}; fix one of them, or record another motion", values)
 
 
-def _describe_pair(
-    parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance, i: int, j: int
-) -> Message:
+def _describe_pair(first: Known, second: Known, correlation: float, assess: Callable[[Combination], Known]) -> Message:
     """Message on two parameters that are known only together."""
-    first, second = parameters[i], parameters[j]
-    correlation, unit = float(spread.correlation[i, j]), each[i].combination.unit
-    weights = np.zeros(len(parameters))
-    weights[i] = 1.0
-    alike = each[i].combination.unit == each[j].combination.unit
+    units = [one.combination.unit for one in (first, second)]
+    names = [next(iter(one.combination.weights)) for one in (first, second)]
     # Of two in the same unit the plain sum or difference is given, of others the combination that is known best.
-    weights[j] = -math.copysign(1.0 if alike else spread.std[i] / spread.std[j], correlation)
-    value, std = float(weights @ [known.value for known in each]), spread.std_of(weights)
-    pair = f"{in_words(first.name)} and {in_words(second.name)}"
-    if alike:
-        clause = f"use the {'sum' if correlation < 0 else 'difference'} of {pair}, {interval(value, 2 * std)} {unit}"
-    else:
-        clause = f"use {pair} only together: what one gains the other makes up for"
-    widths = " and ".join(f"± {number(2 * known.std, 2)} {known.combination.unit}" for known in (each[i], each[j]))
-    said = f"{clause}; apart they are known to {widths} (correlation {correlation:+.3f})"
-    values = {"parameters": [first.name, second.name], "weight": float(weights[j]), "value": value, "std": std}
-    values |= {"unit": unit, "correlation": correlation}
-    return Message(Limitation.INSEPARABLE, said, values, clause)
+    weight = -math.copysign(1.0 if units[0] == units[1] else first.std / second.std, correlation)
+    said, values = _sum_of(names, weight, units[0], assess)
+    pair = join([in_words(name) for name in names])
+    clause = f"use {pair} only together: what one gains the other makes up for"
+    clause = f"use {pair} only together: their {said}" if units[0] == units[1] else clause
+    widths = " and ".join(f"± {number(2 * one.std, 2)} {one.combination.unit}" for one in (first, second))
+    words = f"{clause}; apart they are known to {widths} (correlation {correlation:+.3f})"
+    values |= {"parameters": names, "correlation": correlation}
+    return Message(Limitation.INSEPARABLE, words, values, clause)
+
+
+def _sum_of(
+    names: Sequence[str], weight: float, unit: str, assess: Callable[[Combination], Known]
+) -> tuple[str, dict[str, object]]:
+    """Return the sum or difference of two parameters with its interval, in words and in values."""
+    kind = Kind.SUM if weight > 0 else Kind.DIFFERENCE
+    known = assess(Combination(kind, "", unit, {names[0]: 1.0, names[1]: weight}, kind))
+    values = {"weight": weight, "value": known.value, "std": known.std, "unit": unit}
+    return f"{kind} is {interval(known.value, 2 * known.std)} {unit}", values

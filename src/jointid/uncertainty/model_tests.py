@@ -1,4 +1,4 @@
-"""Tests of a model: flexible against rigid, endogeneity of IDIM's regressors, a second solution.
+"""Tests of a model: flexible against rigid, least squares against instruments.
 
 **Flexible against rigid.** The compliance of a rigid joint, 0, lies on a boundary, and load share and damping are
 undefined there, so the usual quantiles of the likelihood-ratio test do not hold. Their distribution is simulated. About
@@ -18,48 +18,38 @@ E should have the whole friction on the motor's side. Otherwise a compliance als
 EMPS, without a mode, that direction takes 7 % off the sum of squares (p < 0.001), the compliance alone 0.3-1.7 %
 (p > 0.01 by place).
 
-**Endogeneity** (Durbin, Wu, Hausman). In the augmented regression ``Y = W x + V c``, V the part of W that the
-instruments do not explain, x are the two-stage least-squares values, and ``d = (W'W)^-1 W'V c`` is the shift of least
-squares. The test asks whether d exceeds chance, with autocorrelation-robust covariances.
+**Least squares against instruments** (Durbin, Wu, Hausman 1978). Least squares, ``J' e = 0``, and instruments,
+``Z' e = 0``, agree for a true model except for noise. A model error separates them, and so do columns that are
+correlated with the error. From the least-squares estimate the other solution is a step away,
 
-On a good encoder V is so small that quantisation alone made 15 to 40 % alarms on the paper's axis, with shifts below
-0.05 deviations. Therefore d is compared with its own covariance and a tenth of the deviations of least squares,
+    d = (Z' J)^-1 Z' e = ((Z' J)^-1 Z' - (J' J)^-1 J') n
+
+The covariance of d by the common noise n is estimated with the Bartlett kernel and by spectrum, whichever is larger.
+
+*Endogeneity* of IDIM's columns is the question whether d exceeds chance. On a good encoder the columns differ from the
+instruments so little that quantisation alone made 15 to 40 % alarms on the paper's axis, with shifts below 0.05
+deviations. Therefore d is compared with its own covariance and a tenth of the deviations of least squares,
 ``T = d' (cov(d) + 0.01 cov(x))^-1 d``, which is conservative.
 
-**A second solution** of the same equations covers model error. Least squares, ``J' e = 0``, and instruments,
-``Z' e = 0``, agree for a true model except for noise; a model error separates them. From the least-squares estimate the
-other solution is a step away,
-
-    d = (Z' J)^-1 Z' e
-
-The effect of the common noise n on the step (Hausman 1978) is estimated with the Bartlett kernel or by spectrum,
-whichever is larger::
-
-    d = ((Z' J)^-1 Z' - (J' J)^-1 J') n
-
-Where a parameter's d exceeds two of its deviations, d is added to the parameter's deviation, so that 2 sigma covers
-both solutions.
-
-On the EMPS axis, whose friction is not Coulomb's, the masses from two records differ by 1.3 kg by least squares and
-0.4 kg by instruments; d is 0.5 and 0.4 kg, the first significant. A model error that moves both solutions alike is not
-detected.
+*A second solution*, whose columns are those of the simulated motion, covers model error: where a parameter's d exceeds
+two of its deviations, d is added to the parameter's deviation, so that 2 sigma covers both solutions. On the EMPS axis,
+whose friction is not Coulomb's, the masses from two records differ by 1.3 kg by least squares and 0.4 kg by
+instruments; d is 0.5 and 0.4 kg, the first significant. A model error that moves both solutions alike is not detected.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.errors import MethodError
+from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.common.text import number
-from jointid.solvers.regression import projection
-from jointid.uncertainty.covariance import bandwidth, bartlett_sum, residual_left_out, sandwich
+from jointid.uncertainty.covariance import Covariance, covariance_of, larger
+from jointid.uncertainty.influence import Influence, bandwidth, bartlett_sum
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty
-from jointid.uncertainty.spectral import spectral_covariance
 
 _PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
 _SINGULAR = 1e-10  # of its length: what remains of a direction that the rigid parameters make up
@@ -123,41 +113,25 @@ def flexible_against_rigid(
         fitted: sum of squares of a flexible fit, in place of the linear one.
         draws: of the signs.
     """
-    if not extra:
-        raise MethodError("A test at a boundary needs an alternative; received none.")
-    U, sizes, _ = np.linalg.svd(J / column_norms(J), full_matrices=False)
-    Q = U[:, sizes > _SINGULAR * sizes[0]]
-    E = np.hstack(extra)
-    if E.shape[1] != len(extra):
-        raise MethodError(
-            f"Each alternative of a test at a boundary is one column; received {E.shape[1]} columns of {len(extra)}."
-        )
+    Q, E = orthonormal_basis(J, _SINGULAR), np.hstack(extra)
     beside = E - Q @ (Q.T @ E)
-    same = ~(np.linalg.norm(beside, axis=0) > _SINGULAR * np.linalg.norm(E, axis=0))  # of one that is no number, too
-    if np.any(same):
-        raise MethodError(
-            f"An extra direction does what the rigid parameters cannot; received {same.size}, of which "
-            f"{int(np.sum(same))} can be made up of those."
-        )
-    squares = np.sum(beside**2, axis=0)
+    sizes = np.linalg.norm(beside, axis=0)
+    beside = np.where(sizes > _SINGULAR * np.linalg.norm(E, axis=0), beside / sizes, 0.0)  # else rounding, or no number
     degrees = max(residual.size - J.shape[1] - 1, 1)
     rigid = float(residual @ residual - np.sum((Q.T @ residual) ** 2))
-    amounts = np.maximum(-(beside.T @ residual), 0.0) / squares
-    best = int(np.argmax(amounts**2 * squares))
-    found = float(amounts[best] ** 2 * squares[best]) if fitted is None else max(rigid - fitted, 0.0)
+    amounts = np.maximum(-(beside.T @ residual), 0.0)
+    best = int(np.argmax(amounts))
+    found = float(amounts[best] ** 2) if fitted is None else max(rigid - fitted, 0.0)
     statistic = found / max((rigid - found) / degrees, 1e-300)
-    columns = np.hstack([J, extra[best]])
-    columns = columns / column_norms(columns)
-    spread = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=np.float64)
     left = residual + beside[:, best] * amounts[best] - Q @ (Q.T @ residual)
+    whole = Influence(np.column_stack([J, beside[:, best]]), left)
 
     blocks = {"time": np.arange(residual.size) // (_PER_BANDWIDTH * bandwidth(residual.size))}
     if where is not None:
         blocks["place"] = np.unique(where.stretch, return_inverse=True)[1].reshape(-1)
     turned = {}
     for over, block in blocks.items():
-        noise = residual_left_out(columns, columns, left, spread, block)
-        turned[over] = _draw_statistics(noise, block, Q, beside, degrees, draws)
+        turned[over] = _draw_statistics(whole.residual_left_out(block), block, Q, beside, degrees, draws)
     p_values = {over: float(1 + np.sum(drawn >= statistic)) / (draws + 1) for over, drawn in turned.items()}
     least_certain = max(p_values, key=lambda over: p_values[over])
     share = found / rigid if rigid > 0 else 0.0
@@ -174,7 +148,7 @@ def _draw_statistics(
     np.add.at(of_rigid, block, Q * noise[:, np.newaxis])
     np.add.at(of_extra, block, beside * noise[:, np.newaxis])
     remaining = float(noise @ noise) - np.sum((signs @ of_rigid) ** 2, axis=1)
-    gains = np.max(np.maximum(-(signs @ of_extra), 0.0) ** 2 / np.sum(beside**2, axis=0), axis=1)
+    gains = np.max(np.maximum(-(signs @ of_extra), 0.0) ** 2, axis=1)
     return np.asarray(gains / np.maximum((remaining - gains) / degrees, 1e-300))
 
 
@@ -207,21 +181,14 @@ def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: in
     """
     from scipy.special import chdtrc
 
-    W, Z = W / np.linalg.norm(W, axis=0), Z / np.linalg.norm(Z, axis=0)
-    V = W - Z @ np.linalg.lstsq(Z, W, rcond=None)[0]
-    U, sizes, _ = np.linalg.svd(V[:, np.linalg.norm(V, axis=0) > _SAME], full_matrices=False)
-    degrees = int(np.sum(sizes > _RANK * sizes[0])) if sizes.size else 0
+    W, Z = W / column_norms(W), Z / column_norms(Z)
+    sizes = np.linalg.svd(W - Z @ np.linalg.lstsq(Z, W, rcond=None)[0], compute_uv=False)
+    degrees = int(np.sum(sizes > max(_RANK * sizes[0], _SAME)))
     statistic, p = 0.0, 1.0
     if degrees:
-        V = U[:, :degrees]
-        both = np.column_stack([W, V])
-        found, *_ = np.linalg.lstsq(both, Y, rcond=None)
-        of_c = sandwich(both, both, Y - both @ found, equations).matrix[-degrees:, -degrees:]
-        x, *_ = np.linalg.lstsq(W, Y, rcond=None)
-        of_x = sandwich(W, W, Y - W @ x, equations).matrix
-        per_c, *_ = np.linalg.lstsq(W, V, rcond=None)
-        shift = per_c @ found[-degrees:]
-        spread = per_c @ of_c @ per_c.T + _MATTERS**2 * of_x
+        least = Influence(W, Y - W @ np.linalg.lstsq(W, Y, rcond=None)[0], equations=equations)
+        shift, noise = second_solution(Z, least)
+        spread = noise.matrix + _MATTERS**2 * least.by_time().matrix
         statistic = float(shift @ np.linalg.pinv(spread, hermitian=True) @ shift)
         p = float(chdtrc(degrees, statistic))
     sentence = f"nothing speaks against least squares (p = {p:.2g}): its values agree with those by instruments"
@@ -233,22 +200,19 @@ def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: in
     return ChiSquareTest("Durbin-Wu-Hausman", statistic, degrees, p, p < _LEVEL, sentence)
 
 
-def second_solution(Z: FloatArray, J: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Shift from least squares to instruments, and its deviation, (parameters,).
+def second_solution(Z: FloatArray, least: Influence) -> tuple[FloatArray, Covariance]:
+    """Shift from least squares to instruments, (parameters,), and its covariance by noise.
 
     Args:
         Z: (rows, parameters), the instruments.
-        J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) the residual of least squares.
+        least: the equations of least squares, with one record's residual.
     """
-    least, norms = projection(J, J), column_norms(J)
-    between = projection(Z, J) - least
-    near = np.diag(bartlett_sum((between * error).T, bandwidth(error.size)))
-    scale = norms[:, np.newaxis]  # the parameters' units differ by powers of ten
-    whole = [slice(0, error.size)]
-    spread, factor = spectral_covariance((scale * least).T, J / norms, error, whole, (scale * between).T)
-    noise = np.maximum(np.sqrt(np.maximum(near, 0.0)), factor * np.sqrt(np.diag(spread)) / norms)
-    return between @ error, noise
+    between = replace(least, instruments=Z).matrix - least.matrix
+    instants = least.error.size // least.equations
+    scores = np.sum((between * least.error).T.reshape(least.equations, instants, -1), axis=0)
+    near = covariance_of(bartlett_sum(scores, bandwidth(instants)))
+    spectra = replace(least, equations=1, series=[instants] * least.equations)
+    return between @ least.error, larger(near, spectra.by_spectrum(between))
 
 
 def widened_to_second(
@@ -264,8 +228,7 @@ def widened_to_second(
         inside: (parameters,) which are not at a bound; the others stay.
     """
     shift, noise = np.zeros(inside.size), np.zeros(inside.size)
-    shift[inside], noise[inside] = second_solution(Z[:, inside], J[:, inside], error)
+    shift[inside], covariance = second_solution(Z[:, inside], Influence(J[:, inside], error))
+    noise[inside] = covariance.std
     significant = np.abs(shift) > _NOISE * noise
-    if not np.any(significant):
-        return known
-    return known.widened_by(np.where(significant, shift, 0.0))
+    return known.widened_by(np.where(significant, shift, 0.0)) if np.any(significant) else known

@@ -11,15 +11,14 @@ residual and the counts n_cb of the rows of cell c in block b of time, n_c rows 
 **Tested** by turning the signs of blocks of time at random (wild bootstrap, Liu 1988), valid for any autocorrelation
 within a block, a fortieth of the record, and unequal accuracy.
 
-**Covered** by a second sandwich (`by_place`) with scores summed over all visits to a cell, and Bartlett weights over
-neighbouring cells of the same direction and speed (Conley 1999). The larger of both sandwiches is taken in every
-direction (`larger`); the usual sum less the overlap need not be positive. If the test finds nothing, the sandwich over
-time stands alone.
+**Covered** by a second covariance (`by_place`) with scores summed over all visits to a cell, and Bartlett weights over
+neighbouring cells of the same direction and speed (Conley 1999). The larger of both covariances is taken in every
+direction (`larger`); the usual sum less the overlap need not be positive. If the test finds nothing, the covariance
+over time stands alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,15 +27,8 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
-from jointid.uncertainty.covariance import (
-    Covariance,
-    bandwidth,
-    bartlett_sum,
-    larger,
-    residual_left_out,
-    robust,
-    scaled_sandwich,
-)
+from jointid.uncertainty.covariance import Covariance, larger
+from jointid.uncertainty.influence import Influence, bandwidth, bartlett_sum
 
 IntArray = NDArray[np.intp]
 
@@ -203,7 +195,7 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
     )
 
 
-def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> Covariance:
+def by_place(influence: Influence, where: Cells) -> Covariance:
     """Covariance for errors shared by all visits to a cell (see the module).
 
     Cells are correlated over ``ceil(4 (cells / 100)^(2/9))`` on each side, the rule of `bandwidth` for rows.
@@ -211,41 +203,25 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     Smoother errors are covered too little: of 2-sigma intervals 95 % hold the truth at a length of half a cell, 88-96 %
     at two and 80-98 % at four (on the EMPS motion, by simulation).
     """
-
-    def meat(Z: FloatArray, J: FloatArray, spread: FloatArray) -> FloatArray:
-        scores = Z * residual_left_out(Z, J, error, spread, where.stretch)[:, np.newaxis]
-        sums = np.zeros((_POSITIONS, int(where.family.max()) + 1, Z.shape[1]))
-        np.add.at(sums, (where.position, where.family), scores)
-        return bartlett_sum(sums, _LAGS)
-
-    return scaled_sandwich(Z, J, meat, _LAGS)
+    scores = influence.scores_left_out(where.stretch)
+    sums = np.zeros((_POSITIONS, int(where.family.max()) + 1, scores.shape[1]))
+    np.add.at(sums, (where.position, where.family), scores)
+    return influence.covariance(bartlett_sum(sums, _LAGS))
 
 
-def widen(
-    covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, unit: str = ""
-) -> tuple[Covariance, Repeatable]:
-    """Widen a covariance by `by_place` if the residual repeats; return both."""
-    verdict = repeatable(error, where, unit)
-    return larger(covariance, by_place(Z, J, error, where)) if verdict.significant else covariance, verdict
+def widen(covariance: Covariance, influence: Influence, where: Cells, unit: str = "") -> tuple[Covariance, Repeatable]:
+    """Widen a covariance by `by_place` if the residual, of this unit, repeats; return both."""
+    verdict = repeatable(influence.error, where, unit)
+    return larger(covariance, by_place(influence, where)) if verdict.significant else covariance, verdict
 
 
-def uncertainty(
-    Z: FloatArray,
-    J: FloatArray,
-    error: FloatArray,
-    where: Cells,
-    unit: str = "",
-    series: Sequence[int] | None = None,
-) -> Uncertainty:
+def uncertainty(influence: Influence, where: Cells, unit: str = "") -> Uncertainty:
     """Covariance of an estimate's errors, including repeatable ones.
 
     Args:
-        Z: (rows, parameters), the instruments; J for least squares.
-        J: (rows, parameters), the sensitivities of the prediction, or of the residual with Z of the same sign.
-        error: (rows,) the residual, in the order of time.
+        influence: the equations of the estimate, and their residual.
         where: the rows' cells.
         unit: of the residual.
-        series: rows of each record, stacked.
     """
-    over_time = robust(Z, J, error, series)
-    return Uncertainty(over_time, *widen(over_time, Z, J, error, where, unit))
+    over_time = influence.robust()
+    return Uncertainty(over_time, *widen(over_time, influence, where, unit))

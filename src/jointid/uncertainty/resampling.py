@@ -19,6 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
+from jointid.solvers.bounded_least_squares import damped_step
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing determines
@@ -67,14 +68,9 @@ def total(groups: Sequence[Sums]) -> Sums:
 
 def step_of(sums: Sums, room: Bounds) -> FloatArray:
     """Minimise ``||e + J s||^2`` within bounds on the step, (free,)."""
-    from scipy.optimize import lsq_linear
-
     R = root_of(sums)
-    scale = scale_of(sums.A)
-    columns = R / scale
-    target = -np.linalg.lstsq(columns.T, sums.b / scale, rcond=None)[0]
-    found = lsq_linear(columns, target, (room.lower * scale, room.upper * scale), method="bvls")
-    return room.clip(found.x / scale)
+    error = np.linalg.lstsq((R / scale_of(sums.A)).T, sums.b / scale_of(sums.A), rcond=None)[0]
+    return damped_step(error, R, room)
 
 
 def root_of(sums: Sums) -> FloatArray:
@@ -92,13 +88,13 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
         [-np.linalg.pinv((whole.A - g.A) / outer, hermitian=True) @ ((whole.b - g.b) / scale) for g in groups]
     )
     apart = steps - steps.mean(axis=0)
-    found = covariance_of((len(groups) - 1) / len(groups) * apart.T @ apart, 0)
+    found = covariance_of((len(groups) - 1) / len(groups) * apart.T @ apart)
     back = vectors / np.sqrt(sizes)
     most = max(float(np.linalg.eigvalsh(back.T @ (g.A / outer) @ back)[-1]) for g in groups)
     if most > _ALONE or len(groups) <= scale.size:
-        white = covariance_of(whole.square / max(whole.rows - scale.size, 1) * back @ back.T, 0)
+        white = covariance_of(whole.square / max(whole.rows - scale.size, 1) * back @ back.T)
         found = larger(white, found)
-    return Covariance(found.std / scale, found.correlation, 0)
+    return Covariance(found.std / scale, found.correlation)
 
 
 def _determine(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.uncertainty.position_dependent_error import Repeatable
 
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
@@ -202,10 +202,7 @@ def coupling(residual: FloatArray, motion: FloatArray) -> Coupling:
     from scipy.fft import irfft, rfft  # of a length with large prime factors, in half of NumPy's time
 
     left = residual - residual.mean()
-    columns = motion - motion.mean(axis=0)
-    size = np.linalg.norm(columns, axis=0)
-    Q, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    Q = Q[:, s > s[:1].sum() * 1e-10]
+    Q = orthonormal_basis(motion - motion.mean(axis=0), 1e-10)
     total = float(left @ left)
     if total == 0.0 or Q.shape[1] == 0:
         return Coupling(0.0, 1.0)

@@ -9,7 +9,6 @@ import shlex
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -54,24 +53,6 @@ def test_every_section_is_there(made: object) -> None:
     found = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert [one for one in found if one in SECTIONS] == list(SECTIONS)
     assert not re.search(r"\b(nan|None)\b", text)
-
-
-@pytest.mark.slow
-def test_a_profile_that_would_say_what_the_table_says_is_left_out() -> None:
-    record, loop = reports.rigid_record()
-    told = ji.Report.of(ji.identify(record, loop), record)
-    left = told.data.parabolic
-    assert "offset" in left
-    assert set(left).isdisjoint(one.name for one in told.data.profiles)
-    every = ji.intervals(told.estimate, record, [*left, "inertia"])
-    assert every.parabolic == ()
-    expected = told.estimate["offset"].interval
-    assert expected is not None
-    low, high = every.profiles[left.index("offset")].interval
-    assert low is not None
-    assert high is not None
-    np.testing.assert_allclose(np.array([low, high]), expected, atol=0.1 * (expected[1] - expected[0]))
-    assert [one.name for one in every.profiles] == [*left, "inertia"]
 
 
 def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:

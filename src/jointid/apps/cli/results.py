@@ -35,7 +35,7 @@ def report(
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
         html: the page, one file that opens without a network.
-        no_profiles: do not follow the criterion along the parameters where it is no parabola.
+        no_profiles: do not follow the criterion along stiffness and compliance.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         held_out: another record, that the estimate has not seen, which it is held against.
         estimate: what identify --json wrote, to report it with its record, and identify nothing.

@@ -66,6 +66,7 @@ from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.solvers.regression import refuse_idle
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
@@ -246,7 +247,7 @@ class DIDIM(Method):
         if np.linalg.norm(error) > NOTHING * problem.size:
             stop = f"no answer: the search ended where the model explains little of the torque ({stop})"
             converged = False
-        known = uncertainty(J, J, error, problem.cells(run), problem.torque_unit)
+        known = uncertainty(Influence(J, error), problem.cells(run), problem.torque_unit)
         spring = visible(problem, x, J, known, starts, progress)
         history.tally.evaluations += spring.simulations
         if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest

@@ -59,7 +59,8 @@ from jointid.simulation.prescribed import (
 )
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, Step, Watch, solve
-from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
+from jointid.uncertainty.covariance import Covariance
+from jointid.uncertainty.influence import Influence
 
 CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
 """Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
@@ -301,7 +302,8 @@ class DriveSideFit(Method):
         starts, simulations = grid_starts(problem, self)
         solution = solve(problem, LevenbergMarquardt(self.tolerance), np.array(starts), _report_steps(task.progress))
         J, error = solution.jacobian, solution.residual
-        covariance = with_measured_motion(with_bands(sandwich(J, J, error), J, J, error), J, J, error)
+        influence = Influence(J, error)
+        covariance = influence.widen_for_motion(influence.widen_for_bands(influence.by_time()))
         resting = 1 - float(np.mean(weights_of(problem.motion)))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         limit = noise_limit_of(record, task.joint, ("motor_position",))

@@ -42,7 +42,7 @@ from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.loop_input import LoopInput
-from jointid.solvers.regression import projection
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.model_tests import widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 
@@ -114,7 +114,7 @@ def uncertainty_of_least_error(
         J: (rows, free) the derivatives of the simulated torque, filtered.
         history: counts the simulations.
     """
-    known = uncertainty(J, J, residual, problem.cells(run), problem.torque_unit)
+    known = uncertainty(Influence(J, residual), problem.cells(run), problem.torque_unit)
     known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history))
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
@@ -173,7 +173,8 @@ def allow_for_force(
         history.tally.evaluations += 2 * _PAIRS
         # At the end of least squares the residual moves nothing: there only what the force adds does.
         shown = run.torque if count == 0 else problem.measured
-        step = projection(J, J) @ problem.filter(shown - mean)
+        left = problem.filter(shown - mean)
+        step = Influence(J, left).matrix @ left
         if not np.all(np.isfinite(step)):
             return None
         if count == 0 and not np.any(np.abs(step) > _MATTERS * std):

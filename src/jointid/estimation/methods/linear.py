@@ -31,8 +31,8 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.inverse_model import MeasuredMotion, filter_motion
 from jointid.solvers.regression import least_squares
-from jointid.uncertainty.covariance import Covariance, sandwich, with_bands, with_measured_motion
-from jointid.uncertainty.covariance import robust as robust_covariance
+from jointid.uncertainty.covariance import Covariance
+from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
@@ -161,28 +161,26 @@ def _solve_free(
     return replace(solution, values=kept, covariance=covariance)
 
 
-def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
-    """Return the robust covariance over rows, widened by that over frequency bands for the equation of the load.
+def _covariance(rows: Rows, W: FloatArray, error: FloatArray, instruments: FloatArray | None = None) -> Covariance:
+    """Return the robust covariance; of least squares along a measured motion widened for that.
 
-    That equation contains no torque and little noise, so its residual is mostly model error, which repeats.
+    The equation of the load contains no torque and little noise, so its residual is mostly model error, which repeats:
+    its deviations are widened by those over frequency bands.
     """
-    if rows.driven > 1:  # the motors of a robot
-        return robust_covariance(Z, J, error, equations=rows.equations)
-    found = sandwich(Z, J, error, rows.equations)
-    if rows.equations == rows.driven:
-        return found
-    of_load = error.copy()
-    of_load[: error.size // rows.equations * rows.driven] = 0.0
-    return with_bands(found, Z, J, of_load, rows.equations)
+    influence = Influence(W, error, instruments, rows.equations)
+    found = influence.robust() if rows.driven > 1 else influence.by_time()
+    if rows.equations > rows.driven:
+        of_load = error.copy()
+        of_load[: error.size // rows.equations * rows.driven] = 0.0
+        found = replace(influence, error=of_load).widen_for_bands(found)
+    return influence.widen_for_motion(found) if instruments is None else found
 
 
 def ordinary(rows: Rows) -> Solution:
     """Return ordinary least squares."""
     values = least_squares(rows.W, rows.Y, rows.names)
     residual = rows.Y - rows.W @ values
-    covariance = _covariance(rows, rows.W, rows.W, residual)
-    covariance = with_measured_motion(covariance, rows.W, rows.W, residual, rows.equations)
-    return Solution(values, residual, covariance)
+    return Solution(values, residual, _covariance(rows, rows.W, residual))
 
 
 def weighted_least_squares(rows: Rows) -> Solution:
@@ -194,11 +192,10 @@ def weighted_least_squares(rows: Rows) -> Solution:
         before, values = values, least_squares(weighted, rows.Y / scale, rows.names)
         steps += 1
         settled = bool(np.all(np.abs(values - before) <= _SETTLED * np.abs(values)))
-    error = (rows.Y - rows.W @ values) / scale
-    covariance = _covariance(rows, weighted, weighted, error)
-    covariance = with_measured_motion(covariance, weighted, weighted, error, rows.equations)
+    residual = rows.Y - rows.W @ values
+    covariance = _covariance(rows, weighted, residual / scale)
     stop = f"{steps} reweightings {'until nothing changes' if settled else 'and still changing'}"
-    return Solution(values, rows.Y - rows.W @ values, covariance, stop, settled)
+    return Solution(values, residual, covariance, stop, settled)
 
 
 def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
@@ -224,7 +221,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
         ) from None
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
-    covariance = _covariance(rows, Zs, Ws, Ys - Ws @ found)
+    covariance = _covariance(rows, Ws, Ys - Ws @ found, Zs)
     return Solution(found, rows.Y - rows.W @ found, covariance)
 
 

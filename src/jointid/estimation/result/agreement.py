@@ -297,7 +297,7 @@ def drift(
     segments, alone = [], []
     for part, fit in zip(parts, fits, strict=True):
         own = np.flatnonzero(fit.determined)
-        covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)], 0)
+        covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)])
         values = {names[i]: float(fit.values[i]) for i in own}
         std = dict(zip(values, map(float, covariance.std), strict=True))
         error = total([w.sums for w in part]).relative_error

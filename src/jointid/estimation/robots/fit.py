@@ -26,8 +26,9 @@ from jointid.simulation.robot_numbers import robot_with
 from jointid.simulation.robots import RobotRun
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Step, solve
-from jointid.uncertainty.covariance import Covariance, robust, white, with_measured_motion
+from jointid.uncertainty.covariance import Covariance, white
 from jointid.uncertainty.identifiability import find_separable
+from jointid.uncertainty.influence import Influence
 
 if TYPE_CHECKING:
     from jointid.estimation.starts.robot_springs import StartOfSprings
@@ -189,10 +190,12 @@ def conclude(
     error = problem.error(run)
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
-    weighted = Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights
-    covariance = robust(*weighted, equations=problem.sigma.size)
+    slopes = J * weights[:, np.newaxis]
+    instruments = None if Z is J else Z * weights[:, np.newaxis]
+    influence = Influence(slopes, error * weights, instruments, problem.sigma.size)
+    covariance = influence.robust()
     if problem.motion_measured:
-        covariance = with_measured_motion(covariance, *weighted, problem.sigma.size)
+        covariance = influence.widen_for_motion(covariance)
     names, std = problem.parameters.names, covariance.std
     if untold := [n for n, s in zip(names, std, strict=True) if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:
         raise MethodError(
@@ -210,7 +213,7 @@ def conclude(
         settled,
         run,
         J,
-        triangle(weighted[1]),
+        triangle(slopes),
     )
 
 

@@ -229,7 +229,7 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
             f"The payload's mass comes out as {inertial[0]:.3g} kg; expected a positive one: check that the second "
             "record is the one with the payload, and that both have the same torque's unit."
         )
-    return Payload(first.model.links[-1].name, inertial, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
+    return Payload(first.model.links[-1].name, inertial, covariance_of(np.linalg.pinv(seen.T @ seen)))
 
 
 def _require_full_payload(columns: FloatArray) -> None:

@@ -71,9 +71,8 @@ class Report:
             record: that it was identified from; of a robot the record of each joint.
             checks: validations of it on other records, from `validate`.
             name: of the joint, for the title.
-            profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None,
-                every free parameter of the joint along which the criterion is no parabola, and its compliance. Of DIDIM
-                only.
+            profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None, a
+                free stiffness and its compliance. Of DIDIM only.
             tuned: margins and gains of the drive from `tune`, which then have a section.
             controllers: of each joint of a robot, see `diagnose`.
             feed_forward: of a robot's records, see `diagnose`.
@@ -123,7 +122,7 @@ class Report:
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
-        given, names = self.data, ("diagnosis", "validation", "checks", "profiles", "parabolic", "absent")
+        given, names = self.data, ("diagnosis", "validation", "checks", "profiles", "absent")
         contents: dict[str, Any] = {
             "schema": REPORT_SCHEMA,
             "estimate": to_dict(given.estimate),
