@@ -15,8 +15,8 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.form import inverse_model_deviations
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import identifiability
-from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.residual_tests import whiteness
 

@@ -10,7 +10,7 @@ from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.score import rank_tests
 from jointid.diagnostics.search_state import LoopTests
 from jointid.estimation.descent import descend
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from tests.faults import Fault, Loop, Noise, line_7, on, problem, setting, solved
 
 NOTHING = "nothing"

@@ -17,7 +17,7 @@ from jointid.estimation.result.springs import visible
 from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 Noise = Literal["disturbance", "white"]

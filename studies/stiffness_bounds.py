@@ -28,7 +28,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 PLAIN, INVISIBLE = 0.03, 0.5  # predicted deviations of K12: below, it must be reported; above, it must not

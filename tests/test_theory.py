@@ -19,8 +19,7 @@ from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import Filtering, apply_window, differentiate_twice, window_torque
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.covariance import white
-from jointid.uncertainty.influence import Influence, bandwidth
+from jointid.uncertainty.covariance import Influence, bandwidth, white
 
 T = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}

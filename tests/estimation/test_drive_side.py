@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +9,21 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
+from jointid.estimation.problems.base import log_delay
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
-from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 
 JOINT = ji.FlexibleJoint("prismatic")
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
 FILTERING = ji.Filtering(cutoff=60.0)
 
 
-def problem_of(record: Record, **settings: float | None) -> DriveSideProblem:
-    around = ji.DriveSideFit(**settings).surroundings(1e-3)
-    return motion_problem(record, ji.DriveSide(JOINT), FILTERING, JOINT.parameters, around)
+def problem_of(record: Record, delay: float | None = None) -> DriveSideProblem:
+    return motion_problem(record, ji.DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
 
 
 @pytest.mark.slow
@@ -89,11 +88,9 @@ def _driven(reference: np.ndarray, known: np.ndarray) -> Record:
     )
 
 
-@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.MEASURED])
-def test_the_slopes_of_the_residual_are_those_of_differences(tap: Tap) -> None:
-    record = replace(twin("L19", noise="none").record.without("injected"), tap=tap)
-    problem = problem_of(record, current_lag=None)
-    around = {"log_delay": 3.3e-4, "current_lag": 4e-4, "initial_load_position": 1e-5, "initial_load_velocity": 1e-3}
+def test_the_slopes_of_the_residual_are_those_of_differences() -> None:
+    problem = problem_of(twin("L19", noise="none").record.without("injected"))
+    around = {"log_delay": 3.3e-4, "initial_load_position": 1e-5, "initial_load_velocity": 1e-3}
     x = problem.vector(TABLE_2 | around)
     _, J = problem.linearise(x)
     for i, p in enumerate(problem.free):
@@ -103,30 +100,11 @@ def test_the_slopes_of_the_residual_are_those_of_differences(tap: Tap) -> None:
         assert np.linalg.norm(slope - J[:, i]) <= 2e-4 * np.linalg.norm(slope), p.name
 
 
-@pytest.mark.parametrize("tap", [Tap.COMMAND, pytest.param(Tap.MEASURED, marks=pytest.mark.slow)])
-def test_a_lag_of_the_current_is_told_from_a_delay(tap: Tap) -> None:
-    from scipy.signal import lfilter
-
-    record = twin("L19", noise="none").record.without("injected", "reference", "load_position")
-    assert record.torque is not None
-    kept, torque = np.exp(-1e-3 / 2e-3), record.torque.values
-    # A measured torque is seen behind the lag; a command is what would have had to be put out before it.
-    b, a = ([1 - kept], [1, -kept]) if tap is Tap.MEASURED else ([1, -kept], [1 - kept])
-    lagged = replace(record, torque=replace(record.torque, values=lfilter(b, a, torque)), tap=tap)
-    settings = ji.DriveSideFit(current_lag=None, frequency=24.0)
-    estimate = ji.identify(lagged, ji.DriveSide(JOINT), settings, filtering=FILTERING)
-    assert estimate["current_lag"].value == pytest.approx(2e-3, rel=0.05)
-    for name in PHYSICAL:
-        assert estimate[name].value == pytest.approx(TABLE_2[name], rel=3e-3), name
-    blind = ji.identify(lagged, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    assert blind.fit.filtered_error > 3 * estimate.fit.filtered_error
-
-
 def test_white_noise_on_the_log_leaves_the_truth_in_the_intervals() -> None:
     inside = []
     for seed in range(1, 5):
         made = twin("L19", noise="white", seed=seed)
-        problem = problem_of(made.record, log_delay=0.0)
+        problem = problem_of(made.record, 0.0)
         solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
         influence = Influence(solution.jacobian, solution.residual)
         std = influence.widen_for_bands(influence.by_time()).std

@@ -21,7 +21,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from tests.servos import Servo, servo
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from jointid.uncertainty.covariance import Covariance, covariance_of, larger, white
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Covariance, Influence, covariance_of, larger, white
 
 ROWS, RUNS = 600, 200
 

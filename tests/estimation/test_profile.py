@@ -12,9 +12,8 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import white
+from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, single
-from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.profile import ByCompliance, Profiling, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 

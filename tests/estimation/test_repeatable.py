@@ -11,7 +11,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import Uncertainty, by_place, cells, repeatable, uncertainty
 from tests.estimation.conftest import CONTROLLER
 from tests.estimation.motions import columns, field, motion

@@ -23,7 +23,7 @@ from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import POOR_FIT, Status
 from tests.estimates import amended, identify

@@ -30,8 +30,7 @@ from jointid.controller_id.columns import (
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, LATE, Structure, bounds, may_be_negative, starts
-from jointid.uncertainty.covariance import Covariance, covariance_of, larger
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Covariance, Influence, covariance_of, larger
 
 _STEP, _ENOUGH = 1e-4, 1e-5  # of a filter's number, for its difference; of the cost, for the end of a search
 _STEPS = 12  # of the last search, for all numbers

@@ -61,7 +61,7 @@ from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import widen
 
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer

@@ -23,8 +23,8 @@ from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import Combination
-from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import ProfileInterval, profile, profile_compliance
 

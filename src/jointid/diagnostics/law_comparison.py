@@ -41,7 +41,7 @@ from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.solve import solve
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 PARTS, TIMES = 24, 3

@@ -47,7 +47,7 @@ from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 
 _EXCLUDED = 2.0  # deviations: a law so far away is excluded
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it

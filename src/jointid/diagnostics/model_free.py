@@ -34,7 +34,7 @@ from jointid.records.signals.filtering import lowpass
 from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""

@@ -15,7 +15,7 @@ from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.score import score
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20

@@ -30,7 +30,7 @@ from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_sensitivities import respond_to_laws
 from jointid.simulation.robots import RobotLoop, RobotRun
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller

@@ -15,7 +15,7 @@ from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.solve import Counted, Solution, Step, Tally, solve
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look

@@ -43,9 +43,8 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import Covariance, covariance_of
+from jointid.uncertainty.covariance import Covariance, Influence, covariance_of
 from jointid.uncertainty.identifiability import find_separable
-from jointid.uncertainty.influence import Influence
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
 _SOLVER = LevenbergMarquardt(evaluations=100)

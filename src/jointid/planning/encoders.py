@@ -40,7 +40,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import to_log
-from jointid.uncertainty.influence import smoothed_spectrum, sum_over_frequencies
+from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
 
 Source: TypeAlias = Literal["loop", "log"]
 """Of the torque's noise."""

@@ -42,8 +42,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation, require_success
 from jointid.simulation.loop_input import to_log
 from jointid.simulation.robots import RobotSimulation
-from jointid.uncertainty.covariance import Covariance, covariance_of
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Covariance, Influence, covariance_of
 
 _SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding
 _PART = 1e-3  # of a direction, that a parameter takes

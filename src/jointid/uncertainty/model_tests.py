@@ -47,8 +47,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.common.text import number
-from jointid.uncertainty.covariance import Covariance, covariance_of, larger
-from jointid.uncertainty.influence import Influence, bandwidth, bartlett_sum
+from jointid.uncertainty.covariance import Covariance, Influence, bandwidth, bartlett_sum, covariance_of, larger
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty
 
 _PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long

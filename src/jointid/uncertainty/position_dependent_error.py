@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
-from jointid.uncertainty.covariance import Covariance, larger
-from jointid.uncertainty.influence import Influence, bandwidth, bartlett_sum
+from jointid.uncertainty.covariance import Covariance, Influence, bandwidth, bartlett_sum, larger
 
 IntArray = NDArray[np.intp]
 

@@ -15,7 +15,7 @@ A further row, ``rho (w' x - c)``, holds c approximately; each fit is the exact 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -207,10 +207,17 @@ def profile(
     if flat and threshold == 0.0:  # it is known without error
         interval = centre.value, centre.value
     elif flat:
-        side = _Side(counted, weights, direction, _HELD / math.sqrt(flat), threshold, settings, centre)
+        solver, stiffness = LevenbergMarquardt(settings.tolerance, settings.evaluations), _HELD / math.sqrt(flat)
+
+        def fit(value: float, start: FloatArray) -> _Point:
+            end = solve(_Held(counted, weights, stiffness, value), solver, start)
+            error = end.residual[:-1]
+            return _Point(float(weights @ end.x), float(error @ error), end.x)
+
         for sign in (-1.0, 1.0):
             furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)[weights != 0]
-            found += side.follow(sign * half, float(np.sum(weights[weights != 0] * furthest)))
+            limit = float(np.sum(weights[weights != 0] * furthest))
+            found += _follow(fit, centre, direction, sign * half, limit, threshold, settings.points)
     found.sort(key=lambda point: point.value)
     lowest = min(found, key=lambda point: point.cost)
     values, best = np.array([point.value for point in found]), found.index(lowest)
@@ -243,58 +250,46 @@ def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float |
     return np.asarray(directions[seen].T @ (along[seen] / sizes[seen] ** 2) / norms / flat), flat
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side:
-    """A profile to be followed from its centre; arguments as within `profile`."""
+def _follow(
+    fit: Callable[[float, FloatArray], _Point],
+    centre: _Point,
+    direction: FloatArray,
+    half: float,
+    limit: float,
+    threshold: float,
+    most: int,
+) -> list[_Point]:
+    """Profile one side, to the threshold, to the limit within the bounds, or so many points.
 
-    problem: Problem
-    weights: FloatArray
-    direction: FloatArray
-    stiffness: float
-    threshold: float
-    settings: Profiling
-    centre: _Point
+    The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point.
 
-    def follow(self, half: float, limit: float) -> list[_Point]:
-        """Return the points to the threshold, to the limit within the bounds, or so many.
+    `fit` takes the value to hold and a start. Of a linear problem the end is `half` away, to the left if negative, and
+    `direction`, (free,), is the change of the parameters per unit of the quantity.
+    """
+    from scipy.optimize import root_scalar
 
-        The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point. Of a
-        linear problem the end is `half` away, to the left if negative.
-        """
-        from scipy.optimize import root_scalar
+    found, roots, nearer = [centre], {centre.value: -1.0}, min if half > 0 else max
 
-        found, roots = [self.centre], {self.centre.value: -1.0}
+    def root_at(value: float) -> float:
+        """Return the root of the rise with the quantity held, over that of an end, less 1."""
+        if value not in roots:
+            near, *others = sorted(found, key=lambda point: abs(point.value - value))
+            apart = near.value - others[0].value if others else 0.0
+            slope = (near.x - others[0].x) / apart if apart else direction
+            found.append(fit(value, near.x + (value - near.value) * slope))
+            risen = max(found[-1].cost - min(point.cost for point in found), 0.0)
+            roots[value] = math.sqrt(risen / threshold) - 1.0
+        return roots[value]
 
-        def root_at(value: float) -> float:
-            """Return the root of the rise with the quantity held, over that of an end, less 1."""
-            if value not in roots:
-                found.append(self._fit(value, found))
-                risen = max(found[-1].cost - min(point.cost for point in found), 0.0)
-                roots[value] = math.sqrt(risen / self.threshold) - 1.0
-            return roots[value]
-
-        way, outside, risen = _FIRST * half, self.centre.value, -1.0
-        nearer = min if half > 0 else max
-        while risen < 0.0 and len(found) <= self.settings.points and abs(limit - found[-1].value) > 1e-3 * abs(way):
-            inside, outside = outside, nearer(self.centre.value + way, limit)
-            risen = root_at(outside)
-            way *= min(max(_BEYOND / max(risen + 1.0, 1e-9), _NEARER), _FARTHER)
-        left = self.settings.points - len(found) + 1
-        if risen > _FAR - 1.0 and left > 0:
-            narrow = _NARROW * abs(outside - self.centre.value)
-            root_scalar(root_at, bracket=(inside, outside), method="brentq", xtol=narrow, maxiter=left)
-        return found[1:]
-
-    def _fit(self, value: float, found: Sequence[_Point]) -> _Point:
-        """Fit with the quantity held at a value, from the points about it."""
-        near, *others = sorted(found, key=lambda point: abs(point.value - value))
-        apart = near.value - others[0].value if others else 0.0
-        direction = (near.x - others[0].x) / apart if apart else self.direction
-        held = _Held(self.problem, self.weights, self.stiffness, value)
-        solver = LevenbergMarquardt(self.settings.tolerance, self.settings.evaluations)
-        end = solve(held, solver, near.x + (value - near.value) * direction)
-        error = end.residual[:-1]
-        return _Point(float(self.weights @ end.x), float(error @ error), end.x)
+    way, outside, risen = _FIRST * half, centre.value, -1.0
+    while risen < 0.0 and len(found) <= most and abs(limit - found[-1].value) > 1e-3 * abs(way):
+        inside, outside = outside, nearer(centre.value + way, limit)
+        risen = root_at(outside)
+        way *= min(max(_BEYOND / max(risen + 1.0, 1e-9), _NEARER), _FARTHER)
+    if risen > _FAR - 1.0 and len(found) <= most:
+        narrow = _NARROW * abs(outside - centre.value)
+        root_scalar(root_at, bracket=(inside, outside), method="brentq", xtol=narrow, maxiter=most + 1 - len(found))
+    return found[1:]
 
 
 def _crossing(values: FloatArray, rise: FloatArray, threshold: float) -> float | None:

@@ -66,7 +66,7 @@ from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.solvers.regression import refuse_idle
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}

@@ -2,11 +2,10 @@
 
 Torque and motor position are enough, without a load encoder. The motor's motion comes from the record, filtered, and is
 prescribed; the load is simulated behind it (`simulation.prescribed`), and the torque this takes is compared with the
-measured one, filtered alike. It is seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag``
-away, where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to
-nothing. While the motor rests, its friction takes what it must and the torque says nothing; these samples have no
-weight, on both sides alike and before the filter, which would smear them. Nor have those about reversals of a rigid
-joint.
+measured one, filtered alike. It is seen as the log saw it: late by ``log_delay``, where that is free. The delay acts on
+the prediction; on the measurement it would let a fit shrink both sides to nothing. While the motor rests, its friction
+takes what it must and the torque says nothing; these samples have no weight, on both sides alike and before the filter,
+which would smear them. Nor have those about reversals of a rigid joint.
 
 Bounded least squares with exact derivatives goes down from starts that need no guess: for each of a row of motor-locked
 frequencies, at which the motor sees an anti-resonance, a frictionless load of one unit is simulated, and everything
@@ -45,7 +44,7 @@ from jointid.estimation.result.build_result import build_data, build_fit, build_
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
 from jointid.models.joints import Joint, acts_on_whole
-from jointid.records.record import Record, Tap
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts, window_torque
 from jointid.records.signals.position_noise import describe_noise_limit, find_noise_limit
 from jointid.simulation.prescribed import (
@@ -59,12 +58,7 @@ from jointid.simulation.prescribed import (
 )
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, Step, Watch, solve
-from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.influence import Influence
-
-CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
-"""Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
-makes it a torque, a measured torque behind a filter of the drive."""
+from jointid.uncertainty.covariance import Covariance, Influence
 
 _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
@@ -81,21 +75,19 @@ _REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and 
 class DriveSideProblem(RecordProblem):
     """The torque of one record along its own motor motion; the torque is through `filtering.window_torque`.
 
-    Beside the joint's parameters there are those of `LOAD_STATE`, ``log_delay`` and ``current_lag``. The filter's
-    borders are left out before it is applied.
+    Beside the joint's parameters there are those of `LOAD_STATE`, and ``log_delay``. The filter's borders are left out
+    before it is applied.
 
     Attributes:
         joint: what is identified.
         motion: of the motor, prescribed.
         weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
-        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
         sample_time: seconds.
     """
 
     joint: Joint
     motion: PrescribedMotion
     weights: FloatArray
-    leads: bool
     sample_time: float
 
     @property
@@ -131,43 +123,18 @@ class DriveSideProblem(RecordProblem):
     def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the predicted torque, (samples,), its derivatives, and their validity."""
         values = self.values(x)
-        inner = tuple(n for n in names if n not in (LOG_DELAY.name, CURRENT_LAG.name))
-        run = simulate_drive_side(self.joint, self.motion, values, inner)
-        cells, lag = np.column_stack([run.torque, run.derivatives]), values[CURRENT_LAG.name]
-        late, by_lag = values[LOG_DELAY.name] / self.sample_time, np.zeros((self.measured.size, 1))
-        if lag > 0 and not self.leads:
-            cells, moved = behind_lag(cells, self.motion.step, lag)
-            by_lag = window_parts(moved, PARTS, late)
-        seen = window_parts(cells, PARTS, late)
-        by_delay = window_parts(cells[:, :1], PARTS, late, 1) / self.sample_time
-        if self.leads and lag > 0:
-            seen -= lag / self.sample_time * window_parts(cells, PARTS, late, 1)
-        if self.leads:  # the rate of a signal is what its delay takes from it
-            by_lag = -by_delay
-            by_delay = by_delay - lag / self.sample_time**2 * window_parts(cells[:, :1], PARTS, late, 2)
-        columns = dict(zip(inner, seen[:, 1:].T, strict=True))
-        columns |= {LOG_DELAY.name: by_delay[:, 0], CURRENT_LAG.name: by_lag[:, 0]}
-        slopes = [columns[name] for name in names]
-        return seen[:, 0], np.column_stack([np.zeros((len(seen), 0)), *slopes]), run.finished
+        run = simulate_drive_side(self.joint, self.motion, values, tuple(n for n in names if n != LOG_DELAY.name))
+        late = values[LOG_DELAY.name] / self.sample_time
+        seen = window_parts(np.column_stack([run.torque, run.derivatives]), PARTS, late)
+        slopes = seen[:, 1:]
+        if LOG_DELAY.name in names:
+            by_delay = window_parts(run.torque[:, np.newaxis], PARTS, late, 1) / self.sample_time
+            slopes = np.insert(slopes, names.index(LOG_DELAY.name), by_delay[:, 0], axis=1)
+        return seen[:, 0], slopes, run.finished
 
     def run(self, x: FloatArray) -> DriveSideRun:
         """Return the simulation itself, part by part."""
         return simulate_drive_side(self.joint, self.motion, self.values(x))
-
-
-def behind_lag(cells: FloatArray, step: float, lag: float) -> tuple[FloatArray, FloatArray]:
-    """Return signals behind a first-order lag, (cells, columns), and how the first depends on the lag, (cells, 1).
-
-    Signals are constant over cells of `step` seconds, and so are the answers: means over the cells. Exact.
-    """
-    from scipy.signal import lfilter
-
-    kept = float(np.exp(-step / lag))
-    slope = kept * step / lag**2  # of `kept` by the lag
-    state = np.vstack([cells[:1], lfilter([1 - kept], [1, -kept], cells, axis=0, zi=kept * cells[:1])[0]])
-    rise = np.diff(state, axis=0) / step
-    moved = np.append(0.0, lfilter([1.0], [1, -kept], slope * (state[:-1, 0] - cells[:, 0])))
-    return cells - lag * rise, (-rise[:, 0] - lag * np.diff(moved) / step)[:, np.newaxis]
 
 
 def motion_problem(
@@ -175,7 +142,7 @@ def motion_problem(
     setup: DriveSide,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
-    surroundings: tuple[Parameter, ...] = (),
+    delay: Parameter,
 ) -> DriveSideProblem:
     """Return the problem of reproducing a record's torque along its motor motion.
 
@@ -184,7 +151,7 @@ def motion_problem(
         setup: the joint.
         filtering: of position and torque.
         parameters: of the joint.
-        surroundings: changed ``log_delay`` and ``current_lag``; both are fixed at 0 otherwise.
+        delay: the parameter ``log_delay``.
 
     Raises:
         RecordError: a channel is missing, or at another rate.
@@ -200,16 +167,13 @@ def motion_problem(
     weights = weights_of(motion)
     if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
         weights = steady_weights(motion.velocity[::PARTS], filtering.position_cutoff, sample_time)[1]
-    given = {p.name: p for p in surroundings}
-    around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
     return DriveSideProblem(
-        (*parameters, *_load_state(setup.joint, motion), *around),
+        (*parameters, *_load_state(setup.joint, motion), delay),
         window_torque(torque),
         filtering,
         setup.joint,
         motion,
         weights,
-        record.tap is not Tap.MEASURED,
         sample_time,
     )
 
@@ -250,15 +214,6 @@ class DriveSideFit(Method):
         "estimated",
         unit="s",
     )
-    current_lag: float | None = setting(
-        0.0,
-        "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
-        "the filter before a measured torque",
-        unit="s",
-        at_least=0,
-        none="estimated",
-        systems=MODELS,
-    )
     frequency: float | None = setting(
         None,
         "motor-locked frequency of the start; without it the best of a grid",
@@ -275,12 +230,6 @@ class DriveSideFit(Method):
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
 
-    def surroundings(self, sample_time: float, *, stated: bool = True) -> tuple[Parameter, ...]:
-        """Return the parameters of the log, free where they are to be estimated; see `log_delay`."""
-        delay = log_delay(self.log_delay, sample_time, stated=stated)
-        lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
-        return delay, lag if self.current_lag is None else CURRENT_LAG.fix(self.current_lag)
-
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and motor position, whatever its controller.
 
@@ -294,8 +243,8 @@ class DriveSideFit(Method):
         record, setup = task.record, DriveSide(task.joint)
         record.require(setup.channels, "Drive-side identification")
         assert record.torque is not None
-        around = self.surroundings(record.torque.sample_time, stated=record.torque.stated)
-        problem = motion_problem(record, setup, task.filtering, task.parameters, around)
+        delay = log_delay(self.log_delay, record.torque.sample_time, stated=record.torque.stated)
+        problem = motion_problem(record, setup, task.filtering, task.parameters, delay)
         if task.joint.model == "rigid" and _linear(problem, None)[0] == math.inf:
             # Of a light joint in noise the reversals may be all that tells of its inertia.
             problem = replace(problem, weights=weights_of(problem.motion))

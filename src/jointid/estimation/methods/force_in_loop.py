@@ -42,7 +42,7 @@ from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.loop_input import LoopInput
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.model_tests import widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 

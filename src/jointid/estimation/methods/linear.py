@@ -31,8 +31,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.inverse_model import MeasuredMotion, filter_motion
 from jointid.solvers.regression import least_squares
-from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.influence import Influence
+from jointid.uncertainty.covariance import Covariance, Influence
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one

@@ -46,7 +46,7 @@ from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.solve import Tally
-from jointid.uncertainty.influence import rising_scores
+from jointid.uncertainty.covariance import rising_scores
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
 from jointid.uncertainty.resampling import Sums, root_of, total
 

@@ -184,7 +184,7 @@ class Estimate(Documented):
         return replace(self, checks=replace(self.checks, warnings=(*self.checks.warnings, *said)))
 
     def require_values(self) -> dict[str, float]:
-        """Return every parameter of the joint by name, and on the drive side the log's ``current_lag``.
+        """Return every parameter of the joint by name.
 
         Raises:
             MethodError: a value is refused, without which no torque can be predicted.
@@ -196,8 +196,7 @@ class Estimate(Documented):
                 f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque; "
                 f"{remedy}."
             )
-        log = {p.name: p.value for p in self.params.rows if p.name == "current_lag" and p.value is not None}
-        return {**self.values, **log}
+        return self.values
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
         """Return the torque of a motion, as for a feed-forward, N m or N, as the log has it.

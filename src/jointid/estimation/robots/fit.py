@@ -26,9 +26,8 @@ from jointid.simulation.robot_numbers import robot_with
 from jointid.simulation.robots import RobotRun
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Step, solve
-from jointid.uncertainty.covariance import Covariance, white
+from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
-from jointid.uncertainty.influence import Influence
 
 if TYPE_CHECKING:
     from jointid.estimation.starts.robot_springs import StartOfSprings
