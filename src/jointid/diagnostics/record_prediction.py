@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from jointid.estimation.methods.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
+from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, joint_columns, motion_of, through_window
@@ -124,8 +124,8 @@ def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> Pred
 def _simulate_along_motion(estimate: Estimate, record: Record) -> Predicted:
     """Predict the torque along the motor's motion, with the log's own delay."""
     joint, filtering, values = estimate.settings.joint, estimate.settings.filtering, estimate.require_values()
-    log = LOG_DELAY.fix(-estimate.settings.delay), CURRENT_LAG.fix(values.get(CURRENT_LAG.name, 0.0))
-    free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, log)
+    delay = LOG_DELAY.fix(-estimate.settings.delay)
+    free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, delay)
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
     found = solve(problem, _SEARCH, problem.vector({})) if problem.free else None
     x = np.zeros(0) if found is None else found.x

@@ -27,6 +27,7 @@ from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_la
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.drive_side import DriveSideFit, grid_starts, motion_problem
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.base import log_delay
 from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import find_encoder_step
@@ -146,8 +147,8 @@ def _judge_motion(declared: Hypothesis, best: Fit | None, _: float) -> tuple[flo
     try:
         if not isinstance(joint, FlexibleJoint):
             return None, identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
-        around = settings.surroundings(record.torque.sample_time)
-        problem = motion_problem(moved, DriveSide(joint), declared.filtering, joint.parameters, around)
+        delay = log_delay(None, record.torque.sample_time)
+        problem = motion_problem(moved, DriveSide(joint), declared.filtering, joint.parameters, delay)
         start = grid_starts(problem, settings)[0][0]
         solution = follow(problem, start, MORE)
     except (JointidError, np.linalg.LinAlgError):
