@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 import jointid as ji
 from jointid.diagnostics.validation import validate
+from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
 from jointid.models.robots.robot import Robot

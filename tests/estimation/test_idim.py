@@ -9,7 +9,7 @@ import pytest
 
 from jointid.estimation.methods import linear
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.linear import Rows, instrumental, ordinary
+from jointid.estimation.methods.linear import Rows, by_instruments, least_squares_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -107,10 +107,10 @@ def test_the_solution_by_instruments_solves_its_equation() -> None:
     error = random.normal(size=2000)
     W = Z + 0.5 * error[:, np.newaxis]
     rows = Rows(W @ [3.0, -1.0] + error, W, ("a", "b"), 1)
-    found = instrumental(rows, Z, np.zeros(2))
+    found, plain = by_instruments(rows, lambda _: Z), least_squares_of(rows)
     assert np.abs(Z.T @ found.residual).max() <= 1e-8
     assert np.all(np.abs(found.values - [3.0, -1.0]) <= 3 * found.covariance.std)
-    assert np.all(np.abs(ordinary(rows).values - [3.0, -1.0]) > 5 * ordinary(rows).covariance.std)
+    assert np.all(np.abs(plain.values - [3.0, -1.0]) > 5 * plain.covariance.std)
 
 
 @pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])

@@ -20,12 +20,12 @@ from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults.fault import FaultSignature
 from jointid.diagnostics.faults.registry import list_signatures
 from jointid.diagnostics.seen import Seen
+from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
-from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.simulated import SimulatedRobot, solve_again

@@ -176,9 +176,10 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
     Raises:
         MethodError: the robot cannot be simulated along these records.
     """
-    from jointid.estimation.robots.idim import InverseModelRobot
+    from jointid.estimation.methods.idim import InverseModelRobot
+    from jointid.estimation.methods.linear import rows_of
     from jointid.estimation.robots.numbers import robot_parameters
-    from jointid.estimation.robots.regression import base_columns, base_rows, motion_of_robot, relative_errors
+    from jointid.estimation.robots.regression import base_columns, motion_of_robot, relative_errors
     from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
     from jointid.simulation.robots import motion_at
 
@@ -187,8 +188,7 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
     if isinstance(part, InverseModelRobot):
         motion = motion_of_robot(robot, records, filtering)
         columns = base_columns(robot, part.base, motion.q, motion.v, motion.a)
-        rows = base_rows(robot, part.base, motion, columns)
-
+        rows = rows_of([motion], [columns], part.names, len(robot))
         return Predicted(
             motion.sample_time, motion.filtering.borders, motion.torque,
             columns @ part.values, rows.by_equation(rows.Y - rows.W @ part.values), rows.by_equation(rows.Y),

@@ -16,13 +16,12 @@ from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several, require_distinct
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.idim import IDIM, identify_robot
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.outputs import fit_outputs, state_position, state_scale
 from jointid.estimation.problems.log_windows import Windowing, commanded
 from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import (
     Records,

@@ -19,6 +19,7 @@ from jointid.common.errors import RecordError
 from jointid.common.fields import finite, read
 from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.methods.idim import InverseModelRobot, friction_formulas
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
@@ -27,7 +28,6 @@ from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict
 from jointid.estimation.robots.drive_side import of_record
-from jointid.estimation.robots.idim import InverseModelRobot, friction_formulas
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import SimulatedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers

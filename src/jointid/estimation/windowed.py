@@ -25,7 +25,7 @@ from jointid.estimation.identify_log import Solved, Start, Told, Windowed
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.idim import IDIM, InverseModelRobot, drives, identify_robot
 from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, MeasuredMotion, joint_columns, motion_of
@@ -47,7 +47,6 @@ from jointid.estimation.problems.several_records import RecordLayout, RecordsPro
 from jointid.estimation.result.build_result import build_params, build_rows, list_loop_channels
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.parts import EstimatedParameter, Params, RecordFit, Settings
-from jointid.estimation.robots.idim import InverseModelRobot, drives, identify_robot
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.estimation.robots.regression import base_columns, motion_of_robot
 from jointid.estimation.robots.simulated import (

@@ -9,9 +9,9 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
+from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.consistent import consistent_robot, least_inertia
-from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.models.robots.inertial import (
     from_log_cholesky,
     is_physical,

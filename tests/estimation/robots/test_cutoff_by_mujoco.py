@@ -12,8 +12,7 @@ pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the ind
 import mujoco
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.methods.idim import IDIM, identify_robot
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import Filtering

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.idim import IDIM, InverseModelRobot
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.idim import InverseModelRobot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint

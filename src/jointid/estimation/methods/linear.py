@@ -29,7 +29,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.inverse_model import MeasuredMotion, filter_motion
+from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import Covariance, Influence
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
@@ -74,6 +74,27 @@ class Rows:
         return np.repeat(sizes, self.Y.size // self.equations)
 
 
+def rows_of(
+    motions: Sequence[MeasuredMotion], columns: Sequence[FloatArray], names: tuple[str, ...], driven: int
+) -> Rows:
+    """Return the regression along the motions of one log or several; columns are (samples, n, parameters) of each."""
+    n = columns[0].shape[1]
+    Y = join_rows([motion.thinned_torque() for motion in motions], n)
+    W = join_rows([motion.decimate_columns(each) for motion, each in zip(motions, columns, strict=True)], n)
+    return Rows(Y, W, names, n, driven)
+
+
+def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
+    """Return the rows of several logs as of one: those of one equation after those of the other.
+
+    Args:
+        each: (rows,) or (rows, columns) of each log.
+        equations: how many share their instants.
+    """
+    whole = np.concatenate([rows.reshape(equations, -1, *rows.shape[1:]) for rows in each], axis=1)
+    return whole.reshape(-1, *whole.shape[2:])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """The result of an estimator.
@@ -108,7 +129,7 @@ def solve_rows(
         rows: of all parameters.
         estimator: its name; one equation needs no weights.
         known: values and bounds by name; of others there are none.
-        instruments: of "iv" alone, as from `instruments_of`.
+        instruments: of "iv" alone.
 
     Raises:
         MethodError: all parameters are fixed, or the rows do not determine those that are not.
@@ -147,138 +168,93 @@ def _solve_free(
     if not free:
         raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
     left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
-    if instruments is not None and estimator == "iv":
-        solution = _by_instruments(left, instruments, kept, free)
-    else:
-        solution = ordinary(left) if estimator == "ols" or rows.equations == 1 else weighted_least_squares(left)
+
+    def columns(values: FloatArray) -> FloatArray:
+        assert instruments is not None
+        whole = kept.copy()
+        whole[free] = values
+        return instruments(whole)[:, free]
+
+    solution = by_instruments(left, columns) if estimator == "iv" else least_squares_of(left, estimator)
     if not fixed:
         return solution
     std, correlation = np.zeros(kept.size), np.eye(kept.size)
     kept[free], std[free] = solution.values, solution.covariance.std
     correlation[np.ix_(free, free)] = solution.covariance.correlation
-    covariance = replace(solution.covariance, std=std, correlation=correlation)
-    return replace(solution, values=kept, covariance=covariance)
+    return replace(solution, values=kept, covariance=Covariance(std, correlation))
 
 
-def _covariance(rows: Rows, W: FloatArray, error: FloatArray, instruments: FloatArray | None = None) -> Covariance:
-    """Return the robust covariance; of least squares along a measured motion widened for that.
-
-    The equation of the load contains no torque and little noise, so its residual is mostly model error, which repeats:
-    its deviations are widened by those over frequency bands.
-    """
-    influence = Influence(W, error, instruments, rows.equations)
-    found = influence.robust() if rows.driven > 1 else influence.by_time()
-    if rows.equations > rows.driven:
-        of_load = error.copy()
-        of_load[: error.size // rows.equations * rows.driven] = 0.0
-        found = replace(influence, error=of_load).widen_for_bands(found)
-    return influence.widen_for_motion(found) if instruments is None else found
-
-
-def ordinary(rows: Rows) -> Solution:
-    """Return ordinary least squares."""
-    values = least_squares(rows.W, rows.Y, rows.names)
-    residual = rows.Y - rows.W @ values
-    return Solution(values, residual, _covariance(rows, rows.W, residual))
-
-
-def weighted_least_squares(rows: Rows) -> Solution:
-    """Return least squares with each equation divided by the size of its error, repeated until that is settled."""
-    values, steps, settled = least_squares(rows.W, rows.Y, rows.names), 0, False
+def least_squares_of(rows: Rows, estimator: Estimator = "ols") -> Solution:
+    """Return ordinary least squares, or "weighted": each equation divided by its error's size, until that settles."""
+    scale = np.ones(rows.Y.size)
+    values, steps, settled = _solve_for(rows, scale), 0, False
+    if estimator == "ols" or rows.equations == 1:
+        return _conclude(rows, values, scale)
     while steps < _REWEIGHTINGS and not settled:
         scale = rows.spread_out(_sizes(rows, values))
-        weighted = rows.W / scale[:, np.newaxis]
-        before, values = values, least_squares(weighted, rows.Y / scale, rows.names)
+        before, values = values, _solve_for(rows, scale)
         steps += 1
         settled = bool(np.all(np.abs(values - before) <= _SETTLED * np.abs(values)))
-    residual = rows.Y - rows.W @ values
-    covariance = _covariance(rows, weighted, residual / scale)
     stop = f"{steps} reweightings {'until nothing changes' if settled else 'and still changing'}"
-    return Solution(values, residual, covariance, stop, settled)
+    return replace(_conclude(rows, values, scale), stop=stop, converged=settled)
 
 
-def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
-    """Return the solution of ``Z' (Y - W x) = 0``, each equation divided by the size of its error at `values`.
-
-    Args:
-        rows: the regression.
-        Z: (rows, parameters) the instruments: columns that the errors of W and Y cannot reach.
-        values: (parameters,) of the step before.
-
-    Raises:
-        MethodError: the instruments do not determine the parameters.
-    """
-    sizes = _sizes(rows, values)
-    scale = rows.spread_out(sizes)[:, np.newaxis]
-    Zs, Ws, Ys = Z / scale, rows.W / scale, rows.Y / scale[:, 0]
-    try:
-        least_squares(Zs, Ys, rows.names)
-    except MethodError as error:
-        raise MethodError(
-            f"The simulated motion does not determine the parameters ({str(error).split(';')[0]}); check that the "
-            "controller is the one the record was made with, or use another estimator."
-        ) from None
-    norms = np.linalg.norm(Zs, axis=0)
-    found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
-    covariance = _covariance(rows, Ws, Ys - Ws @ found, Zs)
-    return Solution(found, rows.Y - rows.W @ found, covariance)
-
-
-def instruments_of(
-    motion: MeasuredMotion,
-    simulate: Callable[[FloatArray], FloatArray],
-    columns: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
-) -> Instruments:
-    """Return a function from the values of all parameters to the columns on the simulated motion.
-
-    Args:
-        motion: that was measured; rows at which its masses rest or turn round are left out of both.
-        simulate: from the values to the raw positions, (samples, n).
-        columns: on positions, velocities and accelerations, (samples, n) each.
-    """
-    size = len(motion.q)
-
-    def made(values: FloatArray) -> FloatArray:
-        positions = simulate(values)[:size]
-        whole = np.pad(positions, ((0, size - len(positions)), (0, 0)), "edge")
-        return motion.decimate_columns(columns(*filter_motion(whole, motion.sample_time, motion.filtering)))
-
-    return made
-
-
-def not_simulated(outcome: str) -> MethodError:
-    """Return the refusal of instruments from a simulation that did not end."""
-    return MethodError(
-        f"The instruments of IV come from a simulation, but with these values {outcome}; check the controllers' gains, "
-        "or use another estimator."
-    )
-
-
-def _by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:
-    """Return the fixed point of simulating and solving, from ordinary least squares, of several motors weighted.
+def by_instruments(rows: Rows, instruments: Instruments) -> Solution:
+    """Return the fixed point of simulating and solving, from least squares, of several motors weighted.
 
     Args:
         rows: the regression of the free parameters.
-        instruments: the columns of all parameters on the simulated motion.
-        kept: (parameters,) values of the fixed parameters, 0 for the free ones.
-        free: which parameters are free.
+        instruments: from their values the columns that the errors of rows cannot reach.
 
     Raises:
         MethodError: a simulation fails, or the instruments do not determine the parameters.
     """
-    solution, chosen = ordinary(rows) if rows.driven == 1 else weighted_least_squares(rows), list(free)
+    solution = least_squares_of(rows, "ols" if rows.driven == 1 else "weighted")
     number, settled, Z = 0, False, rows.W
     while number < _SIMULATIONS and not settled:
         number += 1
-        whole = kept.copy()
-        whole[chosen] = solution.values
-        Z = instruments(whole)[:, chosen]
-        before, solution = solution, instrumental(rows, Z, solution.values)
+        Z, scale = instruments(solution.values), rows.spread_out(_sizes(rows, solution.values))
+        before, solution = solution, _conclude(rows, _solve_for(rows, scale, Z), scale, Z)
         change = np.abs(solution.values - before.values)
         settled = bool(np.all(change <= _CLOSE * solution.covariance.std))
     test = durbin_wu_hausman(rows.W, rows.Y, Z, rows.equations)
     stop = f"{'converged: nothing changes any more' if settled else 'still changing'} after {number} simulations"
     return replace(solution, stop=stop, simulations=number, converged=settled, test=test)
+
+
+def _solve_for(rows: Rows, scale: FloatArray, instruments: FloatArray | None = None) -> FloatArray:
+    """Return the values that solve ``Z' (Y - W x) = 0``, rows divided by a scale, (rows,); Z is W when None."""
+    W, Y = rows.W / scale[:, np.newaxis], rows.Y / scale
+    if instruments is None:
+        return least_squares(W, Y, rows.names)
+    Z = instruments / scale[:, np.newaxis]
+    try:
+        least_squares(Z, Y, rows.names)
+    except MethodError as error:
+        raise MethodError(
+            f"The simulated motion does not determine the parameters ({str(error).split(';')[0]}); check that the "
+            "controller is the one the record was made with, or use another estimator."
+        ) from None
+    norms = np.linalg.norm(Z, axis=0)
+    return np.asarray(np.linalg.solve((Z / norms).T @ (W / norms), (Z / norms).T @ Y) / norms)
+
+
+def _conclude(rows: Rows, values: FloatArray, scale: FloatArray, instruments: FloatArray | None = None) -> Solution:
+    """Return a solution with its robust covariance; of least squares along a measured motion widened for that.
+
+    The equation of the load contains no torque and little noise, so its residual is mostly model error, which repeats:
+    its deviations are widened by those over frequency bands.
+    """
+    residual = rows.Y - rows.W @ values
+    error, per_row = residual / scale, scale[:, np.newaxis]
+    Z = None if instruments is None else instruments / per_row
+    influence = Influence(rows.W / per_row, error, Z, rows.equations)
+    found = influence.robust() if rows.driven > 1 else influence.by_time()
+    if rows.equations > rows.driven:
+        of_load = error.copy()
+        of_load[: error.size // rows.equations * rows.driven] = 0.0
+        found = replace(influence, error=of_load).widen_for_bands(found)
+    return Solution(values, residual, influence.widen_for_motion(found) if Z is None else found)
 
 
 def _sizes(rows: Rows, values: FloatArray) -> FloatArray:

@@ -158,20 +158,24 @@ def through_window(columns: FloatArray, filtering: Filtering) -> FloatArray:
     return apply_window(columns) if filtering.timing == "respected" else columns
 
 
-def motion_along(torque: Channel, positions: FloatArray, filtering: Filtering, delay: float = 0.0) -> MeasuredMotion:
-    """Return a joint's motion along raw positions, (samples, sides), of which all samples count.
+def motion_along(
+    torques: Sequence[Channel], positions: FloatArray, filtering: Filtering, delay: float = 0.0
+) -> MeasuredMotion:
+    """Return the motion along raw positions, (samples, n), of which all samples count.
 
     Args:
-        torque: on the motor.
-        positions: of the motor, and for a flexible joint of the load, at the torque's rate.
+        torques: on the first of n masses or joints, at the positions' rate.
+        positions: of the motor, and for a flexible joint of the load; or of the motors of a robot.
         filtering: resolved.
         delay: seconds from the logged torque to the torque that acts.
     """
-    torques = np.zeros(positions.shape)
-    torques[:, 0] = window_torque(torque, delay) if filtering.timing == "respected" else torque.values
-    limit = find_noise_limit(positions.T, torque.sample_time)
-    moved = filter_motion(positions, torque.sample_time, filtering)
-    return MeasuredMotion(*moved, torques, np.ones(positions.shape), torque.sample_time, filtering, limit, positions)
+    measured, sample_time = np.zeros(positions.shape), torques[0].sample_time
+    for j, torque in enumerate(torques):
+        seen = window_torque(torque, delay) if filtering.timing == "respected" else torque.values
+        measured[:, j] = seen[: len(positions)]
+    limit = find_noise_limit(positions.T, sample_time)
+    moved = filter_motion(positions, sample_time, filtering)
+    return MeasuredMotion(*moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions)
 
 
 def joint_columns(joint: Joint, q: FloatArray, v: FloatArray, a: FloatArray, *, zeros: bool = False) -> FloatArray:
@@ -257,7 +261,7 @@ def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) 
     torque, each = torque_and_positions(record, joint, idim_channels(joint.model)[1:], _title(joint))
     positions, sample_time = np.column_stack(each), torque.sample_time
     filtering = filtering.resolve(sample_time, joint.model, find_noise_limit(positions.T, sample_time))
-    motion = motion_along(torque, positions, filtering, _late(record, delay, sample_time))
+    motion = motion_along([torque], positions, filtering, _late(record, delay, sample_time))
     if filtering.timing != "respected":  # the published pipeline takes all rows
         return motion
     assert filtering.position_cutoff is not None

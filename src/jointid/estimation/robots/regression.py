@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 from typing import TypeAlias, cast
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.methods.linear import Rows
+from jointid.estimation.methods.linear import Rows, rows_of
 from jointid.estimation.problems.inverse_model import (
     SMEAR,
     MeasuredMotion,
-    filter_motion,
+    motion_along,
     steady_weights,
     through_window,
     torque_and_positions,
@@ -29,7 +30,7 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, window_torque
+from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import find_noise_limit
 
 _REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
@@ -114,17 +115,6 @@ def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
         raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
 
 
-def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
-    """Return the rows of several logs as of one: those of one equation after those of the other.
-
-    Args:
-        each: (rows,) or (rows, columns) of each log.
-        equations: how many share their instants.
-    """
-    whole = np.concatenate([rows.reshape(equations, -1, *rows.shape[1:]) for rows in each], axis=1)
-    return whole.reshape(-1, *whole.shape[2:])
-
-
 def motion_of_robot(
     robot: Robot,
     records: Sequence[Record],
@@ -174,28 +164,16 @@ def motion_of_robot(
         )
     sample_time, size = channels[0].sample_time, min(map(len, positions))
     motors = np.column_stack([position[:size] for position in positions])
-    limit = find_noise_limit(motors.T, sample_time)
-    filtering = filtering.resolve(sample_time, model, limit)
-    smooth, velocity, acceleration = filter_motion(motors, sample_time, filtering)
-    respected = filtering.timing == "respected"
-    torques = [(window_torque(channel) if respected else channel.values)[:size] for channel in channels]
-    assert filtering.position_cutoff is not None
-    moving = [steady_weights(each, filtering.position_cutoff, sample_time, smear, few=0.0)[1] for each in velocity.T]
-    joints = np.linalg.inv(robot.coupling).T
-    motion = smooth @ joints, velocity @ joints, acceleration @ joints
-    measured = np.column_stack(torques)
+    resolved = filtering.resolve(sample_time, model, find_noise_limit(motors.T, sample_time))
+    motion = motion_along(channels, motors, resolved)
+    assert resolved.position_cutoff is not None
+    moving = [steady_weights(each, resolved.position_cutoff, sample_time, smear, few=0.0)[1] for each in motion.v.T]
+    joints, measured = np.linalg.inv(robot.coupling).T, motion.torque
+    q, v, a = motion.q @ joints, motion.v @ joints, motion.a @ joints
     if payload := records[-1].payload:  # its torque is known
-        carried = inverse_columns(robot, *motion)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
-        measured -= through_window(carried[:, :, np.newaxis], filtering)[:, :, 0]
-    return MeasuredMotion(
-        *motion,
-        measured,
-        np.column_stack(moving),
-        sample_time,
-        filtering,
-        limit,
-        motors,
-    )
+        carried = inverse_columns(robot, q, v, a)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
+        measured = measured - through_window(carried[:, :, np.newaxis], resolved)[:, :, 0]
+    return replace(motion, q=q, v=v, a=a, torque=measured, moving=np.column_stack(moving))
 
 
 def motions_of_logs(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
@@ -213,18 +191,15 @@ def base_columns(robot: Robot, base: BaseParameters, q: FloatArray, v: FloatArra
     return np.concatenate([inverse_columns(robot, q, v, a)[:, :, base.chosen], friction_columns(robot, v)], axis=2)
 
 
-def base_rows(robot: Robot, base: BaseParameters, motion: MeasuredMotion, columns: FloatArray | None = None) -> Rows:
-    """Return the regression of the base parameters, then of the numbers of the motors' friction.
+def base_names(robot: Robot, base: BaseParameters) -> tuple[str, ...]:
+    """Return the names of the base parameters, then of the numbers of the motors' friction."""
+    return (*base.names, *(term.name(robot) for term in friction_terms(robot)))
 
-    Args:
-        robot: that moves.
-        base: its base parameters.
-        motion: of it.
-        columns: of `base_columns`, where they are known.
-    """
-    W = motion.decimate_columns(base_columns(robot, base, motion.q, motion.v, motion.a) if columns is None else columns)
-    names = (*base.names, *(term.name(robot) for term in friction_terms(robot)))
-    return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
+
+def base_rows(robot: Robot, base: BaseParameters, motion: MeasuredMotion) -> Rows:
+    """Return the regression of the base parameters, then of the numbers of the motors' friction, along a motion."""
+    columns = base_columns(robot, base, motion.q, motion.v, motion.a)
+    return rows_of([motion], [columns], base_names(robot, base), len(robot))
 
 
 def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> None:

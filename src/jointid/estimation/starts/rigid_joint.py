@@ -126,7 +126,7 @@ def _regress(
     held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
     if not np.all(known):
         position = np.interp(instants, instants[known], position[known])
-    motion = motion_along(held, position[:, np.newaxis], filtering, delay)
+    motion = motion_along([held], position[:, np.newaxis], filtering, delay)
     assert filtering.position_cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
     weights = known * steady_weights(motion.v[:, 0], filtering.position_cutoff, sample_time)[1]
