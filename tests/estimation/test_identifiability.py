@@ -49,8 +49,6 @@ def test_of_two_frictions_the_sum_is_to_be_used() -> None:
     assert total.std == pytest.approx(np.sqrt(together.sum()))
     assert difference.std == pytest.approx(np.sqrt(together[0, 0] + together[1, 1] - 2 * together[0, 1]))
     assert difference.std > 10 * total.std
-    assert total.verdict == "well"
-    assert difference.verdict == "poorly"
     assert len(found.limitations) == 1
     assert found.limitations[0].values["value"] == pytest.approx(total.value)
     assert found.limitations[0].values["std"] == pytest.approx(total.std)
@@ -88,7 +86,6 @@ def test_of_what_has_one_effect_only_the_combination_is_stated() -> None:
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
     assert found.undetermined == ("motor_viscous", "load_viscous")
     assert [known.combination.formula for known in found.physical] == ["Fv1 + Fv2"]
-    assert found.physical[0].verdict == "well"
     (limitation,) = found.limitations
     assert limitation.values["std"] == pytest.approx(found.physical[0].std)
 

@@ -35,9 +35,9 @@ def test_a_linear_problem_has_the_textbook_s_interval(which: int | str) -> None:
     asked = Combination("sum", "A + B", "", {"a": 1.0, "b": 1e-3}) if which == "sum" else single(free[int(which)], "")
     weights = asked.vector(free)
     toy = linear(free, A, y)
-    found = profile(toy, x, asked, white(A, y - A @ x), Profiling(level=0.9))
+    found = profile(toy, x, asked, white(A, y - A @ x))
     s2 = np.sum((y - A @ x) ** 2) / (ROWS - 3)
-    half = stats.t.ppf(0.95, ROWS - 3) * np.sqrt(s2 * weights @ np.linalg.inv(A.T @ A) @ weights)
+    half = stats.t.ppf(0.5 + 0.9545 / 2, ROWS - 3) * np.sqrt(s2 * weights @ np.linalg.inv(A.T @ A) @ weights)
     assert found.bounded
     assert found.interval == pytest.approx((weights @ x - half, weights @ x + half), rel=1e-6, abs=1e-6 * half)
     assert found.evaluations == len(toy.asked)

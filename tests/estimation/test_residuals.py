@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.residual_tests import coupling, residual_report, whiteness
+from jointid.uncertainty.residual_tests import coupling, whiteness
 
 FILTERING = Filtering(cutoff=60.0).resolve(1e-3)
 STEP = 6e-3
@@ -43,29 +43,6 @@ def test_coloured_noise_and_a_tone_are_not_white() -> None:
 def test_a_residual_too_short_to_judge_is_not_judged() -> None:
     assert whiteness(np.random.default_rng(3).standard_normal(60), STEP, 60.0) is None
     assert whiteness(np.zeros(4000), STEP, 60.0) is None
-
-
-def test_a_tone_is_in_its_band() -> None:
-    time = STEP * np.arange(4000)
-    measured = 10.0 * np.sin(2 * np.pi * 0.5 * time) + 3.0 * np.sin(2 * np.pi * 27.0 * time)
-    error = 1.5 * np.sin(2 * np.pi * 27.0 * time + 0.4)
-    found = residual_report(error, measured, STEP, 60.0)
-    held = next(band for band in found.bands if (band.low, band.high) == (15.0, 30.0))
-    assert held.error == pytest.approx(0.5, rel=0.01)
-    assert held.share == pytest.approx(1.0, abs=1e-4)
-    assert found.bands[0].error == pytest.approx(0.0, abs=1e-3)
-
-
-def test_the_bands_are_octaves_below_the_cutoff_and_hold_all_of_it() -> None:
-    e = seen(np.random.default_rng(5).standard_normal(SAMPLES))
-    found = residual_report(e, 10.0 * e, STEP, 60.0)
-    edges = [band.low for band in found.bands]
-    assert edges == [0.0, 0.9375, 1.875, 3.75, 7.5, 15.0, 30.0, 60.0]
-    assert found.bands[-1].high == pytest.approx(83.3333)
-    assert sum(band.share for band in found.bands) == pytest.approx(1.0)
-    assert found.bands[-1].share < 0.1
-    assert found.bands[-2].share == pytest.approx(0.5, abs=0.06)  # half of the pass band holds half of white noise
-    assert all(band.error == pytest.approx(0.1) for band in found.bands)
 
 
 def test_chance_is_that_of_motions_that_have_nothing_to_do_with_each_other() -> None:

@@ -22,7 +22,6 @@ from jointid.common.text import in_words, interval, join, number
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
-_WELL, _POORLY = 0.1, 0.5  # of its parameters' size: a combination's 2 sigma
 _ROUNDING = 1e-9  # of the largest singular value: a combination that the torque does not contain
 _PART = 1e-3  # of a combination of unit columns: a smaller term is rounding
 _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, no part of the answer
@@ -99,27 +98,16 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A combination of parameters, its value and its accuracy.
+    """A combination of parameters, its value and its standard deviation."""
 
-    Attributes:
-        relative: standard deviation over the size of what is combined, a ratio.
-    """
-
-    in_json = "verdict"
     combination: Combination
     value: float
     std: float
-    relative: float
 
     @property
     def interval(self) -> tuple[float, float]:
         """Two standard deviations about the value."""
         return self.value - 2 * self.std, self.value + 2 * self.std
-
-    @property
-    def verdict(self) -> str:
-        """Grade: "well" for 2 sigma up to 10 % of the terms, "poorly" up to 50 %, else "not"."""
-        return "well" if 2 * self.relative <= _WELL else "poorly" if 2 * self.relative <= _POORLY else "not"
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,13 +145,10 @@ def identifiability(
     own = [i for i, p in enumerate(parameters) if p.quantity not in _SURROUNDING]
     joint = [parameters[i] for i in own]
     spread = Covariance(covariance.std[own], covariance.correlation[np.ix_(own, own)])
-    scale = np.where(x == 0.0, covariance.std, np.abs(x))
-    scale = np.where(scale > 0, scale, 1.0)
 
     def assess(combination: Combination) -> Known:
         weights = combination.vector(parameters)
-        std = covariance.std_of(weights)
-        return Known(combination, float(weights @ x), std, std / float(np.linalg.norm(weights * scale)))
+        return Known(combination, float(weights @ x), covariance.std_of(weights))
 
     norms, unseen, separable = column_norms(J), find_unseen(J), find_separable(J)
 

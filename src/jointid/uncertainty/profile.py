@@ -28,6 +28,7 @@ from jointid.solvers.solve import Counted, Problem, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.identifiability import Combination
 
+_LEVEL = 0.9545  # of the intervals, that of 2 sigma
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _FIRST = 0.5  # of the way to where a linear problem would end
 _BEYOND, _NEARER, _FARTHER = 1.05, 1.5, 3.0  # of the threshold's root, aimed at; and by what the way then grows
@@ -43,13 +44,11 @@ class Profiling:
     """Settings of a profile.
 
     Attributes:
-        level: of the interval; 0.9545 is that of 2 sigma.
         points: at most, on each side.
         evaluations: at most, of one fit.
         tolerance: relative, of a fit, on the sum of squares and on the parameters.
     """
 
-    level: float = 0.9545
     points: int = 14
     evaluations: int = 30
     tolerance: float = 1e-8
@@ -62,7 +61,6 @@ class ProfileInterval:
     Attributes:
         name, formula, unit: of the quantity.
         estimate: of it.
-        level: of the interval.
         points: (points,) its values, in increasing order, the estimate among them.
         rise: (points,) of the sum of squares over the lowest found.
         threshold: the rise at which the interval ends.
@@ -77,7 +75,6 @@ class ProfileInterval:
     formula: str
     unit: str
     estimate: float
-    level: float
     points: FloatArray
     rise: FloatArray
     threshold: float
@@ -103,7 +100,7 @@ class ProfileInterval:
         ]
         lower = "; the estimate was not the minimum" if self.improved else ""
         return (
-            f"{self.formula} = {number(self.estimate)} {self.unit}, {100 * self.level:.4g} % profile interval "
+            f"{self.formula} = {number(self.estimate)} {self.unit}, {100 * _LEVEL:.4g} % profile interval "
             f"{' to '.join(ends)} ({self.evaluations} evaluations{lower})"
         )
 
@@ -200,7 +197,7 @@ def profile(
     weights, bounds = combination.vector(problem.free), Bounds.of(problem.free)
     residual, J = counted.linearise(x)
     direction, flat = _least_rise(J, weights)
-    half = _quantile(settings, residual.size - x.size) * covariance.std_of(weights)
+    half = _quantile(residual.size - x.size) * covariance.std_of(weights)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
     found, threshold = [centre], half**2 / flat if flat else 0.0
     interval: tuple[float | None, float | None] = (None, None)
@@ -226,16 +223,16 @@ def profile(
         below = _crossing(values[best::-1], rise[best::-1], threshold)
         interval = below, _crossing(values[best:], rise[best:], threshold)
     return ProfileInterval(
-        combination.name, combination.formula, combination.unit, centre.value, settings.level, values, rise, threshold,
+        combination.name, combination.formula, combination.unit, centre.value, values, rise, threshold,
         interval, centre.cost - lowest.cost > _IMPROVED * threshold, counted.evaluations,
     )  # fmt: skip
 
 
-def _quantile(settings: Profiling, degrees: int) -> float:
+def _quantile(degrees: int) -> float:
     """Return that of Student's distribution of so many degrees of freedom, of a two-sided interval."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(max(degrees, 1), 0.5 + 0.5 * settings.level))
+    return float(stdtrit(max(degrees, 1), 0.5 + 0.5 * _LEVEL))
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:

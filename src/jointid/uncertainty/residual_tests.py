@@ -1,4 +1,4 @@
-"""Tests of the residual: size, spectrum, whiteness, coupling to other axes.
+"""Tests of the residual: size, whiteness, coupling to other axes.
 
 **Whiteness.** The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
 taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
@@ -11,7 +11,6 @@ This is the Ljung-Box test for unequal variances (Diebold 1986; Lobato, Nankervi
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -23,28 +22,10 @@ from jointid.uncertainty.position_dependent_error import Repeatable
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
 _ROWS_PER_LAG = 4  # at least
-_OCTAVES = 6  # below the cut-off; what lies further down is one band
 _LEVEL = 0.05
 _SHIFTS = 200  # of other axes against the residual: enough for a 95 % quantile
 _BY_CHANCE = 0.95  # quantile of what is explained where there is no coupling
 _APART = 0.05  # of the record: shifts by less still see the same motion
-_ROUNDING = 1e-12  # of the torque's: a band with less in it holds nothing to compare with
-
-
-@dataclass(frozen=True, slots=True)
-class ResidualBand:
-    """The residual between two frequencies.
-
-    Attributes:
-        low, high: Hz.
-        error: norm of the residual over that of the torque, both in the band; None where the torque has nothing there.
-        share: of the residual's energy.
-    """
-
-    low: float
-    high: float
-    error: float | None
-    share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +54,7 @@ class Whiteness:
 
 @dataclass(frozen=True, slots=True)
 class ResidualReport:
-    """Size, bands and tests of the residual torque.
+    """Size and tests of the residual torque.
 
     Attributes:
         relative: norm of the residual over that of the torque, both filtered; a ratio.
@@ -85,7 +66,6 @@ class ResidualReport:
     relative: float
     rms: float
     unit: str
-    bands: tuple[ResidualBand, ...]
     whiteness: Whiteness | None
     repeatable: Repeatable | None
 
@@ -98,7 +78,7 @@ def residual_report(
     unit: str = "N",
     repeatable: Repeatable | None = None,
 ) -> ResidualReport:
-    """Report on a residual torque, in octaves up to the cut-off and one band above.
+    """Report on a residual torque.
 
     Args:
         error: (rows,) measured less predicted torque, filtered and decimated.
@@ -112,7 +92,6 @@ def residual_report(
         relative=_ratio(error, measured),
         rms=float(np.sqrt(np.mean(error**2))),
         unit=unit,
-        bands=_divide_into_bands(error, measured, sample_time, cutoff),
         whiteness=whiteness(error, sample_time, cutoff),
         repeatable=repeatable,
     )
@@ -145,25 +124,6 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     if kept < 1:
         return np.zeros(0)
     return np.asarray(np.fft.irfft(spectrum[: kept + 1], 2 * kept + 1))
-
-
-def _divide_into_bands(
-    error: FloatArray, measured: FloatArray, sample_time: float, cutoff: float
-) -> tuple[ResidualBand, ...]:
-    nyquist = 0.5 / sample_time
-    octaves = [min(cutoff, nyquist) / 2**i for i in range(_OCTAVES, -1, -1)]
-    edges = [0.0, *octaves, *([nyquist] if nyquist > cutoff else [])]
-    window = np.hanning(error.size)  # or the ends, which do not meet, would spread the lowest band over all
-    residual, torque = (np.abs(np.fft.rfft(window * signal)) ** 2 for signal in (error, measured))
-    frequency = np.fft.rfftfreq(error.size, sample_time)
-    total, whole = float(residual.sum()) or 1.0, float(torque.sum())
-    found = []
-    for low, high in itertools.pairwise(edges):
-        inside = (frequency >= low) & ((frequency < high) | (high == edges[-1]) & (frequency <= high * (1 + 1e-12)))
-        left, there = float(residual[inside].sum()), float(torque[inside].sum())
-        error_there = math.sqrt(left / there) if there > _ROUNDING**2 * whole else None
-        found.append(ResidualBand(low, high, error_there, left / total))
-    return tuple(found)
 
 
 def _ratio(error: FloatArray, signal: FloatArray) -> float:

@@ -25,7 +25,7 @@ from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, fit_flexible, follow
 from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_law_changes
 from jointid.estimation.identify_record import identify_record
-from jointid.estimation.methods.drive_side import DriveSideFit, grid_starts, motion_problem
+from jointid.estimation.methods.drive_side import grid_starts, motion_problem
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import log_delay
 from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
@@ -141,7 +141,7 @@ def _judge_motion(declared: Hypothesis, best: Fit | None, _: float) -> tuple[flo
     The motion of a flexible joint is prescribed then, and not compared at rest. Its residual is scaled to that of the
     other causes by the residuals of the best of them under both measures.
     """
-    record, joint, settings = declared.record, declared.loops[0].joint, DriveSideFit()
+    record, joint = declared.record, declared.loops[0].joint
     assert record.torque is not None
     moved = replace(record, motor_position=record.reference, load_position=None)
     try:
@@ -149,7 +149,7 @@ def _judge_motion(declared: Hypothesis, best: Fit | None, _: float) -> tuple[flo
             return None, identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
         delay = log_delay(None, record.torque.sample_time)
         problem = motion_problem(moved, DriveSide(joint), declared.filtering, joint.parameters, delay)
-        start = grid_starts(problem, settings)[0][0]
+        start = grid_starts(problem, None)[0][0]
         solution = follow(problem, start, MORE)
     except (JointidError, np.linalg.LinAlgError):
         return None

@@ -19,14 +19,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress
+from jointid.common.messages import Detail
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
@@ -36,7 +36,6 @@ from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
     SAID,
     moving_weights,
-    noise_limit_of,
     steady_weights,
     torque_and_positions,
 )
@@ -57,8 +56,8 @@ from jointid.simulation.prescribed import (
     simulate_drive_side,
 )
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, Step, Watch, solve
-from jointid.uncertainty.covariance import Covariance, Influence
+from jointid.solvers.solve import Step, solve
+from jointid.uncertainty.covariance import Influence
 
 _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
@@ -83,12 +82,14 @@ class DriveSideProblem(RecordProblem):
         motion: of the motor, prescribed.
         weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
         sample_time: seconds.
+        limit: Hz, the highest cut-off that the noise of the position allows.
     """
 
     joint: Joint
     motion: PrescribedMotion
     weights: FloatArray
     sample_time: float
+    limit: float
 
     @property
     def inside(self) -> slice:
@@ -160,7 +161,8 @@ def motion_problem(
     require_free(parameters)
     torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
     sample_time = torque.sample_time
-    filtering = filtering.resolve(sample_time, setup.joint.model, find_noise_limit([position], sample_time))
+    limit = find_noise_limit([position], sample_time)
+    filtering = filtering.resolve(sample_time, setup.joint.model, limit)
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     motion = _from_rest(prescribed_motion(smooth, sample_time))
@@ -175,6 +177,7 @@ def motion_problem(
         motion,
         weights,
         sample_time,
+        limit,
     )
 
 
@@ -248,50 +251,76 @@ class DriveSideFit(Method):
         if task.joint.model == "rigid" and _linear(problem, None)[0] == math.inf:
             # Of a light joint in noise the reversals may be all that tells of its inertia.
             problem = replace(problem, weights=weights_of(problem.motion))
-        starts, simulations = grid_starts(problem, self)
-        solution = solve(problem, LevenbergMarquardt(self.tolerance), np.array(starts), _report_steps(task.progress))
-        J, error = solution.jacobian, solution.residual
+        starts, simulations = grid_starts(problem, self.frequency)
+        numbers = itertools.count(1)
+
+        def watch(step: Step) -> None:
+            task.progress(Detail(f"iteration {next(numbers)}: residual {step.norm:.6g}"))
+
+        found = solve(problem, LevenbergMarquardt(self.tolerance), np.array(starts), watch)
+        x, J, error = found.x, found.jacobian, found.residual
         influence = Influence(J, error)
         covariance = influence.widen_for_motion(influence.widen_for_bands(influence.by_time()))
-        resting = 1 - float(np.mean(weights_of(problem.motion)))
-        rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
-        limit = noise_limit_of(record, task.joint, ("motor_position",))
-        noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
-        used = simulations + solution.evaluations
-        warnings = (*noise, *((rest,) if resting > SAID else ()))
-        return _build_result(record, problem, solution, covariance, used, warnings)
-
-
-def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
-    """Return the best few starts, and the simulations they took (see the module)."""
-    if problem.joint.model == "rigid":
-        cost, found = _linear(problem, None)
-        if cost == math.inf:
-            raise MethodError(
-                f"Torque and motor position give inertia = {found['inertia']:.4g}, which no joint has: one of them has "
-                "the wrong sign (set record.channels.torque.sign = -1), or they do not belong together."
+        # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
+        idle = np.asarray(~J.any(axis=0), dtype=np.bool_)
+        covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
+        lost = [p.name for p, of in zip(problem.free, idle, strict=True) if of]
+        lost += find_lost(problem.free, x, covariance.std)
+        warnings = list(describe_noise_limit(problem.filtering, problem.limit, problem.sample_time, task.joint.model))
+        if (resting := 1 - float(np.mean(weights_of(problem.motion)))) > SAID:
+            warnings.append(
+                f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
             )
-        return [_vector(problem, found)], 1
+        late = -problem.values(x)[LOG_DELAY.name]
+        return Estimate(
+            params=build_params(problem, x, covariance, tuple(lost), find_active_bounds(problem.free, x, error, J)),
+            fit=build_fit(
+                problem,
+                problem.predict(x),
+                problem.residual(x),
+                found.message,
+                converged=found.converged,
+                simulations=simulations + found.evaluations,
+            ),
+            checks=Checks(warnings=tuple(warnings)),
+            data=build_data(record, ("torque", "motor_position"), problem.sample_time),
+            settings=Settings(
+                "drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, late
+            ),
+        )
+
+
+def grid_starts(problem: DriveSideProblem, frequency: float | None) -> tuple[list[FloatArray], int]:
+    """Return the best few starts, and the simulations they took (see the module); of a rigid joint there is one.
+
+    Args:
+        problem: to be solved.
+        frequency: motor-locked, Hz; None tries a row of them.
+
+    Raises:
+        MethodError: at none of them are all inertias positive.
+    """
     cutoff = problem.filtering.cutoff
     assert cutoff is not None
-    grid = [settings.frequency or 0.0]
-    if settings.frequency is None:
+    flexible = problem.joint.model == "flexible"
+    grid = [frequency if flexible else None]
+    if flexible and frequency is None:
         grid = [cutoff * _LOWEST ** (1 - i / (_GUESSES - 1)) for i in range(_GUESSES)]
-    tried = in_threads(lambda frequency: _linear(problem, frequency), grid)
+    tried = in_threads(lambda one: _linear(problem, one), grid)
     costs = np.array([cost for cost, _ in tried])
     # A valley of the criterion is refined once; the ends of the row are no worse than values outside it.
     around = np.concatenate([[np.inf], costs, [np.inf]])
     valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
     if not valleys:
         raise MethodError(
-            "At no motor-locked frequency below the cut-off do torque and motor position give a joint with positive "
-            "inertias: one of them has the wrong sign (set record.channels.torque.sign = -1), or they do not belong "
-            "together."
+            "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (set "
+            "record.channels.torque.sign = -1), or they do not belong together."
         )
     # One that explains much less of the torque than another will not overtake it.
     lowest = float(min(costs))
     best = sorted((i for i in valleys if costs[i] <= _WORSE * lowest), key=lambda i: float(costs[i]))[:_REFINED]
-    return [_vector(problem, tried[i][1]) for i in best], len(grid)
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}  # goes before what was found
+    return [problem.vector(tried[i][1] | given) for i in best], len(grid)
 
 
 def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
@@ -332,63 +361,3 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
             found[name.replace("motor_", "load_")] = found[name]
     positive = min(found[inertia], found.get("load_inertia", 1.0)) > 0
     return (float(np.linalg.norm(Y - columns @ chi)) if positive else math.inf), found
-
-
-def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray:
-    """Return a start: what the user gives goes before what was found."""
-    given = {p.name: p.start for p in problem.parameters if p.start is not None}
-    return problem.vector({**found, **given})
-
-
-def _report_steps(progress: Progress) -> Watch:
-    """Return a listener that reports the residual of every step."""
-    numbers = itertools.count(1)
-
-    def watch(step: Step) -> None:
-        progress(Detail(f"iteration {next(numbers)}: residual {step.norm:.6g}"))
-
-    return watch
-
-
-def _build_result(
-    record: Record,
-    problem: DriveSideProblem,
-    solution: Solution,
-    covariance: Covariance,
-    simulations: int,
-    warnings: Sequence[str] = (),
-) -> Estimate:
-    """Return the fit.
-
-    Args:
-        record: what was identified from.
-        problem: what was solved.
-        solution: of least squares.
-        covariance: of the errors of its parameters.
-        simulations: that were run.
-        warnings: on the record.
-    """
-    x = solution.x
-    # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
-    idle = np.asarray(~solution.jacobian.any(axis=0), dtype=np.bool_)
-    covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
-    lost = (
-        *find_lost(problem.free, x, covariance.std),
-        *(p.name for p, of in zip(problem.free, idle, strict=True) if of),
-    )
-    held = find_active_bounds(problem.free, x, solution.residual, solution.jacobian)
-    delay = -problem.values(x)[LOG_DELAY.name]
-    return Estimate(
-        params=build_params(problem, x, covariance, lost, held),
-        fit=build_fit(
-            problem,
-            problem.predict(x),
-            problem.residual(x),
-            solution.message,
-            converged=solution.converged,
-            simulations=simulations,
-        ),
-        checks=Checks(warnings=tuple(warnings)),
-        data=build_data(record, ("torque", "motor_position"), problem.sample_time),
-        settings=Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, delay),
-    )

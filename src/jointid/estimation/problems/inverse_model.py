@@ -240,18 +240,6 @@ def torque_and_positions(
     return replace(torque, values=torque.values[:size]), tuple(position.values[:size] for position in positions)
 
 
-def noise_limit_of(record: Record, joint: Joint, names: Sequence[str]) -> float:
-    """Return the highest cut-off that the noise of positions of a record allows, Hz; see `find_noise_limit`.
-
-    Args:
-        record: with a torque and these positions.
-        joint: whose units they have.
-        names: of the positions.
-    """
-    torque, positions = torque_and_positions(record, joint, names, _title(joint))
-    return find_noise_limit(positions, torque.sample_time)
-
-
 def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) -> MeasuredMotion:
     """Return the motion of a record with the positions a joint needs.
 

@@ -127,7 +127,7 @@ class Visibility:
             return replace(estimate, checks=replace(checks, verdicts=(*checks.verdicts, self.verdict)))
         assert isinstance(joint, FlexibleJoint) and checks.known is not None
         sums = [
-            Known(_sum_of(p, joint.unit(p)), self.rigid[p.name], std, std / (abs(self.rigid[p.name]) or 1.0))
+            Known(_sum_of(p, joint.unit(p)), self.rigid[p.name], std)
             for p in joint.rigid.parameters
             if (std := self.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
         ]

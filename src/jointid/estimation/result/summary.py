@@ -322,20 +322,6 @@ def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
     return Table(header, rows, caption)
 
 
-def bands_table(estimate: Estimate, caption: str = "") -> Table | None:
-    """Return the residual in each band of frequencies; None where it was not computed."""
-    if estimate.fit.residuals is None:
-        return None
-    rows = tuple(
-        (
-            f"{number(band.low, 3)} to {number(band.high, 3)}",
-            "-" if band.error is None else f"{100 * band.error:.2f}",
-            f"{100 * band.share:.1f}",
-        )
-        for band in estimate.fit.residuals.bands
-    )
-    return Table(("band [Hz]", "error [% of the torque there]", "share of the residual [%]"), rows, caption)
-
 
 _LETTERS: Mapping[str, str] = {"inertia": "J", "stiffness": "c", "damping": "d", "viscous": "b", "coulomb": "T_C"}
 _SIDES: Mapping[str, str] = {"motor": "M", "rotor": "M", "load": "L", "link": "L"}

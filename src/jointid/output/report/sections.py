@@ -26,7 +26,6 @@ from jointid.common.text import sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.summary import bands_table
 from jointid.output.figures import charts
 from jointid.output.figures.axis_drawing import axis_figure, resonance_sentence
 from jointid.output.report.page import Repetition
@@ -182,8 +181,6 @@ def _result(given: ReportData) -> Iterator[Block]:
 
 def _beside(given: ReportData, name: str) -> Block | None:
     """Return the numbers beside a picture; None where there are none."""
-    if name == "residual":
-        return bands_table(given.estimate, "The residual by frequency")
     return Listing(tuple(map(str, given.profiles))) if name == "profiles" else None
 
 
