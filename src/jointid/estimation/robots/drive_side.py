@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -143,11 +144,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         error = self.error(run)
         weights = self.weights(error.size)
         for _ in range(_BEGINNINGS if places else 0):
-            moved = differentiate_drive_side(run, places)
-            J = (
-                self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
-                * weights[:, np.newaxis]
-            )
+            J = self._moved_by(run, places) * weights[:, np.newaxis]
             norms = column_norms(J)
             step = np.linalg.lstsq(J / norms, error * weights, rcond=None)[0] / norms
             for share in (1.0, 0.3, 0.1):
@@ -163,18 +160,18 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
 
     def slopes(self, run: RobotDriveSideRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-
-        def of(some: tuple[NumberPlace, ...]) -> FloatArray:
-            moved = differentiate_drive_side(run, some)
-            return self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
-
         places, columns = self.parameters.places, self.regressor(run)
         moving = [c for c, place in enumerate(places) if moves_links(place, run.numbers)]
         if moving:
-            columns[:, moving] += self.in_blocks(of, [places[c] for c in moving])
+            columns[:, moving] += self.in_blocks(partial(self._moved_by, run), [places[c] for c in moving])
         if _DELAY in places:
             columns[:, places.index(_DELAY)] = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
         return self.by_search_variables(columns, x)
+
+    def _moved_by(self, run: RobotDriveSideRun, places: tuple[NumberPlace, ...]) -> FloatArray:
+        """Return the derivatives of the filtered torques by numbers that move the links, (rows, places)."""
+        moved = differentiate_drive_side(run, places)
+        return self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
 
     def regressor(self, run: RobotDriveSideRun) -> FloatArray:
         """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""

@@ -8,7 +8,7 @@ warm up.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -155,31 +155,19 @@ def identify_payload(
             "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; of a joint, compare two estimates."
         )
     robot = model if isinstance(model, Robot) else model.robot
-    name = (
-        {Robot: "idim", RobotLoop: "didim", RobotDriveSide: "drive_side"}[type(model)]
-        if method is None
-        else method.name
-    )
-    if isinstance(empty, Estimate) and empty.settings.method != name:
-        raise MethodError(
-            f"The estimate without the payload is by {empty.settings.method}, and the record with it is identified by "
-            f"{name}; expected one method for both: give the record without the payload."
-        )
-    logs = [log for log in (empty, loaded) if not isinstance(log, Estimate)]
-    if any(record.payload for log in logs for record in log):
-        raise MethodError(
-            "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
-            "Record.payload, out."
-        )
-    each, said_of = list[Estimate](), list[tuple[str, ...]]()
+    each, warnings = list[Estimate](), list[str]()
     for log in (empty, loaded):
         if isinstance(log, Estimate):
             each.append(log)
             continue
+        if any(record.payload for record in log):
+            raise MethodError(
+                "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
+                "Record.payload, out."
+            )
         each.append(fit_robot(log, model, method, filtering=filtering, progress=progress))
-        said_of.append((*each[-1].checks.warnings, *robot_record_warnings(log, robot)))
-    found = payload_difference(*each)
-    return Payload(found.link, found.inertial, found.covariance, tuple(dict.fromkeys(sum(said_of, ()))))
+        warnings += [*each[-1].checks.warnings, *robot_record_warnings(log, robot)]
+    return replace(payload_difference(*each), warnings=tuple(dict.fromkeys(warnings)))
 
 
 def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
@@ -193,6 +181,9 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
         MethodError: the estimates are of two robots, an estimate did not settle or refuses a parameter, the robot does
             not tell all of a payload, or its mass comes out negative.
     """
+    methods = [one.settings.method for one in (empty, loaded)]
+    if methods[0] != methods[1]:
+        raise MethodError(f"The estimates are by {' and '.join(methods)}; expected one method for both.")
     parts = first, second = empty.require_robot(), loaded.require_robot()
     for estimate, part, which in zip((empty, loaded), parts, ("without the payload", "with it"), strict=True):
         if hidden := [one.joint for one in part.springs if not one.shown]:
