@@ -21,7 +21,7 @@ LEAST_SQUARES: dict[str, LevenbergMarquardt | TrustRegion] = {
     "Levenberg-Marquardt": LevenbergMarquardt(TIGHT, 2000),
 }
 DIGITS = 6.0  # of the worst parameter; the hardest, MGH09, gives 6.4
-RUNS_AWAY = {("Levenberg-Marquardt", "BoxBOD", 0), ("Levenberg-Marquardt", "Eckerle4", 0)}
+RUNS_AWAY = {("Levenberg-Marquardt", "BoxBOD", 0)}
 """From far away a whole Gauss-Newton step leads to where nothing can be evaluated; a trust region does not take it."""
 
 
@@ -44,7 +44,7 @@ def test_least_squares_gives_the_certified_digits(name: str, regression: Certifi
     assert end.jacobian == pytest.approx(regression.linearise(end.x)[1], rel=1e-9)
 
 
-@pytest.mark.parametrize("regression", [r for r in REGRESSIONS if r.name in ("Misra1b", "Lanczos3", "MGH09")])
+@pytest.mark.parametrize("regression", [r for r in REGRESSIONS if r.name in ("Misra1a", "Lanczos3", "MGH09")])
 def test_the_order_of_the_rows_decides_nothing(regression: Certified) -> None:
     """Sums in another order round differently, as another processor's do; a search ends all the same."""
     rng = np.random.default_rng(9)
@@ -111,17 +111,12 @@ def test_a_curved_valley_is_followed_to_its_end(name: str) -> None:
 
 @pytest.mark.parametrize("name", LEAST_SQUARES)
 def test_a_bound_that_holds_is_reached(name: str) -> None:
-    end = solve(Rosenbrock(upper=0.5), LEAST_SQUARES[name], START)
-    assert end.x == pytest.approx([0.5, 0.25e-12], rel=1e-6)
-    assert end.converged
+    for start in (START, np.array([3.0, 1e-12])):
+        end = solve(Rosenbrock(upper=0.5), LEAST_SQUARES[name], start)
+        assert end.x == pytest.approx([0.5, 0.25e-12], rel=1e-6)
+        assert end.converged
     if name == "Levenberg-Marquardt":  # a trust region ends within the bounds, as near as its tolerance
         assert end.x[0] == 0.5
-
-
-@pytest.mark.parametrize("name", LEAST_SQUARES)
-def test_a_start_beyond_the_bounds_is_brought_within(name: str) -> None:
-    end = solve(Rosenbrock(upper=0.5), LEAST_SQUARES[name], np.array([3.0, 1e-12]))
-    assert end.x == pytest.approx([0.5, 0.25e-12], rel=1e-6)
 
 
 @dataclass(frozen=True)
@@ -142,20 +137,6 @@ def test_parameters_that_cannot_be_told_apart_do_no_harm(name: str) -> None:
 
 
 @dataclass(frozen=True)
-class Remainder(Rosenbrock):
-    """A parameter that moves little of a residual most of which nothing explains."""
-
-    def linearise(self, x: Array) -> tuple[Array, Array]:
-        return np.array([x[0] - 5.0, 300.0, x[1] * 1e12]), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1e12]])
-
-
-def test_what_a_short_reach_keeps_small_is_still_moved() -> None:
-    end = solve(Remainder(), LevenbergMarquardt(1e-9, reach=np.array([1.0, np.inf])), np.zeros(2))
-    assert end.converged
-    assert end.x[0] == pytest.approx(5.0)
-
-
-@dataclass(frozen=True)
 class Cliff(Rosenbrock):
     """It cannot be evaluated, and is large, before its lowest point."""
 
@@ -170,14 +151,6 @@ def test_a_cliff_is_no_minimum() -> None:
     assert not end.converged
     assert "not converged" in end.message
     assert end.x[0] <= 0.0
-
-
-@pytest.mark.parametrize("solver", LEAST_SQUARES.values(), ids=str)
-def test_nothing_leads_away_from_where_nothing_can_be_evaluated(solver: LevenbergMarquardt | TrustRegion) -> None:
-    start = np.array([2.0, 1e-12])
-    end = solve(Cliff(), solver, start)
-    assert end.status is Status.NOT_EVALUABLE
-    assert not end.converged
 
 
 def test_several_starts_say_how_many_agree() -> None:
