@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -122,15 +120,3 @@ def test_a_rigid_joint_needs_no_load() -> None:
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
     assert any("rests in" in warning for warning in estimate.checks.warnings)
-
-
-def test_an_answer_goes_to_json_and_back(tmp_path: Path) -> None:
-    from jointid.output import json as answers
-
-    record = twin("L19", noise="none").record.without("reference", "injected")
-    estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    answers.write(answers.to_dict(estimate), tmp_path / "found.json")
-    back = answers.load_estimate(tmp_path / "found.json", ji.DriveSide(JOINT))
-    assert back.settings.method == "drive_side"
-    assert back.values == pytest.approx(estimate.values)
-    assert ji.validate(back, record).filtered_error == pytest.approx(estimate.fit.filtered_error, rel=1e-6)

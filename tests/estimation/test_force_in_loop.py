@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.messages import ignore_progress
@@ -87,37 +86,6 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     error, slopes = problem.linearise(x)
     std = uncertainty(Influence(slopes, error), problem.cells(problem.simulate(x)))
     assert allow_for_force(problem, x, -slopes, std.covariance.std, History(ignore_progress)) is None
-
-
-def test_intervals_hold_what_a_force_moves_where_a_gain_is_free_too() -> None:
-    axis = servo(25)
-    found = ji.identify(axis.record, axis.loop, ji.DIDIM(free=("velocity_gain",)), checks=False)
-    for name in ("coulomb", "viscous"):
-        row = found[name]
-        assert row.value is not None and row.stderr is not None
-        assert abs(row.value - axis.truth[name]) <= 2 * row.stderr
-    assert any("force in the loop" in note for note in found.checks.notes)
-
-
-@pytest.mark.slow
-def test_intervals_of_several_records_hold_what_their_forces_move() -> None:
-    period, truth = 1e-3, {"inertia": 0.1, "viscous": 0.2, "coulomb": 2.0, "offset": 0.3}
-    law = Cascade(position_gain=30.0, velocity_gain=20.0, integral_gain=100.0, delay=0.5e-3, period=period)
-    loop = ji.ClosedLoop(ji.RigidJoint(kind="revolute"), law)
-    records = []
-    for seed, swing in enumerate((1.5, 1.2)):
-        random = np.random.default_rng(seed)
-        reference = trapezoids((1.0, 2.0, 3.0), 10.0, swing, period, rest=0.5, duration=12.0)
-        force = lfilter([1.0], [1.0, -0.97], random.standard_normal(reference.size))
-        noise = 0.02 * random.standard_normal(reference.size)
-        forces = {"disturbance": 0.15 * force / force.std(), "torque_noise": noise}
-        whole = simulated_record(loop, reference, truth, sample_time=period, **forces)
-        records.append(whole.without("motor_position"))
-    found = ji.identify(records, loop, checks=False)
-    for name in ("viscous", "coulomb"):
-        row = found[name]
-        assert row.value is not None and row.stderr is not None
-        assert abs(row.value - truth[name]) <= 2 * row.stderr
 
 
 @pytest.mark.slow

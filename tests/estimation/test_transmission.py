@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import compress
 
 import numpy as np
 import pytest
 
-from jointid.common.transmission import Side, Transmission
+from jointid.common.transmission import Transmission
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.several_records import SeveralRecords
@@ -19,7 +18,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -122,42 +121,6 @@ def test_either_side_of_a_gear_gives_the_same_answer(gear: Transmission, model: 
     assert values_of(back)[name] == pytest.approx(truth[name], rel=0.02)
 
 
-@cache
-def swinging(sign: int) -> tuple[Record, dict[str, float], Estimate]:
-    """Return the record of a link in gravity on the motor's side, its values, and its estimate there."""
-    own = FlexibleJoint("revolute", gravity=Gravity("link", Counterbalance(cos=0.1), angle=sign / 100.0))
-    values = {**FLEXIBLE, "gravity_cos": 0.4, "gravity_sin": 0.15, "counterbalance_cos": 0.1}
-    reference = trapezoids((60.0, 120.0), 400.0, 200.0, RATE, duration=10.0)
-    known = pulses(reference.size, RATE, height=0.3, width=0.015, every=0.4, seed=3)
-    noise = 0.004 * np.random.default_rng(4).standard_normal(reference.size)
-    loop = ClosedLoop(own, LAW)
-    record = simulated_record(loop, reference, values, sample_time=RATE, injected=known, torque_noise=noise)
-    return record, values, identify(record, loop)
-
-
-@pytest.mark.parametrize("side", [pytest.param("load", marks=pytest.mark.slow), "motor"])
-@pytest.mark.parametrize("sign", [pytest.param(1, marks=pytest.mark.slow), -1])
-def test_a_link_in_gravity_is_the_same_on_either_side_of_its_gear(side: Side, sign: int) -> None:
-    """An arm of 40 and 15 N m, a counterbalance of 10 N m on it, behind a gear of 100:1: its motor swings 200 rad."""
-    gear = Transmission(load="revolute", ratio=100.0, sign=sign, side=side)
-    record, values, motor = swinging(sign)
-    # The counterbalance is given on the side of the joint; its angle is the link's.
-    r = gear.motor_per_load if side == "load" else 1.0
-    weight = Gravity("link", Counterbalance(cos=0.1 * r), angle=1.0 if side == "load" else sign / 100.0)
-    geared = FlexibleJoint("revolute", transmission=gear, gravity=weight)
-    there = identify(on_side(record, gear), ClosedLoop(geared, replace(LAW, ratio=gear.torque("motor"))))
-    back = there.params.rows if side == "motor" else there.other_side
-    of_joint = [p.of_joint for p in motor.params.rows]
-    here, beside = (values_of(list(compress(found, of_joint))) for found in (motor.params.rows, back))
-    assert apart(here, beside) < CLOSE
-    begun = next(p for p in back if p.name == "initial_position")  # beside 0: what counts is its deviation
-    assert abs((begun.value or 0.0) - (motor["initial_position"].value or 0.0)) < 1e-6 * (begun.stderr or 0.0)
-    assert apart(deviations_of(motor.params.rows), deviations_of(back)) < 1e-7
-    assert there.fit.simulations == motor.fit.simulations
-    for name in ("stiffness", "load_inertia", "motor_inertia", "gravity_cos", "gravity_sin"):
-        assert abs((motor[name].value or 0.0) - values[name]) <= 4 * (motor[name].stderr or 0.0), name
-
-
 def test_several_records_are_told_on_both_sides() -> None:
     """A wheel of 0.5 kg m2 on the arm, 5e-5 on the motor, added to the second record."""
     heavy = {**RIGID, "inertia": RIGID["inertia"] + 5e-5}
@@ -175,54 +138,6 @@ def test_several_records_are_told_on_both_sides() -> None:
     assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-8
     # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
     assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.fit.simulations
-
-
-@pytest.mark.parametrize("model", ["rigid", "flexible"])
-@pytest.mark.parametrize("mass", [1 / 3, 1024.0])
-def test_units_of_mass_length_and_time_do_not_matter_behind_a_gear(model: str, mass: float) -> None:
-    """A screw in other units of mass, length and time, ratios that round among them: the same answer, scaled."""
-    length, time = 1e3 / 7, 64.0
-    plain = found(model, SCREW)
-    gear = replace(SCREW, lead=0.010 * length)
-    unit = mass * length**2 / time**2  # of the motor's torque; an angle has none
-    force = mass * length / time**2
-    law = replace(
-        LAW,
-        position_gain=LAW.position_gain / time,
-        velocity_gain=LAW.velocity_gain * unit * time,
-        limit=LAW.limit * unit,
-        ratio=gear.torque("motor"),
-    )
-    record = on_side(scaled(logged(model), 1.0, unit, time), gear)
-    moved = identify(record, ClosedLoop(joint_of(model, gear), law))
-    by = {
-        "kg": mass,
-        "N s/m": force * time / length,
-        "N": force,
-        "N/m": force / length,
-        "m": length,
-        "m/s": length / time,
-    }
-    values = {p.name: None if p.value is None else p.value * by[p.unit] for p in plain.params.rows}
-    assert apart(values, values_of(moved.params.rows)) < CLOSE
-    assert moved.fit.simulations == plain.fit.simulations
-
-
-def scaled(record: Record, position: float, torque: float, time: float) -> Record:
-    """Return a record in other units of position, torque and time."""
-
-    def of(channel: Channel | None, by: float) -> Channel | None:
-        return channel and replace(channel, values=channel.values * by, sample_time=channel.sample_time * time)
-
-    assert record.injected is not None
-    known = of(record.injected.channel, torque)
-    assert known is not None
-    return replace(
-        record,
-        torque=of(record.torque, torque),
-        injected=replace(record.injected, channel=known),
-        **{n: of(getattr(record, n), position) for n in ("reference", "motor_position", "load_position")},  # type: ignore[arg-type]
-    )
 
 
 @pytest.mark.parametrize("gear", [TURNED, SCREW], ids=["turned round", "screw"])

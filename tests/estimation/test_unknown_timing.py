@@ -8,7 +8,6 @@ import pytest
 import jointid as ji
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.unknown_timing import fit_unstated_timing
-from jointid.records.record import Timing
 from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
 
@@ -46,17 +45,6 @@ def test_stated_timing_is_obeyed_and_a_wrong_one_is_said(timing, windows):
     found = ji.identify(stated, ji.RigidJoint("revolute"), ji.IDIM(), windows=windows, checks=False)
     said = [one for one in found.checks.warnings if "samples before held" in one]
     assert [one.startswith("the torque is stated as held") for one in said] == [True] * (timing == "held")
-
-
-def test_validation_reads_a_fresh_record_as_the_estimate_did():
-    fresh = logged(200.0, False, 2, noise=0.002)[0]
-    found = ji.identify(logged(200.0, False, 1, noise=0.002)[0], ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
-    assert found.settings.timing == "sampled"
-    errors = [
-        ji.validate(found, replace(fresh, torque=replace(fresh.torque, timing=timing, stated=stated))).filtered_error
-        for timing, stated in (("held", False), ("sampled", True), ("held", True))
-    ]
-    assert errors[0] == errors[1] < errors[2]
 
 
 @pytest.mark.parametrize("samples", [2, -3])
@@ -158,17 +146,3 @@ def test_a_reading_that_cannot_be_fitted_is_said(fails):
     found, told = fit_unstated_timing([record], fit), fit([stated])
     assert "the other reading is as possible" in found.checks.warnings[0]
     assert (found.params["viscous"].stderr > 1.05 * told.params["viscous"].stderr) == (fails == "averaged")
-
-
-def test_a_parameter_that_only_one_reading_has_is_no_fault():
-    """As the difference of two encoders' zeros, which is taken only where a reading shows it."""
-    record = logged(200.0, False, 1, noise=0.002)[0]
-
-    def fit(records):
-        found = identify_record(records[0], ji.RigidJoint("revolute"), ji.IDIM())
-        rows = found.params.rows if records[0].torque.timing is Timing.HELD else found.params.rows[:-1]
-        return replace(found, params=replace(found.params, rows=rows))
-
-    found = fit_unstated_timing([record], fit)
-    assert found.settings.timing == "sampled"
-    assert [row.name for row in found.params.rows] == ["inertia", "viscous", "coulomb"]

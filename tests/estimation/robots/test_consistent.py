@@ -23,7 +23,7 @@ from jointid.output.export import export
 from jointid.records.signals.filtering import Filtering
 from tests.estimates import errors_of_bodies
 from tests.estimation.robots.test_rigid_robots import recorded
-from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, identified, records_of
+from tests.estimation.robots.twin import COULOMB, ROTORS, arm, identified, records_of
 from tests.models.robots.trees import random_body
 from tests.robots_plants import Twin, six, two
 
@@ -78,16 +78,6 @@ def test_bodies_that_do_not_fit_are_not_exported() -> None:
         match=r"5\d\d standard deviations off",
     ):
         export(spoilt, "urdf")
-
-
-@pytest.mark.slow
-def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_directions() -> None:
-    first = replace(ARM.joints[0], viscous_backwards=20.0, coulomb_backwards=30.0)
-    declared = replace(ARM, joints=(first, *ARM.joints[1:]))
-    found = consistent_robot(identified(declared, records_of(ARM, 2, noise=0.5))).robot.joints[0]
-    assert found.viscous == pytest.approx(VISCOUS[0], rel=0.05)
-    assert found.viscous_backwards == pytest.approx(VISCOUS[0], rel=0.05)
-    assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05) and found.coulomb_backwards is None
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.validation import Prediction, validate
-from jointid.estimation.methods.idim import IDIM, InverseModelRobot, drives, simulate_robot
+from jointid.estimation.methods.idim import IDIM, InverseModelRobot, simulate_robot
 from jointid.estimation.problems.inverse_model import filter_motion
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
@@ -113,20 +113,6 @@ def test_a_rise_of_friction_that_the_record_does_not_reach_is_refused() -> None:
     rise = Parameter("stribeck_force", "Fs", Quantity.FORCE).fix(0.5)
     found = identified(declared, records, parameters={"joint2.stribeck_force": rise})
     assert found.params["joint2.stribeck_force"].value == 0.5 and not found.params["joint2.stribeck_force"].free
-
-
-def test_a_friction_that_is_less_towards_standstill_drives_nothing() -> None:
-    loop = two().loop()
-    records, _ = recorded(loop, two().records(8.0), 0.01)
-    first, second = loop.robot.joints
-    declared = replace(loop.robot, joints=(first, replace(second, stribeck_force=0.0, stribeck_speed=0.2)))
-    found = by_idim(declared, records)
-    assert not any(drives(found, joint) for joint in range(2))
-    place = found.names.index("joint2.stribeck_force")
-    for rise, objects in ((-0.5 * second.coulomb, False), (-2.0 * second.coulomb, True)):
-        values = found.values.copy()
-        values[place] = rise
-        assert drives(replace(found, values=values), 1) is objects
 
 
 @pytest.mark.slow

@@ -118,15 +118,6 @@ def test_a_known_delay_that_counts_from_a_timing_that_nobody_stated_is_searched(
     assert deviations["log_delay"] == row.stderr
 
 
-@pytest.mark.slow
-def test_damping_makes_up_for_a_log_that_is_late_and_taken_for_one_that_is_not() -> None:
-    twin = two((12.0, 18.0))
-    taken = identified(twin, logged(twin, duration=6.0, late=3), delay=0.0)
-    assert "log_delay" not in taken.names
-    damping, _ = taken.value("joint1.damping")
-    assert damping > 1.8 * RobotNumbers.of(twin.robot).springs[0, 1]
-
-
 def test_a_record_that_begins_in_motion() -> None:
     twin = two((12.0, 18.0))
     found = identified(twin, logged(twin, duration=5.0, first=1500), frequencies=hertz(twin))
@@ -209,27 +200,6 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert "not seen apart" not in told.answer
     travel = [float(np.ptp(r.motor_position.values)) for r in logged(twin) if r.motor_position]
     assert [one.travel for one in told.axes] == pytest.approx(travel, rel=0.05)
-
-
-@pytest.mark.slow
-def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
-    """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
-    twin = two((12.0, 18.0))
-    begun = logged(twin, duration=8.0, first=1500)
-    estimate = ji.identify(begun, ji.robots.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
-    assert "joint1.initial_link_velocity" in estimate.params
-    assert np.all(axis_errors(estimate) < 0.015)
-    assert np.all(estimate.require_robot().nominal_errors < 1.1 * axis_errors(estimate))
-    held = ji.validate(estimate, logged(twin, duration=7.0, seed=4, first=1500))
-    assert all(axis.filtered_error < 0.02 for axis in held.axes)
-
-
-def test_a_robot_that_does_not_hold_is_not_praised() -> None:
-    """Frequencies far off lead to a wrong place: what is left of the torques says so, first."""
-    twin = two((12.0, 18.0))
-    wrong = ji.DriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
-    found = ji.identify(logged(twin), ji.robots.RobotDriveSide(twin.robot), wrong)
-    assert "torque_unexplained" in found.answer.trust.values["reasons"]
 
 
 def hertz(twin: Twin) -> Mapping[str, float]:
