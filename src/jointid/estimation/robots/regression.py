@@ -168,7 +168,8 @@ def motion_of_robot(
     motion = motion_along(channels, motors, resolved)
     assert resolved.position_cutoff is not None
     moving = [steady_weights(each, resolved.position_cutoff, sample_time, smear, few=0.0)[1] for each in motion.v.T]
-    joints, measured = np.linalg.inv(robot.coupling).T, motion.torque
+    joints = np.linalg.inv(robot.coupling).T
+    measured = motion.torque
     q, v, a = motion.q @ joints, motion.v @ joints, motion.a @ joints
     if payload := records[-1].payload:  # its torque is known
         carried = inverse_columns(robot, q, v, a)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
