@@ -103,5 +103,3 @@ def test_what_repeats_with_the_motion_is_not_taken_for_a_spring() -> None:
         of_place += quick(left(error), [direction], WHERE).p_value <= 0.05
     assert of_time >= 18
     assert of_place <= 11
-
-

@@ -69,7 +69,8 @@ def total(groups: Sequence[Sums]) -> Sums:
 def step_of(sums: Sums, room: Bounds) -> FloatArray:
     """Minimise ``||e + J s||^2`` within bounds on the step, (free,)."""
     R = root_of(sums)
-    error = np.linalg.lstsq((R / scale_of(sums.A)).T, sums.b / scale_of(sums.A), rcond=None)[0]
+    scale = scale_of(sums.A)
+    error = np.asarray(np.linalg.lstsq((R / scale).T, sums.b / scale, rcond=None)[0], dtype=np.float64)
     return damped_step(error, R, room)
 
 

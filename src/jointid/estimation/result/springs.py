@@ -50,7 +50,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, of_w
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import robust, white
+from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, Kind, Known, find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
@@ -182,7 +182,7 @@ def visible(
     error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
-    judged = uncertainty(slopes, slopes, error, where, problem.torque_unit)
+    judged = uncertainty(Influence(slopes, error), where, problem.torque_unit)
     linear, said, made = with_linear_spring(problem), "", None
     reasons = [*_doubts(problem, x, J, known, error, together)]
     if not reasons:
@@ -535,7 +535,7 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     bent = replace(stiff, mode=made.room[1] / 1.2).residual(x) - error
     made.simulations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
-    ratio = float(robust(J, J, error).std[-1] / white(J, error).std[-1])
+    ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
     return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)
 
 

@@ -295,12 +295,12 @@ def combinations_table(estimate: Estimate, caption: str = "", *, differences: bo
     known = estimate.checks.known
     every = () if known is None else known.physical
     rows = tuple(
-        (of.name.partition(",")[0], interval(one.value, 2 * one.std), of.unit, one.verdict, of.formula)
+        (of.name.partition(",")[0], interval(one.value, 2 * one.std), of.unit, of.formula)
         for one in every
         if (of := one.combination) and (differences or of.kind is not Kind.DIFFERENCE)
     )
-    header = ("combination", "value ± 2 sigma", "unit", "known", "symbol")
-    return Table(header, rows, caption, words=(0, 2, 3, 4)) if rows else None
+    header = ("combination", "value ± 2 sigma", "unit", "symbol")
+    return Table(header, rows, caption, words=(0, 2, 3)) if rows else None
 
 
 def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
@@ -320,7 +320,6 @@ def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
         for b in bounds
     )
     return Table(header, rows, caption)
-
 
 
 _LETTERS: Mapping[str, str] = {"inertia": "J", "stiffness": "c", "damping": "d", "viscous": "b", "coulomb": "T_C"}
