@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -61,9 +61,11 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.signals.position_noise import describe_noise_limit
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_numbers import RobotNumbers, robot_with
-from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
 from jointid.solvers.regression import conditioning
+
+if TYPE_CHECKING:
+    from jointid.simulation.robot_numbers import RobotNumbers
+    from jointid.simulation.robots import RobotLoop
 
 _VARIANTS = {
     "ols": "IDIM by ordinary least squares",
@@ -327,6 +329,8 @@ class InverseModelRobot(IdentifiedRobot):
 
     def robot(self) -> Robot:
         """Return the robot that was identified, of rigid joints: what is grouped stands in the first of its sum."""
+        from jointid.simulation.robot_numbers import robot_with
+
         return robot_with(self.model.rigid, _numbers(self.model.rigid, self.base, self.values))
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
@@ -365,7 +369,7 @@ def identify_robot(
     base, logs, terms = base_parameters(robot), each_log(records), friction_terms(robot)
     motions = motions_of_logs(robot, logs, filtering or Filtering())
     limits, simulated = _select_motor_friction(robot, known or {}), None
-    if estimator == "iv" and isinstance(model, RobotLoop):
+    if estimator == "iv" and not isinstance(model, Robot):
         simulated = [simulate_robot(model, log, base) for log in logs]
     columns_of = partial(base_columns, robot, base)
     found = regress(motions, columns_of, base_names(robot, base), len(robot), estimator, limits, simulated)
@@ -494,6 +498,8 @@ def simulate_robot(loop: RobotLoop, records: Sequence[Record], base: BaseParamet
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
+    from jointid.simulation.robots import prepare_robot, run_robot, simulation_of
+
     rigid = loop.robot.rigid
     experiment, joints = prepare_robot(replace(loop, robot=rigid), records), np.linalg.inv(rigid.coupling).T
 
@@ -507,6 +513,8 @@ def simulate_robot(loop: RobotLoop, records: Sequence[Record], base: BaseParamet
 
 def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNumbers:
     """Return a robot with base parameters and friction, each base parameter in the first of its sum."""
+    from jointid.simulation.robot_numbers import RobotNumbers
+
     n = len(robot)
     standard = np.zeros((len(SYMBOLS) + 1) * n)
     standard[base.chosen] = values[: len(base)]
