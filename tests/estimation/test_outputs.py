@@ -294,7 +294,7 @@ def test_idim_takes_a_computed_torque_when_it_is_asked_for(folder: Path) -> None
     found = file.identify(file.record())
     assert found.params["inertia"].value == pytest.approx(0.5, rel=0.01)
     assert scale_status(found) == ["unknown"]
-    assert found.sentence.endswith("instrument.")
+    assert found.answer.trust.values["reasons"] == ["motion_measured"]
 
 
 PDS = tuple(ji.controller.PD(position_gain=p, derivative_gain=d) for p, d in ((6000.0, 400.0), (5000.0, 350.0)))

@@ -37,16 +37,6 @@ def test_intervals_of_a_robot_hold_the_truth():
     assert np.mean(inside) >= 0.85
 
 
-@pytest.mark.parametrize("windows", [None, ji.Windowing(5.0)])
-@pytest.mark.parametrize("timing", ["held", "sampled"])
-def test_stated_timing_is_obeyed_and_a_wrong_one_is_said(timing, windows):
-    record = logged(200.0, False, 1, noise=0.002)[0]
-    stated = replace(record, torque=replace(record.torque, timing=timing, stated=True))
-    found = ji.identify(stated, ji.RigidJoint("revolute"), ji.IDIM(), windows=windows, checks=False)
-    said = [one for one in found.checks.warnings if "samples before held" in one]
-    assert [one.startswith("the torque is stated as held") for one in said] == [True] * (timing == "held")
-
-
 @pytest.mark.parametrize("samples", [2, -3])
 def test_intervals_cover_a_log_that_is_late(samples):
     record = logged(200.0, True, 1)[0]

@@ -3,8 +3,7 @@
 **IDIM.** A torque held from its stamp and one sampled at it differ by half a sample. That moves friction and inertia.
 The residual power of least squares is nearly a parabola in the shift. Three shifts, held, sampled and averaged, give
 its minimum. The reading that is nearer to it is taken. Each interval is widened by the change of its parameter up to
-the minimum, and by the change for two deviations of the minimum. A stated timing is obeyed; where the minimum lies
-nearer to another reading by more than three deviations, the answer says so.
+the minimum, and by the change for two deviations of the minimum. A stated timing is obeyed.
 
 **The drive side.** The log's delay is a parameter, and another reading changes it by half a sample
 and nothing else. So it is estimated, also where it was given, and its own interval covers half a sample.
@@ -30,7 +29,6 @@ from jointid.records.record import Channel, Record, Timing
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
 _FLAT = 1e-6  # cost: less is taken for rounding, and the record does not tell the readings apart
-_CONTRADICTED = 1.5  # times two deviations: a stated timing that is farther from the minimum than halfway to another
 _DELAY_SAID = (
     "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
     "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
@@ -41,11 +39,11 @@ _READINGS = (Timing.HELD, Timing.SAMPLED, Timing.AVERAGED)
 Logs: TypeAlias = Sequence[Record]
 
 
-def read_as(records: Logs, timing: Timing | None, stated: bool = False) -> Logs:
-    """Return records with another timing of the torques that are stated, or are not; None keeps it."""
+def read_as(records: Logs, timing: Timing | None) -> Logs:
+    """Return records with another timing of the torques that do not state it; None keeps it."""
 
     def read(torque: Channel) -> Channel:
-        return replace(torque, timing=timing) if timing and torque.stated == stated else torque
+        return replace(torque, timing=timing) if timing and not torque.stated else torque
 
     return [one if one.torque is None else replace(one, torque=read(one.torque)) for one in records]
 
@@ -59,23 +57,21 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], Estimate]) -> Estim
         records: of one log, or of the joints of a robot.
         fit: of records.
     """
-    torques = [record.torque for record in records if record.torque is not None]
-    stated = all(torque.stated for torque in torques)
-    read = {torque.timing for torque in torques if stated or not torque.stated}
     first = fit(records)
-    if first.settings.method == "drive_side" and not stated:
+    read = {one.torque.timing for one in records if one.torque is not None and not one.torque.stated}
+    if read and first.settings.method == "drive_side":
         return _widen(first, {LOG_DELAY.name: 0.25 * first.data.sample_time}, _DELAY_SAID)  # half in two deviations
-    if first.settings.method != "idim" or (stated and (len(read) != 1 or first.fit.simulations)):
-        return first  # instruments are simulated, minutes for a robot
+    if not read or first.settings.method != "idim":
+        return first
     own, fits = min(read, key=_READINGS.index), dict[Timing, Estimate]()
     if len(read) == 1 and not first.fit.interrupted:
-        fits = _fit_readings(lambda timing: first if timing is own else fit(read_as(records, timing, stated)))
+        fits = _fit_readings(lambda timing: first if timing is own else fit(read_as(records, timing)))
     if not fits.keys() >= {Timing.HELD, Timing.SAMPLED}:
         said = (
             f"it is not stated whether the torque is held or sampled: it is read as {' and '.join(sorted(read))}; the "
             "other reading is as possible, and the intervals do not cover it; state timing of its channel"
         )
-        return first if stated else _widen(first, {}, said)
+        return _widen(first, {}, said)
 
     best, spread, told = _find_minimum(fits)
     both = [fits[timing] for timing in _READINGS[:2]]
@@ -88,10 +84,6 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], Estimate]) -> Estim
         if told
         else "the other reading is as possible"
     )
-    if stated:
-        said = f"the torque is stated as {own}, and {where}; check timing of its channel, and the delay"
-        agrees = abs(best - _READINGS.index(own)) <= 0.5 + _CONTRADICTED * spread
-        return first if agrees else _widen(first, {}, said)
     away = abs(best - at) + min(spread, 1.0)
     chosen, by = both[at], {name: away * one for name, one in change.items()}
     said = (
