@@ -124,11 +124,7 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
             "friction or stiffness, or an injected torque: fix one of them, or keep the gain."
         )
     verdict = scale_verdict(known, lost, identified=freed)
-    checks = replace(
-        fit.checks,
-        verdicts=(*fit.checks.verdicts, verdict),
-        warnings=(*fit.checks.warnings, verdict.said),
-    )
+    checks = replace(fit.checks, verdicts=(*fit.checks.verdicts, verdict))
     read = {*fit.data.channels, "motor_position", *(name for _, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
     return replace(fit, checks=checks, data=data, undetermined=lost)
