@@ -138,19 +138,6 @@ def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_an_estimate_is_read_back(tmp_path: Path) -> None:
-    whole = amended(
-        ESTIMATE,
-        params={
-            "rows": (*ESTIMATE.params.rows[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params.rows[3:])
-        },
-    )
-    answers.write(answers.to_dict(whole), tmp_path / "out.json")
-    back = answers.load_estimate(tmp_path / "out.json", LOOP)
-    assert (back.values, back.settings.filtering) == (whole.values, whole.settings.filtering)
-    assert back.data.fingerprints == whole.data.fingerprints and back.controller_sha256 == whole.controller_sha256
-
-
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"schema": "jointid.estimate/2"}', "[" * 100_000, "\0", '{"schema": 1}']
 )
