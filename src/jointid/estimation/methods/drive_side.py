@@ -39,7 +39,7 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
-from jointid.estimation.result.build_result import build_data, build_fit, build_params, find_active_bounds, find_lost
+from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds, find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
 from jointid.models.joints import Joint, acts_on_whole
@@ -272,21 +272,18 @@ class DriveSideFit(Method):
                 f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
             )
         late = -problem.values(x)[LOG_DELAY.name]
-        return Estimate(
-            params=build_params(problem, x, covariance, tuple(lost), find_active_bounds(problem.free, x, error, J)),
-            fit=build_fit(
-                problem,
-                problem.predict(x),
-                problem.residual(x),
-                found.message,
-                converged=found.converged,
-                simulations=simulations + found.evaluations,
-            ),
-            checks=Checks(warnings=tuple(warnings)),
-            data=build_data(record, ("torque", "motor_position"), problem.sample_time),
-            settings=Settings(
-                "drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, late
-            ),
+        left = problem.residual(x)
+        return build_estimate(
+            [record],
+            build_params(problem, x, covariance, tuple(lost), find_active_bounds(problem.free, x, error, J)),
+            (problem.measured, problem.predict(x)),
+            problem.filtered_error(left),
+            left.size,
+            (found.message, found.converged),
+            simulations + found.evaluations,
+            Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, late),
+            ("torque", "motor_position"),
+            Checks(warnings=tuple(warnings)),
         )
 
 

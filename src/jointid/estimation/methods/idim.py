@@ -37,9 +37,9 @@ from jointid.estimation.problems.inverse_model import (
     motion_of,
     through_window,
 )
-from jointid.estimation.result.build_result import build_data, build_robot_result, build_rows
-from jointid.estimation.result.estimate import Estimate, relative_error
-from jointid.estimation.result.parts import Checks, EstimatedParameter, Fit, Params, Settings
+from jointid.estimation.result.build_result import build_estimate, build_robot_result, build_rows
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import Checks, EstimatedParameter, Params, Settings
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
 from jointid.estimation.robots.regression import (
     Records,
@@ -148,31 +148,26 @@ class IDIM(Method):
         read = ["torque", *(loop.controller.channels if loop is not None and by_loop is not None else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
         noise = describe_noise_limit(filtering, motion.limit, sample_time, joint.model)
-        return Estimate(
-            params=Params(
+        made = build_estimate(
+            [record],
+            Params(
                 build_rows(parameters, values, std, joint.unit, own, held=held),
                 tuple(std),
                 covariance.correlation[np.ix_(free, free)],
             ),
-            fit=Fit(
-                measured=measured,
-                predicted=predicted,
-                borders=filtering.borders,
-                relative_error=relative_error(measured, predicted, filtering.borders),
-                filtered_error=float(np.linalg.norm(solved.residual) / np.linalg.norm(rows.Y)),
-                rows=solved.residual.size,
-                conditioning=conditioning(rows.W[:, free], solved.values[free]),
-                simulations=solved.simulations,
-                stop=solved.stop,
-                converged=solved.converged,
-            ),
-            checks=Checks(
+            (measured, predicted),
+            float(np.linalg.norm(solved.residual) / np.linalg.norm(rows.Y)),
+            solved.residual.size,
+            (solved.stop, solved.converged),
+            solved.simulations,
+            Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay),
+            read,
+            Checks(
                 warnings=(*noise, *_warnings(record, motion)),
                 tests=() if solved.test is None else (solved.test,),
             ),
-            data=build_data(record, tuple(read), sample_time),
-            settings=Settings("idim", _VARIANTS[estimator], joint, None, filtering, delay),
         )
+        return replace(made, fit=replace(made.fit, conditioning=conditioning(rows.W[:, free], solved.values[free])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -132,16 +132,57 @@ def build_fit(
     )
 
 
-def build_data(record: Record, channels: tuple[str, ...], sample_time: float) -> Data:
-    """Return the data of an estimate from one record."""
-    assert record.torque is not None
-    return Data(
-        channels=channels,
-        record=record.name,
-        sample_time=sample_time,
-        torque_unit=record.torque.unit,
-        fingerprint=fingerprint(record.torque.values),
-        resampled=record.resampled,
+def build_estimate(
+    records: Sequence[Record],
+    params: Params,
+    torques: tuple[FloatArray, FloatArray],
+    error: float,
+    rows: int,
+    end: tuple[str, bool],
+    simulations: int,
+    settings: Settings,
+    channels: Iterable[str],
+    checks: Checks | None = None,
+) -> Estimate:
+    """Return the estimate that a method ends with: of a joint or a robot, from one record or several.
+
+    Args:
+        records: that were read; of a robot those of its joints, one log after the other.
+        params: the parameters.
+        torques: (samples,) each, measured and predicted; of a robot (samples, n).
+        error: share of the filtered torque that the model leaves.
+        rows: of the filtered torque that were fitted.
+        end: why the search ended, and whether that is a good end.
+        simulations: that were run.
+        settings: model and method.
+        channels: that were read.
+        checks: what the method has tested.
+    """
+    (measured, predicted), (stop, converged), borders = torques, end, settings.filtering.borders
+    read = [record.torque for record in records if record.torque is not None]
+    return Estimate(
+        params=params,
+        fit=Fit(
+            measured=measured,
+            predicted=predicted,
+            borders=borders,
+            relative_error=relative_error(measured, predicted, borders),
+            filtered_error=error,
+            rows=rows,
+            simulations=simulations,
+            stop=stop,
+            converged=converged,
+        ),
+        checks=checks or Checks(),
+        data=Data(
+            record=join(list(dict.fromkeys(record.name for record in records))),
+            channels=tuple(channels),
+            sample_time=read[0].sample_time,
+            torque_unit=join(list(dict.fromkeys(torque.unit for torque in read))),
+            fingerprint=fingerprint(np.concatenate([torque.values for torque in read])),
+            resampled=records[0].resampled if len(records) == 1 else None,
+        ),
+        settings=settings,
     )
 
 
@@ -169,37 +210,27 @@ def build_closed_loop_result(
     """
     assert record.torque is not None
     assert problem.filtering.cutoff is not None
-    stop, converged = end
     error, whole = problem.filter_error(run, problem.measured[:, np.newaxis])
     step = problem.sample_time * (problem.filtering.decimation or 1)
     report = residual_report(
         error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit,
         known.repeatable,
     )  # fmt: skip
-    stated = identifiability(problem.free, problem.units, x, J, known.covariance)
-    fit = build_fit(problem, run.torque, error, stop, converged=converged, simulations=simulations)
-    held = find_active_bounds(problem.free, x, error, J)
-    return Estimate(
-        params=build_params(problem, x, known.covariance, held=held),
-        fit=replace(fit, residuals=report),
-        checks=Checks(
-            warnings=warn_of_limit(run.at_limit),
-            notes=tuple(map(str, known.warnings)),
-            known=stated,
-        ),
-        data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
-        settings=Settings(
-            "didim",
-            "DIDIM by least squares",
-            system=problem.joint,
-            loop=problem.loop_at(x),
-            filtering=problem.filtering,
-            delay=problem.values(x).get("delay", problem.experiment.law.delay),
-        ),
-        problem=problem,
-        x=x,
-        shifts=known.shifts,
+    checks = Checks(
+        warnings=warn_of_limit(run.at_limit),
+        notes=tuple(map(str, known.warnings)),
+        known=identifiability(problem.free, problem.units, x, J, known.covariance),
     )
+    delay = problem.values(x).get("delay", problem.experiment.law.delay)
+    loop = problem.loop_at(x)
+    settings = Settings("didim", "DIDIM by least squares", problem.joint, loop, problem.filtering, delay)
+    params = build_params(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J))
+    found = build_estimate(
+        [record], params, (problem.measured, run.torque), problem.filtered_error(error), error.size, end, simulations,
+        settings, list_loop_channels(problem.loop, record), checks,
+    )  # fmt: skip
+    fit = replace(found.fit, residuals=report)
+    return replace(found, fit=fit, problem=problem, x=x, shifts=known.shifts)
 
 
 def build_robot_result(
@@ -233,45 +264,25 @@ def build_robot_result(
         negative: joints whose friction comes out negative.
         warnings: of the method.
     """
-    model, (measured, predicted), (stop, converged) = part.model, torques, end
-    free = [i for i, row in enumerate(rows) if row.free]
-    left = dict(zip(model.names, map(float, errors), strict=True))
-    first = records[0].torque
-    assert first is not None
+    model, free = part.model, [i for i, row in enumerate(rows) if row.free]
     torques_of = [record.torque.values for record in records if record.torque is not None]
-    starts = range(0, len(torques_of), len(model))
-    channels = dict.fromkeys(name for record in records for name in record.channels)
-    return Estimate(
-        params=Params(
-            rows,
-            tuple(rows[i].name for i in free),
-            part.covariance.correlation[np.ix_(free, free)],
-        ),
-        fit=Fit(
-            measured=measured,
-            predicted=predicted,
-            borders=filtering.borders,
-            relative_error=relative_error(measured, predicted, filtering.borders),
-            filtered_error=float(np.sqrt(np.mean(errors**2))),
-            rows=count,
-            simulations=simulations,
-            stop=stop,
-            converged=converged,
-            axis_errors=left,
-        ),
-        checks=Checks(
-            verdicts=negative_friction(negative),
-            warnings=(*model.remarks, *warnings),
-        ),
-        data=Data(
-            record=join(list(dict.fromkeys(record.name for record in records))),
-            channels=tuple(channels),
-            sample_time=first.sample_time,
-            torque_unit=join(list(dict.fromkeys(r.torque.unit for r in records if r.torque is not None))),
-            fingerprint=fingerprint(np.concatenate(torques_of)),
-            logs=tuple(fingerprint(np.concatenate(torques_of[at : at + len(model)])) for at in starts),
-        ),
-        settings=Settings(*method, system=model, loop=None, filtering=filtering),
+    logs = [torques_of[at : at + len(model)] for at in range(0, len(torques_of), len(model))]
+    found = build_estimate(
+        records,
+        Params(rows, tuple(rows[i].name for i in free), part.covariance.correlation[np.ix_(free, free)]),
+        torques,
+        float(np.sqrt(np.mean(errors**2))),
+        count,
+        end,
+        simulations,
+        Settings(*method, system=model, loop=None, filtering=filtering),
+        dict.fromkeys(name for record in records for name in record.channels),
+        Checks(negative_friction(negative), warnings=(*model.remarks, *warnings)),
+    )
+    return replace(
+        found,
+        fit=replace(found.fit, axis_errors=dict(zip(model.names, map(float, errors), strict=True))),
+        data=replace(found.data, logs=tuple(fingerprint(np.concatenate(log)) for log in logs)),
         robot=part,
         records=tuple(records),
     )
