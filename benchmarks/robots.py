@@ -22,8 +22,8 @@ import numpy as np
 
 from jointid import identify
 from jointid.common.arrays import FloatArray
-from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.flexible import identify_flexible_robot
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.robots.didim import search_robot
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import begin, prepare_robot, run_robot
 from tests.estimation.robots.test_rigid_robots import recorded
@@ -76,8 +76,8 @@ def rigid(twin: Twin, duration: float, *, sample_time: float = 1e-3, delay: floa
     loop = twin.loop()
     loop = replace(loop, controllers=tuple(replace(one, delay=delay) for one in loop.controllers))  # type: ignore[type-var]
     records, _ = recorded(loop, twin.records(duration, sample_time=sample_time), 0.03)
-    taken = shortest(lambda: identify_rigid_robot(loop, records), 3)
-    fit = identify_rigid_robot(loop, records)
+    taken = shortest(lambda: search_robot(loop, records), 3)
+    fit = search_robot(loop, records)
     print(
         f"rigid DIDIM, {len(twin.robot)} joints, {duration:g} s at {1 / sample_time:g} Hz: "
         f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), "
@@ -94,8 +94,8 @@ def flexible(twin: Twin, duration: float, *, searched: bool) -> None:
     records, _ = recorded(twin.loop(), twin.records(duration, multisine=0.004), 0.02)
     near = (12.0, 14.0, 18.0, 24.0, 37.0, 37.0)
     given = None if searched else dict(zip(twin.robot.names, near, strict=True))
-    taken = shortest(lambda: identify_flexible_robot(twin.loop(), records, frequencies=given), 2)
-    found = identify_flexible_robot(twin.loop(), records, frequencies=given)
+    taken = shortest(lambda: search_robot(twin.loop(), records, None, DIDIM(frequencies=given or {})), 2)
+    found = search_robot(twin.loop(), records, None, DIDIM(frequencies=given or {}))
     print(
         f"flexible DIDIM, {len(twin.robot)} joints, {duration:g} s, modes {'looked for' if searched else 'given'}: "
         f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), {len(found.names)} parameters, {found.iterations} runs "

@@ -20,9 +20,8 @@ from scipy.spatial.transform import Rotation
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.robots.consistent import mass_matrix_at
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.simulated import problem_of
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
@@ -221,11 +220,8 @@ def judge(seed: int, flexible: bool) -> Found | None:
         return None
     refused = tuple[str, ...]()
     try:
-        if flexible:
-            fit = identify_flexible_robot(made.unknown, made.records)
-            refused = tuple(f"{one.joint}." for one in fit.springs if not one.shown)
-        else:
-            fit = identify_rigid_robot(made.unknown, made.records)
+        fit = search_robot(made.unknown, made.records)
+        refused = tuple(f"{one.joint}." for one in fit.springs if not one.shown)
     except JointidError as error:
         return Found(f"{type(error).__name__}: {error}")
     truth = fit.parameters.group(RobotNumbers.of(made.loop.robot))

@@ -7,14 +7,12 @@ import pytest
 
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import remarks
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -119,12 +117,6 @@ def test_a_vertical_axis_from_torque_alone() -> None:
     estimate = identify(torque_only(record), LIFT)
     assert_found(estimate, LIFT_TRUTH, 1e-6)
     assert [p.name for p in estimate.params.rows if not p.free][:2] == ["offset", "counterbalance_constant"]
-
-
-def test_where_a_motor_hangs_is_read_off_the_first_torque() -> None:
-    record = geared(initial=Initial(SAG))
-    problem = torque_problem(torque_only(record), GEARED_LOOP, Filtering(), GEARED.parameters)
-    assert beginning_position(problem) == pytest.approx(SAG, rel=1e-9)
 
 
 def test_a_link_from_encoders() -> None:

@@ -21,7 +21,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
-from tests.load_friction import LAWS, hanging_joint, lifting_arm
+from tests.load_friction import lifting_arm
 
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "friction_per_torque": 0.1, "offset": 1.5}
 ADDED = 10.0  # kg
@@ -83,21 +83,3 @@ def test_its_signature_is_of_the_torque_that_acts_and_not_of_the_logged_one() ->
     none, some = (own.torque(own.vector(truth | {"friction_per_torque": share})) for share in (0.0, 1e-4))
     law = (some - none) / 1e-4
     assert np.linalg.norm(found - law) < 0.1 * np.linalg.norm(law)
-
-
-@pytest.mark.slow
-def test_symmetric_friction_is_named_with_the_law_to_declare() -> None:
-    loop, record, truth = hanging_joint(1)
-    plain = replace(loop, joint=replace(loop.joint, friction=SymmetricFriction()))
-    found = ji.identify(record, plain, ji.DIDIM())
-    reasons = (reason for verdict in found.checks.verdicts for reason in verdict.reasons)
-    named = next(one for one in reasons if one.values.get("suspect") == "load_dependent_friction")
-    assert named.values["more_than_declared"] == pytest.approx(truth["friction_per_torque"], rel=0.2)
-    assert 'friction = "load-dependent"' in str(named)
-    arm = lifting_arm(1)
-    estimate = identify(arm.logs[0], arm.plain, ji.DIDIM())
-    said = " ".join(map(str, ji.diagnose(estimate, arm.logs[0], controllers=LAWS).sentences))
-    assert (
-        "grows with the load's torque" in said
-        and 'declare the joint with friction = "load-dependent" (by didim)' in said
-    )

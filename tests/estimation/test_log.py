@@ -5,45 +5,30 @@ from __future__ import annotations
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.identify import plan_windows
-from jointid.estimation.identify_log import stream
+from jointid.common.errors import MethodError
+from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import (
-    VISITS,
-    LogProblem,
-    LoopWindow,
-    Member,
-    Place,
-    Places,
     Windowing,
     compress,
-    motion,
-    repeats,
-    window_problem,
 )
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.chunks import Chunk, InMemory, Log
+from jointid.records.chunks import Log
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
 from jointid.uncertainty.resampling import Sums
 from jointid.uncertainty.verdict import Status, Subject
 from tests.estimates import identify
@@ -101,44 +86,6 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
 
 
-def windows_of(record: Record, window: ClosedLoopProblem) -> LogProblem:
-    """Return the problem of windows of 5 s."""
-    size, places = len(window.free), (Places.of(*motion(window)),)
-    member = Member((InMemory(record),), LoopWindow(window), np.arange(size), np.zeros(size))
-    return LogProblem((member,), window.free, 5000, 250, places, np.ones((1, 1)))
-
-
-def test_a_log_is_a_problem_that_any_solver_solves() -> None:
-    """Its residual and derivatives, in as few rows as have the same sums: bounded least squares ends at the same."""
-    record = rigid(30.0)
-    joint, filtering = LOOP.joint, Filtering()
-    window = window_problem(record, LOOP, filtering, joint.parameters, ())
-    problem = windows_of(record, window)
-    start = window.vector(TRUTH | {"inertia": 33.0, "coulomb": 12.0})
-    error, J = problem.linearise(start)
-    sums = problem.pass_over(start).sums
-    np.testing.assert_allclose(J.T @ J, sums.A, rtol=1e-9)
-    np.testing.assert_allclose(J.T @ error, sums.b, rtol=1e-6)
-    assert error @ error == pytest.approx(sums.square)
-    before = problem.tally.evaluations
-    streamed = stream(problem, start)
-    assert streamed.converged
-    assert problem.tally.evaluations == before + 3 * 6 + 1  # windows: of a sparse pass one, and of three whole ones all
-    np.testing.assert_allclose(streamed.x, solve(problem, LevenbergMarquardt(), start).x, rtol=1e-4)
-
-
-def test_where_nothing_is_left_nothing_repeats() -> None:
-    """A place is visited often enough, so that it would be wrong to say that there is none."""
-    nothing, signal = np.zeros(10), np.ones(10)
-    place = Place.of(nothing, nothing[:, np.newaxis], signal)
-    few, enough = (sum([place] * (visits - 1), start=place) for visits in (VISITS - 1, VISITS))
-    assert repeats([few], 0.0, "N").p_value is None
-    found = repeats([few, enough], 0.0, "N")
-    assert found.p_value == 1.0
-    assert not found.significant
-    assert (found.rms, found.share) == (0.0, 0.0)
-
-
 def test_a_residual_in_few_rows_has_as_many_whatever_its_rank() -> None:
     random = np.random.default_rng(0)
     error, signal, J = random.standard_normal(50), np.ones(50), random.standard_normal((50, 3))
@@ -189,42 +136,6 @@ def test_a_record_in_a_file_is_that_in_memory(tmp_path: Path) -> None:
     )
     for p in here.params.rows:
         assert there[p.name].value == pytest.approx(p.value, rel=1e-12)
-
-
-@dataclass
-class Stopped:
-    """A record whose reading is interrupted, in its first whole pass."""
-
-    source: InMemory
-    after: int
-    name: str = "stopped"
-
-    @property
-    def sample_time(self) -> float:
-        return self.source.sample_time
-
-    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        for count, piece in enumerate(self.source.chunks(length, overlap, every)):
-            if every == 1 and count >= self.after:
-                raise KeyboardInterrupt
-            yield piece
-
-
-def test_an_interrupt_keeps_what_it_had() -> None:
-    record = rigid(100.0)
-    whole, estimate = (
-        identify(record, LOOP),
-        identify(Stopped(InMemory(record), 12), LOOP, windows=Windowing(length=5.0)),
-    )
-    assert estimate.fit.interrupted
-    assert not estimate.fit.converged
-    assert estimate.data.windows.count == 12
-    assert estimate.fit.stop.startswith("interrupted after 12 windows")
-    std = whole["inertia"].stderr
-    assert std is not None
-    assert abs(estimate["inertia"].value - whole["inertia"].value) <= 3 * std
-    with pytest.raises(KeyboardInterrupt):  # of too few windows nothing can be said
-        identify(Stopped(InMemory(record), 3), LOOP, windows=Windowing(length=5.0))
 
 
 @pytest.mark.slow
@@ -302,18 +213,6 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
     assert "position_gain" not in estimate.values
 
 
-def test_a_delay_that_was_freed_is_the_one_that_is_reported() -> None:
-    declared, true = (
-        ClosedLoop(RigidJoint("prismatic"), PD(position_gain=1e5, derivative_gain=2000.0, delay=delay))
-        for delay in (1.5e-3, 2e-3)
-    )
-    reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
-    record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
-    estimate = identify(record, declared, windows=Windowing(length=5.0), method=DIDIM(free=("delay",)))
-    assert estimate["delay"].value == pytest.approx(2e-3, rel=1e-3)
-    assert estimate.settings.delay == estimate["delay"].value
-
-
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
     loop = ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), LOOP.controller)
@@ -353,7 +252,7 @@ def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> No
 
 def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     record, said = rigid(40.0), list[str]()
-    assert plan_windows(record, LOOP, None) is None
+    assert windows_of(record, LOOP, None) is None
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     found = ji.identify(record, LOOP, progress=said.append)
     assert found.data.windows is not None
@@ -363,7 +262,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
         assert found[name].value == pytest.approx(expected[name].value, rel=1e-9)
     (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
     assert loop.status is Status.PASSED, "the loop is checked in a part"
-    said_of = "40000 samples of the record are identified in windows of 13.3 s"
+    said_of = "is identified in windows of 13.3 s, of which one is checked"
     assert any(said_of in one for one in said) and any(said_of in one for one in found.checks.warnings)
     uses = (ji.diagnose, ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one))
     for use in uses:
@@ -398,29 +297,8 @@ def test_the_part_that_is_checked_has_travel_enough(off: bool, monkeypatch: pyte
     assert loop.status is Status.PASSED, loop
 
 
-def test_a_part_that_cannot_be_checked_ends_no_identification(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, first = rigid(40.0), list[ji.Estimate]()
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
-    for fails, said in ((True, "not checked: The torque"), (False, "not checked: no window has enough motion")):
-        with monkeypatch.context() as broken:
-            if fails:
-                broken.setattr("jointid.estimation.identify.identify_record", refuse)
-            else:
-                short = lambda one: None if len(one.reference) == 40_000 else "too short"  # noqa: E731
-                broken.setattr("jointid.diagnostics.identify.find_too_short", short)
-            found = ji.identify(record, LOOP, unchecked=first.append)
-        assert found.data.windows is not None
-        (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-        assert (loop.status, loop.said[: len(said)]) == (Status.UNKNOWN, said)
-    assert len(first) == 2
-
-
 def raise_(error: Exception) -> None:
     raise error
-
-
-def refuse(*_: object) -> None:
-    raise RecordError("The torque is 0 N in every sample.")
 
 
 def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -431,22 +309,6 @@ def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypat
     with pytest.raises(MethodError, match="does not tell"):
         ji.identify(record, LOOP)
     assert ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
-
-
-def test_an_interrupt_of_windows_by_themselves_checks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, said = rigid(100.0), list[str]()
-
-    def interrupt(message: str) -> None:
-        said.append(message)
-        if said.count(said[0]) == 1 and "torque error" in message and "windows," in message:
-            said.append(said[0])
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) // 8)
-    found = ji.identify(record, LOOP, progress=interrupt)
-    assert found.fit.interrupted
-    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-    assert loop.said.startswith("not checked: the identification was interrupted")
 
 
 TEN_MINUTES = """

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from jointid.apps.cli import main
-from jointid.records.chunks import Chunk, Log
 from tests.estimation.test_log import rigid, stored
 
 JOINT_FILE = """
@@ -55,7 +53,7 @@ def test_a_log_is_identified_and_every_key_documented(
     out = tmp_path / "out.json"
     assert run("identify", joint, "--window", 4, "--json", out, "--debug") == 0
     said = capsys.readouterr()
-    assert "rigid joint, DIDIM in windows, of day" in said.out
+    assert "rigid joint, DIDIM by least squares, in windows, of day" in said.out
     assert "20 of 4 s" in said.out
     assert "forgets how it began" in said.err
     answer = json.loads(out.read_text(encoding="utf-8"))
@@ -63,27 +61,6 @@ def test_a_log_is_identified_and_every_key_documented(
     assert answer["parameters"]["inertia"]["value"] == pytest.approx(30.0, abs=0.5)
     assert run("compare", out, out) == 0
     assert "None of 4 quantities changed" in (printed := capsys.readouterr().out) and "states no SHA-256" in printed
-
-
-@pytest.mark.slow
-def test_an_interrupted_log_is_told_as_far_as_it_was_read(
-    joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = Log.chunks
-
-    def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        for count, piece in enumerate(whole(self, length, overlap, every)):
-            if every == 1 and count == 14:
-                raise KeyboardInterrupt
-            yield piece
-
-    monkeypatch.setattr(Log, "chunks", stopped)
-    out = tmp_path / "out.json"
-    assert run("identify", joint, "--window", 4, "--json", out, "-q") == 130
-    said = capsys.readouterr()
-    assert "interrupted after 14 windows" in said.out
-    assert "no file is left half written" in said.err
-    assert json.loads(out.read_text(encoding="utf-8"))["fit"]["interrupted"] is True
 
 
 def test_a_bad_row_ends_it_with_its_line(joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -81,25 +81,6 @@ def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_b
 
 
 @pytest.mark.slow
-def test_how_the_motion_is_differentiated_makes_no_difference(
-    bench: Bench, hidden: ji.Estimate, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from jointid.simulation import prescribed
-
-    found = []
-    for cutoff in (350.0, 1000.0):
-        filtering = ji.Filtering(cutoff=150.0, position_cutoff=cutoff)
-        settings = ji.DriveSideFit(frequency=54.0)
-        found.append(ji.identify(bench.record(), ji.DriveSide(JOINT), settings, filtering=filtering))
-    for degree in (3, 5):
-        monkeypatch.setattr(prescribed, "_DEGREE", degree)
-        found.append(fit(bench, "measured", 150.0))
-    for estimate in found:
-        for name in PHYSICAL:
-            assert estimate[name].value == pytest.approx(hidden[name].value, rel=5e-4), name
-
-
-@pytest.mark.slow
 def test_the_band_moves_what_reads_the_commanded_current_and_not_the_measured_one(bench: Bench) -> None:
     commanded, measured = (
         np.array([fit(bench, current, cutoff)["stiffness"].value for cutoff in (100.0, 200.0)])

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import RecordProblem
 from jointid.models.joints import Joint, RigidJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
 
 Array = np.ndarray
 TIME = np.linspace(0.0, 1.0, 50)
@@ -53,10 +50,3 @@ def test_values_and_vector_are_each_others_inverse() -> None:
     assert list(kept.vector({"a": 7.0, "b": 4.0})) == [4.0]
     assert [p.name for p in kept.all_free().free] == ["a", "b"]
     assert [p.name for p in problem.free] == ["a", "b"]  # it is another problem, and this one is as it was
-
-
-def test_one_verb_solves_it() -> None:
-    end = solve(line(1.0, 2.0), LevenbergMarquardt(), np.zeros(2))
-    assert end.x == pytest.approx([1.0, 2.0])
-    kept = solve(line(1.0, 2.0).keeping({"a": 1.0}), LevenbergMarquardt(), np.zeros(1))
-    assert kept.x == pytest.approx([2.0])

@@ -14,7 +14,6 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
@@ -103,47 +102,6 @@ def test_a_fixed_parameter_keeps_its_value_and_a_wrong_one_biases_the_others() -
     assert errors(identify(made, LOOP, parameters=wrong).values, TRUTH) > 0.01
 
 
-def test_idim_must_respect_that_a_torque_is_held() -> None:
-    """On noise-free data the half period between stamp and action is the whole error."""
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    respected = identify(made, LOOP, IDIM())
-    sampled = identify(made, LOOP, IDIM(), filtering=Filtering(timing="as_sampled"))
-    assert errors(respected.values, TRUTH) < 2e-3
-    assert errors(sampled.values, TRUTH) > 5 * errors(respected.values, TRUTH)
-
-
-def test_idim_respects_delay_and_averaging() -> None:
-    late = Cascade(position_gain=120.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.4e-3)
-    loop = ClosedLoop(RigidJoint("prismatic"), late)
-    made = simulated_record(loop, MOVING, TRUTH, sample_time=T)
-    assert errors(identify(made, loop, IDIM()).values, TRUTH) < 3e-3
-    assert made.torque is not None
-    before = np.concatenate([made.torque.values[:1], made.torque.values[:-1]])  # mean of a held torque: the one before
-    averaged = Record(
-        torque=Channel(before, "N", T, Timing.AVERAGED), reference=made.reference, motor_position=made.motor_position
-    )
-    same = identify(averaged, loop, IDIM())
-    assert errors(same.values, TRUTH) < 3e-3
-
-
-@pytest.mark.slow
-def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
-    """A smoke test of the scale of the deviations, 60 seeds; the statistics proper come with the solver."""
-    clean = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    assert clean.torque is not None
-    inside = dict.fromkeys(TRUTH, 0)
-    runs = 60
-    for seed in range(runs):
-        noise = 4.0 * np.random.default_rng(seed).standard_normal(MOVING.size)
-        torque = Channel(clean.torque.values + noise, "N", T, Timing.HELD)
-        estimate = identify(Record(torque=torque, reference=clean.reference), LOOP)
-        for name, value in TRUTH.items():
-            std = estimate[name].stderr
-            assert std is not None
-            inside[name] += abs(estimate.values[name] - value) <= 2 * std
-    assert all(count >= 0.85 * runs for count in inside.values())
-
-
 @pytest.mark.parametrize("delay", [0.5e-3, 1e-3, 1.3e-3])
 @pytest.mark.parametrize("timing", [Timing.HELD, Timing.AVERAGED])
 def test_a_measured_torque_is_read_when_it_acts(delay: float, timing: Timing) -> None:
@@ -215,23 +173,6 @@ def test_least_squares_ends_at_a_bound_and_says_so() -> None:
     high = identify(made, LOOP, parameters={"inertia": replace(inertia, lower=100.0)})
     assert high["inertia"].value == pytest.approx(100.0, rel=1e-9)
     assert high["inertia"].at_bound == 100.0
-
-
-def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T).without("motor_position")
-    wrong = ClosedLoop(
-        RigidJoint("prismatic"),
-        Cascade(position_gain=16.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15),
-    )
-    estimate = identify(made, wrong)
-    assert "torque_unexplained" in estimate.answer.trust.values["reasons"]
-    assert "torque_unexplained" not in identify(made, LOOP).answer.trust.values["reasons"]
-
-
-def test_an_inertia_that_is_known_may_be_fixed() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    known = {"inertia": LOOP.joint.parameters[0].fix(TRUTH["inertia"])}
-    assert errors(identify(made, LOOP, parameters=known).values, TRUTH) <= 1e-6
 
 
 def test_torque_alone_in_ampere() -> None:

@@ -223,21 +223,6 @@ def test_what_one_record_refuses_another_may_tell() -> None:
         fill_starts([{"inertia": 1.0}], ["inertia", "coulomb"])
 
 
-def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    from jointid.simulation.kernels import drive as kernels
-
-    axis = twins("white")
-    records = [
-        logged(RIGID, {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}, "white", s) for s in (1, 2)
-    ]
-    calls = []
-    original = kernels.run
-    monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
-    found = identify(records, RIGID)
-    assert found.fit.simulations == len(calls)
-    assert axis.noise > 0
-
-
 # The real axis
 
 
@@ -268,6 +253,3 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     assert all(
         record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
     )
-
-
-# What is refused

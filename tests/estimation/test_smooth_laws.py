@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.diagnostics.compare import compare
 from tests.estimates import identify
 from tests.estimation.test_stribeck import noisy
 from tests.plants import prismatic
@@ -21,12 +20,3 @@ def test_a_flexible_joint_tells_its_law(law: str) -> None:
     for p in found.params.rows:
         if p.of_joint and p.identifiable and p.value is not None and p.stderr:
             assert abs(p.value - values[p.name]) < 4.5 * p.stderr, p.name
-
-
-@pytest.mark.slow
-def test_the_record_shows_that_its_friction_winds_up() -> None:
-    case = prismatic(1)
-    loop, values = with_law(case, "presliding")
-    found = compare(noisy(case, loop, values), case.loop, "frictions")
-    assert found.shown.name == "presliding"
-    assert found.sentence.endswith('; declare the joint with friction = "presliding" to identify it.')

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Literal
 
 import pytest
 
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Cascade
-from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import twin
-from jointid.records.record import Channel
-from studies.random_plants import NOISE, judge
-from tests.estimates import identify
-from tests.plants import rotary
+from studies.random_plants import judge
 
 
 @pytest.mark.parametrize("family", ["prismatic", pytest.param("rotary", marks=pytest.mark.slow)])
@@ -51,41 +45,3 @@ def test_any_start_from_15_to_60_hz_ends_at_the_truth(
     for name, value in axis.truth.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-4), name
     assert estimate.fit.simulations <= 700
-
-
-@pytest.mark.slow
-def test_units_of_mass_length_and_time_do_not_matter() -> None:
-    """The same drive in units of 1/1024 kg and 1/64 s: the same answer, after the same simulations."""
-    case = rotary(5)
-    record = case.noisy(NOISE, 5)
-    plain = identify(record, case.loop)
-    time = 64.0
-    torque = 1024.0 / time**2
-    controller = case.loop.controller
-    assert isinstance(controller, Cascade)
-    assert record.torque is not None
-    assert record.reference is not None
-    assert record.injected is not None
-
-    def scaled(channel: Channel, by: float) -> Channel:
-        return replace(channel, values=channel.values * by, sample_time=channel.sample_time * time)
-
-    other = replace(
-        record,
-        torque=scaled(record.torque, torque),
-        reference=scaled(record.reference, 1.0),
-        injected=replace(record.injected, channel=scaled(record.injected.channel, torque)),
-    )
-    slow = replace(
-        controller,
-        position_gain=controller.position_gain / time,
-        velocity_gain=controller.velocity_gain * torque * time,
-    )
-    moved = identify(other, replace(case.loop, controller=slow))
-    assert moved.fit.simulations == plain.fit.simulations
-    units = {"inertia": torque * time**2, "viscous": torque * time, "coulomb": torque, "damping": torque * time}
-    for name, value in plain.values.items():
-        factor = units.get(name.split("_")[-1], torque)
-        assert moved.values[name] / factor == pytest.approx(value, rel=1e-9), name
-    ratio = FlexibleJoint.frequencies(moved.values)["free_free"] / FlexibleJoint.frequencies(plain.values)["free_free"]
-    assert ratio == pytest.approx(1 / time, rel=1e-9)

@@ -7,13 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import jointid as ji
-from jointid.diagnostics.compare import compare
-from jointid.diagnostics.model_free import compare_law
 from jointid.diagnostics.validation import validate
 from jointid.models.friction import FRICTIONS, StribeckFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.records.record import InjectionPoint, Record
+from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from tests.estimates import identify
@@ -73,31 +70,6 @@ def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps:
         assert change.interval is not None
         assert change.interval[0] < -7.7 < change.interval[1] < 0
         assert estimate["stribeck_speed"].value == pytest.approx(0.015, abs=0.001)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pulses", [False, True])
-def test_the_first_line_of_every_law_agrees_with_the_comparison_and_the_motor_position(
-    pulses: bool, emps: Record, emps_pulses: Record
-) -> None:
-    assert emps_pulses.injected is not None  # the pulses pass the limit with what it limits
-    inside = replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT)
-    record = replace(emps_pulses, injected=inside) if pulses else emps
-    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
-    followed = compare_law(record, loop)
-    assert followed is not None
-    assert followed.holds
-    shown = compare(record, loop, "frictions").shown
-    assert shown.name == "asymmetric-stribeck"
-    for name in ("symmetric", "asymmetric", "presliding", "stribeck", "drifting", "asymmetric-stribeck"):
-        estimate = ji.identify(record, replace(loop, joint=RigidJoint("prismatic", FRICTIONS[name]())))
-        first = str(estimate).split("\n\n")[0]
-        assert "You can rely on it" in " ".join(first.split()), name
-        assert not any(word in first for word in ("gain", "logged torque", "time stamps", "period")), name
-    assert estimate.answer.trust.code == "reliable"  # of the last, which the comparison shows
-    for key, value in shown.values.items():
-        assert estimate.params[key].value == pytest.approx(value, rel=1e-3)
-    assert 1e3 * estimate["delay"].value == pytest.approx(0.29, abs=0.02)
 
 
 def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:

@@ -77,6 +77,24 @@ def test_the_truth_of_both_leaves_nothing(axis: Twin) -> None:
     assert criterion.of_member(x, 1)[5] == x[5] + 10.0
 
 
+@pytest.mark.parametrize(
+    ("free", "own", "there", "absent"),
+    [
+        ((), ((), (), ("load_coulomb",)), {"load_coulomb", "load_coulomb@3"}, "load_coulomb@1"),
+        (("position_gain", "velocity_gain"), ((), ()), {"velocity_gain", "position_gain@1", "position_gain@2"}, "gain"),
+    ],
+)
+def test_what_records_share_and_what_is_their_own(
+    axis: Twin, free: Sequence[str], own: Sequence[Sequence[str]], there: set[str], absent: str
+) -> None:
+    """Of three records two still share; numbers of two controllers are shared where they are the same."""
+    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
+    problems, _ = two(axis, free, other)
+    names = {p.name for p in several([problems[0], *problems][-len(own) :], own, [{}, *ADDED][-len(own) :]).free}
+    assert there <= names
+    assert absent not in names
+
+
 def test_an_own_parameter_moves_its_record_alone(axis: Twin) -> None:
     problems, _ = two(axis)
     criterion = several(problems, [(), FRICTION], ADDED)
@@ -86,22 +104,6 @@ def test_an_own_parameter_moves_its_record_alone(axis: Twin) -> None:
     x[names.index("load_coulomb@2")] += 5.0
     first, second = np.split(criterion.residual(x), [problems[0].residual(at(criterion, axis.truth)[:10]).size])
     assert np.linalg.norm(first) <= 1e-9 * np.linalg.norm(second)
-
-
-def test_of_three_records_two_still_share(axis: Twin) -> None:
-    problems, _ = two(axis)
-    criterion = several([problems[0], *problems], [(), (), ("load_coulomb",)], [{}, *ADDED])
-    names = [p.name for p in criterion.free]
-    assert "load_coulomb" in names
-    assert "load_coulomb@3" in names
-    assert "load_coulomb@1" not in names
-
-
-def test_numbers_of_two_controllers_are_shared_where_they_are_the_same(axis: Twin) -> None:
-    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
-    problems, _ = two(axis, ("position_gain", "velocity_gain"), other)
-    names = [p.name for p in several(problems, added=ADDED).free]
-    assert {"velocity_gain", "position_gain@1", "position_gain@2"} <= set(names)
 
 
 def test_derivatives_against_central_differences(axis: Twin) -> None:

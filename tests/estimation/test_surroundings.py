@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
@@ -41,27 +40,6 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
     for name, value in RIGID.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-5)
     assert "delay" in str(estimate)
-
-
-@pytest.mark.slow
-def test_only_a_delay_that_is_asked_for_is_looked_for_beyond_a_sample() -> None:
-    declared = ClosedLoop(RigidJoint("prismatic"), replace(CONTROLLER, limit=1e3))
-    record = rigid_record(replace(declared, controller=replace(declared.controller, delay=0.3e-3)))  # type: ignore[type-var]
-    assert record.torque is not None
-    noise = 0.28 * np.random.default_rng(0).standard_normal(len(record.torque))
-    record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
-    for method, looks in ((DIDIM(), False), (DIDIM(free=("delay",)), True)):
-        said = list[str]()
-        estimate = ji.identify(record, declared, method, progress=lambda one, said=said: said.append(str(one)))
-        assert estimate.settings.delay == pytest.approx(0.3e-3, rel=0.05)
-        assert any("looking for the delay" in one for one in said) is looks
-
-
-def test_a_filter_that_is_a_list_of_numbers_may_stand_in_a_loop_whose_delay_is_identified() -> None:
-    law = Cascade(position_gain=100.0, velocity_gain=5000.0, velocity_filter=[0.5, 0.5])
-    loop = ClosedLoop(RigidJoint("prismatic"), law)
-    estimate = identify(rigid_record(loop), loop, DIDIM(free=("delay",)))
-    assert estimate["delay"].value == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.identify import identify
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
@@ -127,7 +127,7 @@ def test_what_didim_will_report_is_predicted() -> None:
         assert one.torque is not None
         values = one.torque.values + noise[k] * rng.normal(size=len(one.torque))
         logged.append(replace(one, torque=replace(one.torque, values=values)))
-    fit = identify_rigid_robot(loop, logged)
+    fit = search_robot(loop, logged)
     assert fit.names == found.proposed.joint
     # Twelve runs scatter as predicted (-0.002 in the logarithm), and report 0.13 to 0.45 more: the covariance of a fit
     # takes the larger of two estimates.

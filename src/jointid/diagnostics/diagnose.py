@@ -24,7 +24,7 @@ from jointid.diagnostics.intervals import rebuild_problem, take_identified_torqu
 from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law, compare_robot_laws
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
 from jointid.diagnostics.search_state import LoopTests, SearchState
-from jointid.estimation.identify import plan_windows
+from jointid.estimation.identify import windows_of
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS, EstimatedParameter
@@ -115,7 +115,7 @@ def diagnose(
         raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")
     if tests is not None or shown:
         raise MethodError("The arguments tests and shown are for a joint; leave them out for a robot.")
-    if plan_windows(record, estimate.robot.setup, None):
+    if windows_of(record, estimate.robot.setup, None):
         raise MethodError(IN_WINDOWS)
     return diagnose_robot(estimate, record, controllers, feed_forward)
 

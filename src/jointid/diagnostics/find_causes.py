@@ -45,13 +45,14 @@ from jointid.diagnostics.hypothesis_fits import (
     start_at,
 )
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
-from jointid.estimation.identify import plan_windows
+from jointid.estimation.identify import WINDOW, windows_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.verdict import POOR_FIT, Reason
@@ -397,8 +398,8 @@ def explain_failure(
     if loop is None or any(getattr(record, name) is None for name in loop.channels):
         return error
     try:
-        planned = plan_windows(record, loop, None)  # as much of it as the memory holds
-        part = planned.part if planned is not None and isinstance(planned.part, Record) else record
+        # As much of it as the memory holds.
+        part = record if windows_of(record, loop, None) is None else cut(record, 0, WINDOW)
         causes = find_causes(part, loop, shown=shown, progress=progress, free=free)
     except (JointidError, np.linalg.LinAlgError):  # the first error counts
         return error

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
@@ -30,7 +30,7 @@ from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.undeclared import widen_for_undeclared
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.identify import fit as fit_records
-from jointid.estimation.identify import plan_windows
+from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -90,7 +90,7 @@ def identify(
         several: what the records share, and what was added to the load; see `SeveralRecords`.
         windows: of a log; see `Windowing`. With it records in memory are identified in windows, too: of a joint by
             DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
-            windows without it, and checked in a part. False identifies all of them at once.
+            windows without it, of which one is checked. False identifies all of them at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.
@@ -98,8 +98,6 @@ def identify(
         shown: how the drive shows the numbers of its controller, see `diagnose`.
         unchecked: called with the estimate before its checks.
         progress: called with each step in a sentence.
-
-    An interrupt of the last passes over a log ends them, and the estimate is of what was read: `Fit.interrupted`.
 
     Raises:
         RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
@@ -136,45 +134,30 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    planned = plan_windows(record, model, method, several) if windows is None else None
+    streamed = windows_of(record, model, method, several) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):
         raise MethodError(
             "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
             "leave windows out."
         )
-    windows = windows or None
-    part, said = (record, "") if planned is None else (planned.part, planned.said)
-    windows = windows if planned is None else planned.windows
-
-    failures: list[Message] = []
-
     fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=progress)
-    if said:
+    said = ""
+    if streamed is not None:
+        said = f"the record is long, and is identified in windows of {streamed.length:.3g} s, of which one is checked"
         progress(said)
-    try:
-        fit = fit_one(record, model, method, several=several, windows=windows)
-    except (MethodError, RecordError) as error:
-        if planned is None:
-            raise
-        remedy = "identify a part of it, or all of it at once, which takes much memory (windows=False)"
-        raise type(error)(
-            f"The record is long and goes in windows, and {str(error).removesuffix('.')}: {remedy}."
-        ) from error
-    if said:
+    fit = fit_one(record, model, method, several=several, windows=streamed or windows or None)
+    checked = fit
+    if streamed is not None:
         fit = fit.warn(said)
-    part_of_joint = isinstance(part, Record) and planned is not None and isinstance(model, ClosedLoop)
-    of_joint = part_of_joint or (fit.record is not None and fit.problem is not None)
-    if not (fit.robot is not None or of_joint) or (planned is not None and part is None):
+        checked = fit.window or fit
+    of_joint = checked.record is not None and checked.problem is not None
+    if not (fit.robot is not None or of_joint) or fit.data.records:
         return assemble(fit)
     if not checks:
         return assemble(fit, _left_out("not checked: the checks were left out"))
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet")))
-    checked: Estimate | str = fit
-    if planned is not None and part is not None:
-        checked = _fit_part(fit, part, record, lambda: fit_one(part, model, method))
-    if isinstance(checked, str):
-        return assemble(fit, _left_out(f"not checked: {checked}"))
+    failures: list[Message] = []
     found = run_checks(checked, progress, shown)
     with _contained("an undeclared delay", failures):  # the first estimate stands
         if (freed := _free_unstated_delay(fit, method, found)) is not None:
@@ -184,19 +167,6 @@ def identify(
             fit, found = wider, run_checks(wider, progress, shown)
     found = _with_failures(found, failures)
     return assemble(fit, found)
-
-
-def _fit_part(fit: Estimate, part: object, record: object, fit_it: Callable[[], Estimate]) -> Estimate | str:
-    """Return the fit of the checked part of a record, or why there is none."""
-    if fit.fit.interrupted:
-        return "the identification was interrupted"
-    short = [find_too_short(one) is not None for one in (part, record) if isinstance(one, Record)]
-    if short == [True, False]:
-        return "no window has enough motion, both ways"
-    try:
-        return fit_it()
-    except _OF_RECORD as error:  # without its checks, the estimate stands
-        return f"{error}"
 
 
 def _free_unstated_delay(fit: Estimate, method: Method | None, found: CheckResults) -> Method | None:

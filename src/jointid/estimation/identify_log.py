@@ -12,10 +12,11 @@ What a method does in windows is a `Windowed`; `windowed` has them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import islice
+from typing import cast
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
+from jointid.estimation.identify_several import describe_record
+from jointid.estimation.methods.idim import InverseModelRobot, drives
 from jointid.estimation.problems.log_windows import (
     FEW,
     NO_MOTION,
@@ -33,30 +36,38 @@ from jointid.estimation.problems.log_windows import (
     Pass,
     Places,
     Seen,
-    Weighted,
     Windowing,
     WindowModel,
     compress,
     moves,
     repeats,
+    travel,
 )
-from jointid.estimation.problems.several_records import RecordsProblem
+from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
 from jointid.estimation.result.agreement import Segment, drift
-from jointid.estimation.result.build_result import find_active_bounds, find_lost, warn_of_limit
+from jointid.estimation.result.build_result import (
+    build_params,
+    build_rows,
+    find_active_bounds,
+    find_lost,
+    warn_of_limit,
+)
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import negative_friction
-from jointid.estimation.result.parts import Checks, Data, Fit, Params, RecordFit, Settings, Windows
-from jointid.estimation.result.robot import IdentifiedRobot
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, RecordFit, Windows
+from jointid.estimation.windowed import LoopWindow, pose
 from jointid.models.joints import ClosedLoop
-from jointid.records.chunks import Chunk, LongRecord
+from jointid.records.chunks import Chunk, InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import Covariance, covariance_of, larger
+from jointid.simulation.robots import RobotLoop
+from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.resampling import Sums, left_out, scale_of, step_of
 
 _STARTS = 5  # windows that are tried to start from
+_TRAVEL = 0.5  # of the most that one of them moves: those with less are tried last
 _CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
 _ROUNDING = 1e-6  # of the torque
 _GROUPS = 3  # for each parameter, parts of windows whose scatter tells the deviations
@@ -71,21 +82,22 @@ class Windowed:
 
     Attributes:
         fit: a window by itself.
-        pose: from a window and its fit to the model of all windows, and where its search starts.
-        answer: what all windows say.
+        model: of the joint or robot.
         filtering: as far as it is known before a window is identified.
-        weighted: see `LogProblem`.
-        loops: of each axis whose controller is simulated.
-        together: of several records, from the start of each to the sum of their problems; None of one.
+        known: changes to the parameters.
     """
 
     fit: Callable[[Sequence[Record], Progress], Estimate]
-    pose: Callable[[Sequence[Record], Estimate], tuple[WindowModel, FloatArray]]
-    answer: Callable[[Solved], Told]
+    model: object
     filtering: Filtering
-    weighted: Weighted = "none"
-    loops: Sequence[ClosedLoop] = ()
-    together: Callable[[Sequence[Start]], RecordsProblem] | None = None
+    known: Mapping[str, Parameter]
+
+    @property
+    def loops(self) -> Sequence[ClosedLoop]:
+        """Of each axis whose controller is simulated."""
+        if isinstance(self.model, RobotLoop):
+            return self.model.loops
+        return (self.model,) if isinstance(self.model, ClosedLoop) else ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,63 +109,55 @@ class Start:
     model: WindowModel
     x: FloatArray
 
+    def look(self) -> Seen:
+        """Return its rows."""
+        seen = self.model.look(self.records, self.x)
+        assert seen is not None
+        return seen
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """The solution of all windows.
 
     Attributes:
-        starts: of each log.
-        problem: of all.
-        x: (free,) the estimate. covariance: of its errors.
+        problem: of all, as the last pass weighed it.
+        x: (free,) the estimate. found: by the last pass, as it is at the end.
+        passes: over the whole log. stop: why the last ended. converged: whether that is a good end.
+        covariance: of the errors of x.
         lost: names of parameters that are not determined. held: of those at a bound.
-        errors: (equations,) share of the filtered torque that is left.
-        found: by the last pass. segments: what each of several records says by itself; of one record of its segments.
+        together: of several records, the sum of their problems; None of one.
     """
 
-    starts: Sequence[Start]
     problem: LogProblem
     x: FloatArray
-    covariance: Covariance
-    lost: tuple[str, ...]
-    held: tuple[str, ...]
-    errors: FloatArray
     found: Pass
-    segments: Sequence[Segment]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Told:
-    """The sums of all windows.
-
-    Attributes:
-        params, settings, robot, records: of the estimate.
-        negative: joints of a robot whose friction comes out negative.
-        by_logarithm: whether a parameter is searched for by its logarithm, whose changes are none of it.
-    """
-
-    params: Params
-    settings: Settings
-    robot: IdentifiedRobot | None = None
-    records: tuple[RecordFit, ...] = ()
-    negative: Sequence[str] = ()
-    by_logarithm: bool = False
+    passes: int
+    stop: str
+    converged: bool
+    covariance: Covariance = field(default_factory=lambda: Covariance(np.zeros(0), np.zeros((0, 0))))
+    lost: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    together: RecordsProblem | None = None
 
 
 def identify_log(
-    logs: Sequence[Sequence[LongRecord]], each: Sequence[Windowed], settings: Windowing, progress: Progress
+    logs: Sequence[Sequence[LongRecord]],
+    each: Sequence[Windowed],
+    settings: Windowing,
+    progress: Progress,
+    layout: RecordLayout | None = None,
 ) -> Estimate:
-    """Return the estimate of a joint or a robot from long logs, in bounded memory.
-
-    See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
+    """Return the estimate of a joint or a robot from long logs, in bounded memory; see `jointid.identify`.
 
     Args:
         logs: of each axis.
-        each: what is done with each log.
+        each: what is done with each log; one for all of a robot's.
         settings: of the windows.
         progress: receives the steps.
+        layout: of several records of a joint.
     """
-    sample_time = logs[0][0].sample_time
+    sample_time, method = logs[0][0].sample_time, each[0]
     periods = [
         Fraction(loop.controller.law(sample_time).period / sample_time).limit_denominator(_CLOCKS).numerator
         for one in each
@@ -165,28 +169,48 @@ def identify_log(
 
     # Whole rows, so that all windows keep the same samples, and whole periods of a controller that is slower than the
     # log: the law's first is at a window's first sample.
-    keep = each[0].filtering.resolve(sample_time).decimation or 1
-    length, settling = samples(settings.length, math.lcm(keep, *periods)), samples(settings.length / 20, keep)
+    unit = math.lcm(method.filtering.resolve(sample_time).decimation or 1, *periods)
+    length, overlap = samples(settings.length, unit), 2 * samples(settings.length / 20, unit)
     starts = [
-        _start(zip(*(source.chunks(length, 2 * settling) for source in log), strict=False), one, progress)
-        for log, one in zip(logs, each, strict=True)
+        _start(zip(*(source.chunks(length, overlap) for source in log), strict=False), one, progress)
+        for log, one in zip(logs, each, strict=False)
     ]
     warnings = list[str]()
-    seen = _look(starts[0])
-    keep = seen.keep
-    length, settling = samples(settings.length, math.lcm(keep, *periods)), samples(settings.length / 20, keep)
+    seen = starts[0].look()
+    unit = math.lcm(seen.keep, *periods)
+    length = samples(settings.length, unit)
     if settings.settling is not None:
-        settling = samples(settings.settling, keep)
+        settling = samples(settings.settling, seen.keep)
     else:
-        needed = max(samples(one.model.settling(one.records, one.x) * sample_time, keep) for one in starts)
-        settling = min(needed, length // (2 * keep) * keep)
+        needed = max(samples(one.model.settling(one.records, one.x) * sample_time, seen.keep) for one in starts)
+        settling = min(needed, length // (2 * seen.keep) * seen.keep)
         progress(Detail(f"a window forgets how it began in {needed * sample_time:g} s"))
         if needed > settling:
             warnings.append(
                 f"a window forgets how it began in no less than {needed * sample_time:g} s; give longer windows"
             )
-    problem, x = _pose(logs, each[0], starts, seen, length, settling, progress)
-    return _answer(each[0], starts, stream(problem, x), warnings)
+    models = [starts[k if layout else 0].model for k in range(len(logs))]
+    together: RecordsProblem | None = None
+    free: tuple[Parameter, ...] = models[0].free
+    x, at, added = starts[0].x, [np.arange(len(free), dtype=np.intp)] * len(logs), [np.zeros(len(free))] * len(logs)
+    if layout is not None:
+        together = several([one.problem for one in models if isinstance(one, LoopWindow)], layout)
+        free, x = together.free, together.join([one.x for one in starts])
+        at, added = list(together.places), list(together.added)
+    parts = zip(logs, models, at, added, strict=True)
+    members = tuple(Member(tuple(log), model, where, known) for log, model, where, known in parts)
+    sigma = np.ones((len(logs), len(seen.error)))
+    if sigma.size > 1:
+        looks = [starts[k if layout else 0].look() for k in range(len(logs))]
+        least = _ROUNDING * float(np.sqrt(np.mean(seen.measured**2)))
+        sigma = np.array([np.maximum(np.sqrt(np.mean(one.error**2, axis=1)), least) for one in looks])
+    divided = 1
+    if not isinstance(models[0], LoopWindow):  # of a record in memory, with many parameters
+        windows = sum(1 for member in members for _ in member.pieces(length, 2 * settling))
+        divided = max(math.ceil(_GROUPS * x.size / max(windows, 1)), 1)
+    places = tuple(Places.of(position, velocity) for position, velocity in seen.motion)
+    problem = LogProblem(members, free, length, settling, places, sigma, divided, progress)
+    return _answer(starts, replace(stream(problem, x), together=together), warnings)
 
 
 def _start(pieces: Iterable[Sequence[Chunk]], method: Windowed, progress: Progress) -> Start:
@@ -197,7 +221,9 @@ def _start(pieces: Iterable[Sequence[Chunk]], method: Windowed, progress: Progre
     """
     refusal: RecordError | MethodError | None = None
     moving = ([one.record for one in piece] for piece in pieces if any(moves(one.record) for one in piece))
-    for records in islice(moving, _STARTS):
+    first = list(islice(moving, _STARTS))
+    enough = _TRAVEL * max(map(travel, first), default=0.0)
+    for records in sorted(first, key=lambda one: travel(one) < enough):
         progress(f"starting from the window that begins at {records[0].begin:g} s")
         try:
             found = method.fit(records, progress)
@@ -206,73 +232,14 @@ def _start(pieces: Iterable[Sequence[Chunk]], method: Windowed, progress: Progre
             continue
         lost = [p.name for p in found.params.rows if p.of_joint and p.value is None]
         if not lost:
-            return Start(records, found, *method.pose(records, found))
+            return Start(records, found, *pose(method.model, records, found, method.known))
         refusal = MethodError(
             f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."
         )
     raise refusal or MethodError(NO_MOTION)
 
 
-def _look(start: Start) -> Seen:
-    """Return the rows of a window by itself."""
-    seen = start.model.look(start.records, start.x)
-    assert seen is not None
-    return seen
-
-
-def _pose(
-    logs: Sequence[Sequence[LongRecord]],
-    method: Windowed,
-    starts: Sequence[Start],
-    seen: Seen,
-    length: int,
-    settling: int,
-    progress: Progress,
-) -> tuple[LogProblem, FloatArray]:
-    """Return the problem of all logs, and where its search starts."""
-    models = [one.model for one in starts] if method.together else [starts[0].model] * len(logs)
-    free: tuple[Parameter, ...] = models[0].free
-    x, at, added = starts[0].x, [np.arange(len(free), dtype=np.intp)] * len(logs), [np.zeros(len(free))] * len(logs)
-    if method.together is not None:
-        whole = method.together(starts)
-        free, x = whole.free, whole.join([one.x for one in starts])
-        at, added = list(whole.places), list(whole.added)
-    parts = zip(logs, models, at, added, strict=True)
-    members = tuple(Member(tuple(log), model, where, known) for log, model, where, known in parts)
-    weighted = method.weighted if len(logs) > 1 or len(seen.error) > 1 else "none"
-    sigma = np.ones((len(logs), len(seen.error)))
-    if weighted != "none":
-        looks = [seen] * len(logs) if method.together is None else [_look(one) for one in starts]
-        least = _ROUNDING * float(np.sqrt(np.mean(seen.measured**2)))
-        sigma = np.array([np.maximum(np.sqrt(np.mean(one.error**2, axis=1)), least) for one in looks])
-    divided = 1
-    if method.weighted != "records":  # of a record in memory, with many parameters
-        windows = sum(1 for member in members for _ in member.pieces(length, 2 * settling))
-        divided = max(math.ceil(_GROUPS * x.size / max(windows, 1)), 1)
-    places = tuple(Places.of(position, velocity) for position, velocity in seen.motion)
-    return LogProblem(members, free, length, settling, places, sigma, weighted, divided, progress), x
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Streamed:
-    """The end of the passes over a log.
-
-    Attributes:
-        problem: as the last pass weighed it.
-        x: (free,) the estimate.
-        found: by the last pass, as it is at the end. passes: over the whole log.
-        stop: why it ended. converged: whether that is a good end.
-    """
-
-    problem: LogProblem
-    x: FloatArray
-    found: Pass
-    passes: int
-    stop: str
-    converged: bool
-
-
-def stream(problem: LogProblem, start: FloatArray) -> Streamed:
+def stream(problem: LogProblem, start: FloatArray) -> Solved:
     """Solve by Gauss-Newton in as few passes over a log as there can be.
 
     A pass reads every window once, and keeps of each what `Sums` holds: memory does not grow with what is read but by a
@@ -286,13 +253,13 @@ def stream(problem: LogProblem, start: FloatArray) -> Streamed:
         MethodError: in no window does the axis move.
     """
     bounds, x, every, whole = Bounds.of(problem.free), start, _SPARSE, 0
-    before: _Before | None = None
+    before: tuple[FloatArray, int, Pass] | None = None
     for number in range(1, _PASSES + 1):
-        found = _pass_to_windows(problem, x, every, before)
+        found = _pass_unless_uphill(problem, x, every, before)
         whole += every == 1
         if found is None:
             assert before is not None
-            x = 0.5 * (x + before.x)
+            x = 0.5 * (x + before[0])
             continue
         if every > 1 and found.count < FEW:
             every = 1
@@ -301,29 +268,17 @@ def stream(problem: LogProblem, start: FloatArray) -> Streamed:
         level = sums.square / sums.rows
         step = step_of(sums, bounds.shift_to(x))
         far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
-        if not found.ended:
-            stop = f"interrupted after {found.count} windows ({found.windows[-1].end / 3600:.3g} h)"
-            return Streamed(problem, x + step, found.shift(step), whole, stop, False)
         # Where nothing is left, nothing is a deviation.
         if every == 1 and (far < _SETTLED or level <= _rounding(sums)):
             stop = f"converged: the last pass moved the parameters by {far:.2g} deviations (limit {_SETTLED:g})"
-            return Streamed(problem, x + step, found.shift(step), whole, stop, True)
-        before, x, problem = _Before(x, every, found), x + step, problem.reweigh(found)
+            return Solved(problem, x + step, found.shift(step), whole, stop, True)
+        before, x, problem = (x, every, found), x + step, problem.reweigh(found)
         problem.progress(Detail(f"{found.count} windows move the parameters by {far:.2g} deviations"))
         if number >= _SPARSE_PASSES or far < 1.0:
             every = 1
     assert before is not None
     stop = "not converged: the last passes led uphill, or still moved the parameters"
-    return Streamed(problem, before.x, before.found, whole, stop, False)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Before:
-    """The last pass that a step was taken from: where, and over one window in how many."""
-
-    x: FloatArray
-    every: int
-    found: Pass
+    return Solved(problem, before[0], before[2], whole, stop, False)
 
 
 def _rounding(sums: Sums) -> float:
@@ -331,11 +286,18 @@ def _rounding(sums: Sums) -> float:
     return _ROUNDING**2 * sums.size / sums.rows
 
 
-def _pass_to_windows(problem: LogProblem, x: FloatArray, every: int, before: _Before | None) -> Pass | None:
+def _pass_unless_uphill(
+    problem: LogProblem, x: FloatArray, every: int, before: tuple[FloatArray, int, Pass] | None
+) -> Pass | None:
     """Return a pass; None where a step led uphill, or to what cannot be simulated.
 
+    Args:
+        problem: of the log.
+        x: its free parameters.
+        every: one window in so many is read.
+        before: where the last step was taken from, over one window in how many, and that pass.
+
     Raises:
-        KeyboardInterrupt: it was interrupted, and says too little.
         NotSimulatedError: a window cannot be simulated at the start.
     """
     try:
@@ -344,19 +306,15 @@ def _pass_to_windows(problem: LogProblem, x: FloatArray, every: int, before: _Be
         if before is None:
             raise
         return None
-    if not found.ended:
-        if every > 1 or found.count < FEW:
-            raise KeyboardInterrupt
+    if before is None or before[1] != every or not found.windows:
         return found
-    if before is not None and before.every == every and found.windows:
-        least = max(before.found.level(problem.sigma), _rounding(found.sums))
-        return None if found.level(problem.sigma) > least else found
-    return found
+    least = max(before[2].level(problem.sigma), _rounding(found.sums))
+    return None if found.level(problem.sigma) > least else found
 
 
-def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: list[str]) -> Estimate:
+def _answer(starts: Sequence[Start], solved: Solved, warnings: list[str]) -> Estimate:
     """Return the estimate that the last pass makes."""
-    problem, found, first = end.problem, end.found, starts[0]
+    problem, found, first, x = solved.problem, solved.found, starts[0], solved.x
     sums, torque, sample_time = found.sums, first.records[0].torque, problem.members[0].log[0].sample_time
     assert torque is not None
     repeated = repeats(found.places.values(), sums.square, torque.unit)
@@ -367,18 +325,26 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
     # A record's own parameter has the unit of the shared one.
     units = {p.name: of_rows[p.name.partition("@")[0]] for p in problem.free}
     spans = [[w for w in found.windows if w.record == number] for number in range(len(problem.members))]
-    changes = drift(found.windows, end.x, problem.free, units, spans if len(spans) > 1 else None, problem.parts)
-    agreement = changes.agreement if len(spans) > 1 and len(found.sizes[0]) == 1 else None
-    if agreement is not None:  # what records differ by is no noise of theirs
-        more = {p.name: p.widening for p in agreement.parameters}
-        covariance = covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in units]))
+    changes = drift(found.windows, x, problem.free, units, spans if len(spans) > 1 else None, problem.parts)
+    agreement = changes.agreement if solved.together is not None else None
+    if agreement is not None:
+        covariance = agreement.widen(covariance, [*units])
     residual, slopes = compress(sums)
-    held = find_active_bounds(problem.free, end.x, residual, slopes)
-    lost, errors = find_lost(problem.free, end.x, covariance.std), found.relative_errors()
-    told = method.answer(Solved(starts, problem, end.x, covariance, lost, held, errors, found, changes.segments))
+    held, lost = find_active_bounds(problem.free, x, residual, slopes), find_lost(problem.free, x, covariance.std)
+    solved = replace(solved, covariance=covariance, lost=lost, held=held)
+    told, errors = first.model.tell(first.fit, solved), found.relative_errors()
+    records: tuple[RecordFit, ...] = ()
+    if solved.together is not None:
+        table = build_params(solved.together, x, covariance, lost, held, records=len(starts))
+        told = replace(told, params=table)
+        records = tuple(_tell_record(k, solved, changes.segments) for k in range(len(starts)))
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
-    names = [] if told.robot is None else told.robot.model.names
+    robot = told.robot
+    names = [] if robot is None else robot.model.names
+    wrong = [name for k, name in enumerate(names) if isinstance(robot, InverseModelRobot) and drives(robot, k)]
     axis_errors = dict(zip(names, map(float, errors), strict=False))
+    # Of what is searched for by its logarithm, the changes are none of the parameter.
+    plain = all(told.params[p.name].value == value for p, value in zip(problem.free, x, strict=True))
     return Estimate(
         params=told.params,
         fit=Fit(
@@ -388,30 +354,26 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
             relative_error=math.nan,
             rows=int(found.sizes[..., 2].sum()),
             filtered_error=float(np.sqrt(np.mean(errors**2))) if names else float(found.total_error),
-            passes=end.passes,
-            simulations=problem.tally.evaluations if first.model.simulates else 0,
-            stop=end.stop,
-            converged=end.converged,
-            interrupted=not found.ended,
+            passes=solved.passes,
+            simulations=problem.tally.evaluations if first.fit.fit.simulations else 0,
+            stop=solved.stop,
+            converged=solved.converged,
             axis_errors=axis_errors,
         ),
         checks=Checks(
-            verdicts=negative_friction(told.negative),
-            known=None if names else identifiability(problem.free, units, end.x, slopes, covariance),
+            verdicts=negative_friction(wrong),
+            known=None if names else identifiability(problem.free, units, x, slopes, covariance),
             repeatable=repeated if len(errors) == 1 and len(spans) == 1 else None,
-            drift=changes if len(spans) == 1 and not told.by_logarithm else None,
+            drift=changes if len(spans) == 1 and plain else None,
             agreement=agreement,
-            warnings=(
-                *warnings,
-                *warn_of_limit(at_limit),
-            ),
+            warnings=(*warnings, *warn_of_limit(at_limit)),
         ),
         data=Data(
             record=join(list(dict.fromkeys(source.name for member in problem.members for source in member.log))),
             channels=first.fit.data.channels,
             sample_time=sample_time,
             torque_unit=first.fit.data.torque_unit,
-            records=told.records,
+            records=records,
             windows=Windows(
                 length=problem.length * sample_time,
                 settling=problem.settling * sample_time,
@@ -421,7 +383,24 @@ def _answer(method: Windowed, starts: Sequence[Start], end: Streamed, warnings: 
             ),
         ),
         settings=told.settings,
-        robot=told.robot,
+        robot=robot,
+        window=first.fit,
+    )
+
+
+def _tell_record(number: int, solved: Solved, segments: Sequence[Segment]) -> RecordFit:
+    """Return one of several records, by a step of its windows from the common solution."""
+    assert solved.together is not None
+    together, source = solved.together, cast("InMemory", solved.problem.members[number].log[0])
+    square, size, rows = solved.found.sizes[number, 0]
+    alone: tuple[EstimatedParameter, ...] = ()
+    if segments:
+        said, own = segments[number], {p.name for p in together.joint.parameters}
+        free = [p for p in together.of_record(number) if p.name in said.values]
+        alone = build_rows(free, said.values, said.std, together.layout.unit, own)
+    error = math.sqrt(square / size) if size > 0 else 0.0
+    return describe_record(
+        together, number, source.record, alone, math.sqrt(square / max(rows, 1)), int(rows), (math.nan, error, math.nan)
     )
 
 

@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
@@ -43,7 +42,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import Covariance, Influence, covariance_of
+from jointid.uncertainty.covariance import Covariance, Influence
 from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
@@ -78,7 +77,7 @@ def identify_several(
     end = solve(whole, _SOLVER, whole.join(begin))
     progress(Detail(end.message))
     simulations = sum(one.fit.fit.simulations for one in alone) + (end.evaluations + 3) * len(records)
-    return _build_result(_Solved(whole, end, alone), simulations)
+    return _build_result(whole, end, alone, simulations)
 
 
 def require_distinct(records: Sequence[Record]) -> None:
@@ -192,31 +191,14 @@ def _gain(layout: RecordLayout, starts: Sequence[Mapping[str, float]]) -> float:
 # All of them
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """Several records together, and each by itself, when they are solved."""
-
-    problem: RecordsProblem
-    end: Solution
-    alone: Sequence[BySelf]
-
-    @property
-    def gain(self) -> float:
-        """Of the drive."""
-        return self.problem.values(self.end.x).get("drive_gain", 1.0)
-
-
-def _build_result(solved: _Solved, simulations: int) -> Estimate:
+def _build_result(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf], simulations: int) -> Estimate:
     """Return the fit of all records."""
-    problem, end, layout = solved.problem, solved.end, solved.problem.layout
-    judged, compared = _judge_together(solved), _compare(solved)
-    # The variance between runs of what they do not agree in is added to that of their common value.
-    more = {p.name: p.widening for p in compared.parameters}
-    wider = judged.covariance.matrix + np.diag([more.get(p.name, 0.0) for p in problem.free])
-    covariance = covariance_of(wider)
+    layout, gain = problem.layout, problem.values(end.x).get("drive_gain", 1.0)
+    judged, compared = _judge_together(problem, end, alone, gain), _compare(problem, alone, gain)
+    covariance = compared.widen(judged.covariance, [p.name for p in problem.free])
     torques = [one.torque(problem.of_member(end.x, k)) for k, one in enumerate(problem.problems)]
     predicted = np.concatenate(torques)
-    shares = tuple(_record_fit(solved, k, torque) for k, torque in enumerate(torques))
+    shares = tuple(_record_fit(problem, one, gain, torque) for one, torque in zip(alone, torques, strict=True))
     error = problem.filter(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
     held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
@@ -230,7 +212,7 @@ def _build_result(solved: _Solved, simulations: int) -> Estimate:
                 *([str(judged.repeatable)] if judged.repeatable.significant else []),
                 *(
                     f"record {k}: {said}"
-                    for k, one in enumerate(solved.alone, 1)
+                    for k, one in enumerate(alone, 1)
                     for said in find_record_warnings(one.record, one.fit.data.channels)
                 ),
             ),
@@ -246,53 +228,45 @@ def _build_result(solved: _Solved, simulations: int) -> Estimate:
     )
 
 
-def _judge_together(solved: _Solved) -> Uncertainty:
-    """Return the uncertainty before the records are compared."""
-    problem, end = solved.problem, solved.end
-    each = problem.problems
-    runs = [p.simulate(problem.of_member(end.x, k)) for k, p in enumerate(each)]
-    positions = [run.motor_position[p.kept] for p, run in zip(each, runs, strict=True)]
-    velocities = [run.motor_velocity[p.kept] for p, run in zip(each, runs, strict=True)]
-    where, rows = cells(np.concatenate(positions), np.concatenate(velocities)), [at.size for at in positions]
-    influence = Influence(end.jacobian, end.residual, series=rows)
-    known = uncertainty(influence, where, each[0].torque_unit)
-    moved = _moved_together(solved, np.cumsum(rows)[:-1])
+def _judge_together(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf], gain: float) -> Uncertainty:
+    """Return the uncertainty before the records are compared.
+
+    What moves a record's own solution moves the common one as far as the record weighs in it. Records may err alike or
+    against each other, so the sizes add up.
+    """
+    J, moved = end.jacobian, np.zeros(end.x.size)
+    runs = [one.simulate(problem.of_member(end.x, k)) for k, one in enumerate(problem.problems)]
+    at = [one.kept for one in problem.problems]
+    position, velocity = (
+        np.concatenate([getattr(run, name)[rows] for run, rows in zip(runs, at, strict=True)])
+        for name in ("motor_position", "motor_velocity")
+    )
+    rows = [one.size for one in at]
+    influence = Influence(J, end.residual, series=rows)
+    known = uncertainty(influence, cells(position, velocity), problem.problems[0].torque_unit)
+    ends = np.cumsum(rows)[:-1]
+    answers = np.split(influence.matrix, ends, axis=1)
+    for k, (one, slopes, answer) in enumerate(zip(alone, np.split(J, ends), answers, strict=True)):
+        steps = np.zeros_like(moved)
+        for shift in one.fit.shifts:
+            by = one.acting(dict(zip((p.name for p in one.problem.free), shift, strict=True)), gain)
+            its = [by.get(p.name, 0.0) if p.name != "drive_gain" else 0.0 for p in problem.problems[k].free]
+            steps = np.hypot(steps, answer @ (slopes[:, problem.places[k]] @ np.array(its)))
+        moved += steps
     return known.widened_by(moved) if np.any(moved) else known
 
 
-def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
-    """Return how far what moves the records by themselves may move the common solution, (free,).
-
-    Each moves it as far as it weighs in it. Records may err alike or against each other, so the sizes add up.
-
-    Args:
-        solved: what was solved.
-        ends: the first rows of the second record and of those that follow.
-    """
-    problem, J = solved.problem, solved.end.jacobian
-    answers, total = np.split(Influence(J, solved.end.residual).matrix, ends, axis=1), np.zeros(J.shape[1])
-    for k, (one, rows, answer) in enumerate(zip(solved.alone, np.split(J, ends), answers, strict=True)):
-        steps = np.zeros_like(total)
-        for shift in one.fit.shifts:
-            by = one.acting(dict(zip((p.name for p in one.problem.free), shift, strict=True)), solved.gain)
-            its = [by.get(p.name, 0.0) if p.name != "drive_gain" else 0.0 for p in problem.problems[k].free]
-            steps = np.hypot(steps, answer @ (rows[:, problem.places[k]] @ np.array(its)))
-        total += steps
-    return total
-
-
-def _compare(solved: _Solved) -> Agreement:
+def _compare(problem: RecordsProblem, alone: Sequence[BySelf], gain: float) -> Agreement:
     """Test whether the estimates from single records agree.
 
     Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
     """
-    layout = solved.problem.layout
+    layout, each = problem.layout, list[Alone]()
     stated = {"drive_gain", *(name for more in layout.added for name in more)} if "drive_gain" in layout.free else set()
-    units = {p.name: layout.unit(p) for p in solved.problem.free if "@" not in p.name and p.name not in stated}
-    each = []
-    for k, one in enumerate(solved.alone):
-        compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*one.inseparable}
-        rows = [row for row in one.rows(solved.gain) if row.name in compared and (row.stderr or 0.0) > 0]
+    units = {p.name: layout.unit(p) for p in problem.free if "@" not in p.name and p.name not in stated}
+    for k, one in enumerate(alone):
+        compared = units.keys() & {p.name for p in problem.of_record(k)} - {*one.inseparable}
+        rows = [row for row in one.rows(gain) if row.name in compared and (row.stderr or 0.0) > 0]
         rows = [row for row in rows if one.fit.params[row.name].at_bound is None]
         values = {row.name: row.value or 0.0 for row in rows}
         # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
@@ -301,21 +275,47 @@ def _compare(solved: _Solved) -> Agreement:
     return compare_records(each, units)
 
 
-def _record_fit(solved: _Solved, number: int, torque: FloatArray) -> RecordFit:
+def _record_fit(problem: RecordsProblem, one: BySelf, gain: float, torque: FloatArray) -> RecordFit:
     """Return the estimate from one record, and the fit of the common model, its torque (samples,), to it."""
-    problem, one = solved.problem.problems[number], solved.alone[number]
-    error, record = problem.filter(problem.measured - torque), one.record
+    own = problem.problems[one.number]
+    error = own.filter(own.measured - torque)
+    errors = (
+        relative_error(own.measured, torque, own.filtering.borders),
+        own.filtered_error(error),
+        own.filtered_error(one.residual),
+    )
+    return describe_record(problem, one.number, one.record, one.rows(gain), one.level, error.size, errors)
+
+
+def describe_record(
+    together: RecordsProblem,
+    number: int,
+    record: Record,
+    alone: tuple[EstimatedParameter, ...],
+    level: float,
+    rows: int,
+    errors: tuple[float, float, float],
+) -> RecordFit:
+    """Return one of several records.
+
+    Args:
+        together: the problem of all.
+        number: of the record, from 0.
+        record: itself.
+        alone: what it says by itself.
+        level: of its residual.
+        rows: of its filtered torque.
+        errors: of the common model, raw and filtered, and of the record by itself.
+    """
     assert record.torque is not None
     return RecordFit(
-        name=record.name,
-        fingerprint=fingerprint(record.torque.values),
-        channels=list_loop_channels(problem.loop, record),
-        added_inertia=sum(solved.problem.layout.added[number].values()),
-        alone=one.rows(solved.gain),
-        level=one.level,
-        rows=error.size,
-        relative_error=relative_error(problem.measured, torque, problem.filtering.borders),
-        filtered_error=problem.filtered_error(error),
-        alone_error=problem.filtered_error(one.residual),
+        record.name,
+        fingerprint(record.torque.values),
+        list_loop_channels(together.layout.loops[number], record),
+        sum(together.layout.added[number].values()),
+        alone,
+        level,
+        rows,
+        *errors,
         resampled=record.resampled,
     )

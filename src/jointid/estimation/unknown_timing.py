@@ -64,7 +64,7 @@ def fit_unstated_timing(records: Logs, fit: Callable[[Logs], Estimate]) -> Estim
     if not read or first.settings.method != "idim":
         return first
     own, fits = min(read, key=_READINGS.index), dict[Timing, Estimate]()
-    if len(read) == 1 and not first.fit.interrupted:
+    if len(read) == 1:
         fits = _fit_readings(lambda timing: first if timing is own else fit(read_as(records, timing)))
     if not fits.keys() >= {Timing.HELD, Timing.SAMPLED}:
         said = (

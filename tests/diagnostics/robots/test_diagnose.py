@@ -16,7 +16,7 @@ from jointid.diagnostics.diagnosis import Diagnosis, Told, tell
 from jointid.diagnostics.faults.friction import ASYMMETRIC_FRICTION, STRIBECK
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
@@ -319,7 +319,7 @@ def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
 
 def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     loop = two().loop()
-    fit = identify_rigid_robot(loop, logged_by(loop))
+    fit = search_robot(loop, logged_by(loop))
     sums = dict(zip(fit.names, fit.parameters.formulas(loop.robot), strict=True))
     assert sums["joint1.viscous"] == "Fv1"
     assert any("lower" in text or " + " in text for text in sums.values())

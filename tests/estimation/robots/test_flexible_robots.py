@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop
@@ -42,9 +43,8 @@ def identified(
         for joint in twin.robot.joints
     )
     blank = replace(twin.robot.with_inertials(np.zeros((len(joints), 10))), joints=joints)
-    found = identify_flexible_robot(
-        RobotLoop(blank, loop.controllers), records, frequencies=frequencies, evaluations=evaluations
-    )
+    settings = DIDIM(frequencies=frequencies or {}, evaluations=evaluations)
+    found = search_robot(RobotLoop(blank, loop.controllers), records, None, settings)
     return found, noise
 
 

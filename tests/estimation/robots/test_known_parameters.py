@@ -10,7 +10,6 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.result.answer import Trust
 from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.test_several_logs import LOGS, LOOP, TWIN
 
@@ -75,20 +74,3 @@ def test_friction_that_differs_by_direction_is_kept_by_its_own_names() -> None:
     for model in (robot, replace(LOOP, robot=robot)):
         with pytest.raises(MethodError, match=r"differs by direction is identified as coulomb, its mean"):
             ji.identify(LOGS[0], model, parameters=backwards)
-
-
-def test_a_bound_that_holds_is_said() -> None:
-    """The verdict fails and names it; it is not counted as known; the rest of the robot may be relied on."""
-    for model, name in ((LOOP, "joint1.viscous"), (TWIN.robot, "joint1.viscous")):
-        found = ji.identify(LOGS[0], model, parameters=viscous(free=True, upper=0.9 * TRUTH), checks=False)
-        assert found.params[name].at_bound == pytest.approx(0.9 * TRUTH)
-        (verdict,) = (one for one in found.checks.verdicts if one.subject is Subject.BOUNDS)
-        assert verdict.status is Status.FAILED and name in verdict.said
-        assert found.answer.trust.code is Trust.NOT_CHECKED
-        assert "at its bound" in found.summary()
-
-
-def test_a_value_that_didim_keeps_is_that_of_the_consistent_robot() -> None:
-    kept = ji.identify(LOGS[0], LOOP, parameters=viscous(free=False, value=0.9 * TRUTH), checks=False)
-    bodies = ji.robots.consistent_robot(kept).robot
-    assert bodies.joints[0].viscous == pytest.approx(0.9 * TRUTH)

@@ -10,9 +10,7 @@ import pytest
 
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.flexible import identify_flexible_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.numbers import name_in_robot, robot_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -50,13 +48,6 @@ def noisy(loop: RobotLoop, records: tuple[Record, ...], share: float = 0.02) -> 
     return tuple(found)
 
 
-def identified(loop: RobotLoop, records: tuple[Record, ...]) -> RobotFit:
-    """Return the fit of a robot by DIDIM."""
-    if any(loop.robot.flexible):
-        return identify_flexible_robot(loop, records)
-    return identify_rigid_robot(loop, records)
-
-
 def slow(joint: Joint) -> object:
     name = f"{joint.model} {joint.friction.name} {joint.spring_name}"
     quick = ("rigid presliding None",)
@@ -74,7 +65,7 @@ def test_a_robot_of_one_joint_is_identified_as_that_joint(joint: Joint) -> None:
     """
     loop = RobotLoop(robot_of(joint), (LAW,))
     records = noisy(loop, (moved(),))
-    fit, alone = identified(loop, records), identify(records[0], ClosedLoop(joint, LAW), checks=False)
+    fit, alone = search_robot(loop, records), identify(records[0], ClosedLoop(joint, LAW), checks=False)
     assert fit.converged
     linear = {p.name for p in joint.linear.parameters}
     for p in joint.parameters:
@@ -115,7 +106,7 @@ def test_two_axes_have_laws_of_their_own(laws: dict[str, tuple[str, str | None, 
     flexible = any(spring for _, spring, _ in laws.values())
     twin = two((9.0, 13.0) if flexible else (None, None))
     loop = replace(twin.loop(), robot=with_laws(twin, laws))
-    fit = identified(loop, noisy(loop, twin.records(6.0, multisine=0.02 if flexible else 0.0), 0.01))
+    fit = search_robot(loop, noisy(loop, twin.records(6.0, multisine=0.02 if flexible else 0.0), 0.01))
     truth = fit.parameters.group(RobotNumbers.of(loop.robot))
     assert fit.converged
     own = [name_in_robot(joint, name) for joint, (_, _, numbers) in laws.items() for name in numbers]
@@ -135,7 +126,7 @@ def test_a_law_is_found_from_a_start_and_beside_a_fixed_number() -> None:
         "one.stribeck_force": Parameter("x", "FS", Quantity.FORCE, start=1.0),
     }
     said = list[str]()
-    fit = identify_rigid_robot(loop, records, known=known, progress=said.append)
+    fit = search_robot(loop, records, known=known, progress=said.append)
     assert "one.stribeck_speed" not in fit.names
     value, std = fit.value("one.stribeck_force")
     assert abs(value - 1.2) < 3.0 * std < 1.0

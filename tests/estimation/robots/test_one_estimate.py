@@ -60,18 +60,6 @@ def test_a_controller_that_is_not_as_declared_speaks_against_a_robot() -> None:
     assert found.answer.trust.code is Trust.NOT_YET
 
 
-def test_a_controller_that_could_not_be_tested_is_named() -> None:
-    loop, (first, second) = logged()
-    found = ji.identify((first, second.without("motor_position")), loop)
-    (verdict,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-    assert verdict.status is Status.UNKNOWN and "the controller of joint2 was not checked" in verdict.said
-    assert found.answer.trust.code is Trust.NOT_CHECKED
-    assert "if the controller of joint2 is as declared, which was not checked" in found.sentence
-    said = ji.diagnose(found, (first, second.without("motor_position")))
-    assert said.as_declared is None
-    assert "The declared controller of joint1 makes" in said.answer and "of joint2 was not checked" in said.answer
-
-
 def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> None:
     loop, records = logged()
     robot = replace(loop.robot, joints=(replace(loop.robot.joints[0], coupling={}), loop.robot.joints[1]))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
@@ -83,7 +83,7 @@ def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -
     """Under a loop four times slower, too, whose motion is far from the commanded one."""
     loop = twin.loop(slower)
     records, _ = recorded(loop, twin.records(6.0))
-    fit = identify_rigid_robot(loop, records)
+    fit = search_robot(loop, records)
     truth = fit.parameters.group(RobotNumbers.of(twin.robot))
     assert fit.converged
     assert fit.iterations <= (8 if slower == 1 else 20)
@@ -116,7 +116,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
             if one.reference
         )
     records, _ = recorded(loop, records)
-    fit = identify_rigid_robot(loop, records)
+    fit = search_robot(loop, records)
     truth = fit.parameters.group(RobotNumbers.of(twin.robot))
     assert fit.converged
     assert np.max(fit.relative_error) < 1e-6
@@ -133,7 +133,7 @@ def test_noise_floor_and_intervals() -> None:
     loop, inside = twin.loop(), []
     for seed in range(4):
         records, noise = recorded(loop, twin.records(6.0, seed=seed + 1), 0.03, seed)
-        fit = identify_rigid_robot(loop, records)
+        fit = search_robot(loop, records)
         assert fit.converged
         assert fit.iterations <= 6
         expected = np.std(noise, axis=0) * np.sqrt(2 * 40.0 * 1e-3)  # of white noise below the cut-off of 40 Hz
@@ -147,7 +147,7 @@ def test_positions_in_the_records_are_not_read() -> None:
     loop = twin.loop()
     records, _ = recorded(loop, twin.records(4.0), 0.02)
     bare = tuple(record.without("motor_position") for record in records)
-    assert np.array_equal(identify_rigid_robot(loop, records).values, identify_rigid_robot(loop, bare).values)
+    assert np.array_equal(search_robot(loop, records).values, search_robot(loop, bare).values)
 
 
 def test_friction_is_never_let_below_nothing() -> None:
@@ -156,7 +156,7 @@ def test_friction_is_never_let_below_nothing() -> None:
     joints = tuple(replace(joint, coulomb=0.0) for joint in twin.robot.joints)
     loop = RobotLoop(replace(twin.robot, joints=joints), twin.loop().controllers)
     records, _ = recorded(loop, twin.records(6.0), 0.03)
-    fit = identify_rigid_robot(loop, records)
+    fit = search_robot(loop, records)
     for name in ("joint1.coulomb", "joint2.coulomb"):
         value, deviation = fit.value(name)
         assert 0.0 <= value < 3 * deviation

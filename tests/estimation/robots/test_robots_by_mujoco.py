@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the independent data")
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import begin, prepare_robot, run_robot
@@ -47,7 +47,7 @@ def test_a_rigid_robot_is_identified_from_torques_by_mujoco() -> None:
     twin = six()
     records = twin.records(6.0)
     theirs, _ = moved(twin, records, step=2.5e-4)
-    fit = identify_rigid_robot(twin.loop(), logged(records, theirs, 0.02))
+    fit = search_robot(twin.loop(), logged(records, theirs, 0.02))
     assert fit.converged
     assert np.mean(np.abs(deviations(fit, twin)) < 2) > 0.85
 
@@ -58,9 +58,8 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
     records = twin.records(6.0, multisine=0.004)
     # A step of the first order puts damping of its size into springs: at 0.1 ms four deviations of the friction.
     theirs, _ = moved(twin, records, step=2e-5)
-    found = identify_flexible_robot(
-        twin.loop(), logged(records, theirs, 0.02), frequencies={"joint1": 15, "joint2": 15}
-    )
+    settings = DIDIM(frequencies={"joint1": 15, "joint2": 15})
+    found = search_robot(twin.loop(), logged(records, theirs, 0.02), None, settings)
     off = np.abs(deviations(found, twin))
     assert np.max(off) < 3.5  # of one draw of the noise, whose errors go together
     assert np.mean(off < 2) > 0.75
@@ -83,7 +82,7 @@ def test_intervals_hold_when_the_error_of_mujoco_is_counted(twin: Twin, multisin
 
     def identified(noise: float, seed: int) -> RobotFit:
         made = logged(records, theirs, noise, seed)
-        return identify_flexible_robot(twin.loop(), made) if multisine else identify_rigid_robot(twin.loop(), made)
+        return search_robot(twin.loop(), made)
 
     clean = identified(1e-7, 0)
     truth = clean.parameters.group(RobotNumbers.of(twin.robot))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import Prediction
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.simulation.robot_numbers import RobotNumbers
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
@@ -22,7 +20,7 @@ LOGS = tuple(recorded(LOOP, TWIN.records(4.0, seed), 0.01, seed)[0] for seed in 
 
 
 def test_didim_of_two_logs_knows_more_than_of_either() -> None:
-    one, other, both = (identify_rigid_robot(LOOP, records) for records in (*LOGS, LOGS))
+    one, other, both = (search_robot(LOOP, records) for records in (*LOGS, LOGS))
     assert both.converged
     truth = both.parameters.group(RobotNumbers.of(TWIN.robot))
     assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
@@ -54,12 +52,3 @@ def test_each_of_several_logs_is_an_own_one(model: Any) -> None:
     for log in LOGS:
         own = ji.validate(found, log)
         assert own.answer.code is Prediction.OWN_RECORD and own.nominal_error is None
-
-
-def test_a_torque_of_0_throughout_is_refused() -> None:
-    torque = LOGS[0][1].torque
-    assert torque is not None
-    dead = (LOGS[0][0], replace(LOGS[0][1], torque=replace(torque, values=0.0 * torque.values)))
-    for model in (TWIN.robot, LOOP):
-        with pytest.raises(MethodError, match=r"The torque of joint2 is 0 throughout"):
-            ji.identify(dead, model)

@@ -167,13 +167,13 @@ class Options:
         """
         from jointid import Estimate
         from jointid.diagnostics.find_causes import explain_failure
-        from jointid.estimation.identify import plan_windows
+        from jointid.estimation.identify import windows_of
         from jointid.estimation.result.parts import IN_WINDOWS
 
         record, known, progress = file.record(self.record), list[Estimate](), self.progress
         if file.robot is None:  # the engine of a robot is another
             ready(progress)
-        if whole and plan_windows(record, file.setup, file.method):
+        if whole and windows_of(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
         asked: dict[str, Any] = {"windows": False} if whole else {}
         try:

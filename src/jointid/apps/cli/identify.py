@@ -49,8 +49,6 @@ def identify(
         else:
             estimate = file.identify_together(options.records, options.progress)
     deliver(estimate, options.json, (figure, figures.torque), details=details)
-    if estimate.fit.interrupted:
-        raise KeyboardInterrupt
 
 
 def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:

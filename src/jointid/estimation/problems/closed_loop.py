@@ -26,7 +26,7 @@ from jointid.estimation.problems.base import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, SampledLaw, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
@@ -92,15 +92,6 @@ class ClosedLoopProblem(RecordProblem):
         new = [surrounding(name, self.loop.controller, self.experiment.law.period) for name in names]
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
-
-    def under(self, controller: Controller, record: Record) -> ClosedLoopProblem:
-        """Return the problem with its record prepared for another controller.
-
-        Raises:
-            RecordError, MethodError: the record, or the law, cannot be at that period.
-        """
-        loop = replace(self.loop, controller=controller)
-        return replace(self, loop=loop, experiment=prepare(loop, record))
 
     def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""

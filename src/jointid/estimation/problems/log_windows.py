@@ -1,8 +1,8 @@
 """The windows of long logs as one problem, which streams its normal equations: memory does not grow with the log.
 
-What a window says at a candidate, `Seen`, is a model's (`WindowModel`): a loop that is simulated, or the inverse model
-of a joint or a robot. Everything else is the same for all of them. Several records are members of one problem, which
-share parameters as in `RecordsProblem`.
+What a window says at a candidate, `Seen`, is a model's (`estimation.windowed`): a loop that is simulated, or the
+inverse model of a joint or a robot. Everything else is the same for all of them. Several records are members of one
+problem, which share parameters as in `RecordsProblem`.
 
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
@@ -23,37 +23,32 @@ the latter from products of different windows only, as in `uncertainty.position_
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.messages import Detail, Progress, follow, ignore_progress
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.problems.inverse_model import REST
-from jointid.models.controllers import REFERENCE
-from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.controller_torque import seen_position
-from jointid.simulation.loop_input import prepare
 from jointid.solvers.solve import Tally
 from jointid.uncertainty.covariance import rising_scores
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
 from jointid.uncertainty.resampling import Sums, root_of, total
 
+if TYPE_CHECKING:
+    from jointid.estimation.identify_log import Solved
+    from jointid.estimation.result.estimate import Estimate
+
 FEW = 8
 """Windows: with fewer a part of a log says too little."""
 
-_FORGOTTEN = 0.01  # of the torque
 _RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
 _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
 _EQUATION = 2**20  # numbers of the places of one equation
@@ -62,8 +57,6 @@ _ROUNDING = 1e-6  # of the torque: a residual as good as none
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
 VISITS = 8
 """Windows that a place must be visited in to say anything."""
-
-Weighted: TypeAlias = Literal["none", "records", "equations"]
 
 NO_MOTION = "In no window of this record does the axis move; give another record."
 
@@ -185,10 +178,6 @@ class WindowModel(Protocol):
     def motion_measured(self) -> bool:
         """Whether the regressor has a measured motion, and so a bias by disturbances."""
 
-    @property
-    def simulates(self) -> bool:
-        """Whether a window is simulated."""
-
     def settling(self, records: Sequence[Record], x: FloatArray) -> int:
         """Return how many samples a window takes to forget how it began."""
 
@@ -198,6 +187,9 @@ class WindowModel(Protocol):
         Raises:
             NotSimulatedError: the window cannot be simulated.
         """
+
+    def tell(self, window: Estimate, solved: Solved) -> Estimate:
+        """Return the fit of a window with the parameters, settings and robot of all windows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +241,6 @@ class Pass:
         sizes: (logs, equations, 3) squares of residual and of what it is left of, not weighted, and rows.
         scores: (bands, free) of the derivatives with the residual, summed up to each band of frequency.
         count: of windows that are in the sums.
-        ended: False where it was interrupted.
     """
 
     windows: tuple[Window, ...]
@@ -258,7 +249,6 @@ class Pass:
     sizes: FloatArray
     scores: FloatArray
     count: int
-    ended: bool = True
 
     @property
     def sums(self) -> Sums:
@@ -307,7 +297,7 @@ class NotSimulatedError(MethodError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogProblem:
-    """Long logs, window by window: a `solvers.solve.Problem` whose rows are summed as they are read.
+    """Long logs, window by window: a problem whose rows are summed as they are read.
 
     Attributes:
         members: the logs.
@@ -315,8 +305,7 @@ class LogProblem:
         length: samples that count in a window.
         settling: samples at either end of a window that are simulated and not counted.
         places: that repeat, of each equation.
-        sigma: (logs, equations) size of the residual, by which its rows are divided.
-        weighted: which of these differ: "records", "equations" over all logs, or "none".
+        sigma: (logs, equations) size of the residual, by which its rows are divided; of a single one 1.
         parts: of a window, whose sums are kept apart.
         progress: receives the progress of a pass.
         tally: of windows that were simulated, each with its derivatives.
@@ -328,33 +317,20 @@ class LogProblem:
     settling: int
     places: tuple[Places, ...]
     sigma: FloatArray
-    weighted: Weighted = "none"
     parts: int = 1
     progress: Progress = ignore_progress
     tally: Tally = field(default_factory=Tally)
-    _windows: list[int] = field(default_factory=list)  # of the log, as the last pass to its end has counted
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual in as few rows as say the same; see `linearise`."""
-        return self.linearise(x)[0]
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return residual and derivatives in as few rows as have the same sums, (free + 1,) and (free + 1, free)."""
-        return compress(self.pass_over(x).sums)
 
     def reweigh(self, found: Pass) -> LogProblem:
         """Return the problem weighted by what a pass left."""
-        if self.weighted == "none" or not found.count:
+        if self.sigma.size == 1:
             return self
-        axis = 1 if self.weighted == "records" else 0
-        squares, size, rows = np.moveaxis(found.sizes.sum(axis=axis, keepdims=True), 2, 0)
-        least = _ROUNDING * np.sqrt(np.max(size))
-        with np.errstate(invalid="ignore"):  # a log without a row yet
-            sigma = np.sqrt(np.maximum(squares, least**2) / rows)
+        squares, size, rows = np.moveaxis(found.sizes, 2, 0)
+        sigma = np.sqrt(np.maximum(squares, _ROUNDING**2 * np.max(size)) / np.maximum(rows, 1))
         return replace(self, sigma=np.where(rows > 0, sigma, self.sigma))
 
     def pass_over(self, x: FloatArray, every: int = 1) -> Pass:
-        """Pass over one window in so many; an interrupt ends it with what it has.
+        """Pass over one window in so many.
 
         Raises:
             RecordError: a piece of the record cannot be read.
@@ -363,45 +339,35 @@ class LogProblem:
         windows: list[Window] = []
         places: dict[int, Place] = {}
         sizes, scores = np.zeros((*self.sigma.shape, 3)), np.zeros((_BANDS.size, x.size))
-        still, read, count, ended = 0, 0, 0, True
+        still, count = 0, 0
         pieces: Iterable[tuple[int, tuple[Chunk, ...]]] = (
             (number, piece)
             for number, member in enumerate(self.members)
             for piece in member.pieces(self.length, 2 * self.settling, every)
         )
-        # How many there are the first pass finds out.
-        total = -(-self._windows[-1] // every) if self._windows else math.inf
-        pieces = follow(pieces, self.progress, "passing over the log", total, "windows")
-        try:
-            for number, piece in pieces:
-                read += 1
-                member, records = self.members[number], [one.record for one in piece]
-                try:
-                    seen = member.model.look(records, x[member.at] + member.added)
-                except RecordError:
-                    if not (read > 1 and piece[0].last):  # a last one may be too short for filters
-                        raise
-                    continue
-                if seen is None:
-                    still += 1
-                    continue
-                self.tally.evaluations += 1
-                counted = (seen.at >= self.settling) & (seen.at < seen.samples - self.settling)
-                if not counted.any():
-                    continue
-                found, there, own, rising = self._sum(seen, counted, number, records[0])
-                sizes[number] += own
-                scores += rising
-                for place, said in there.items():
-                    places[place] = places[place] + said if place in places else said
-                windows += found
-                count += 1
-                if every == 1:
-                    self._tell(count, windows)
-            self._windows.append(read * every)
-        except KeyboardInterrupt:
-            ended = False
-        return Pass(tuple(windows), places, still, sizes, scores, count, ended)
+        for number, piece in follow(pieces, self.progress, "passing over the log", math.inf, "windows"):
+            member, records = self.members[number], [one.record for one in piece]
+            try:
+                seen = member.model.look(records, x[member.at] + member.added)
+            except RecordError:
+                if not (piece[0].number and piece[0].last):  # a last one may be too short for filters
+                    raise
+                continue
+            if seen is None:
+                still += 1
+                continue
+            self.tally.evaluations += 1
+            counted = (seen.at >= self.settling) & (seen.at < seen.samples - self.settling)
+            if not counted.any():
+                continue
+            found, there, own, rising = self._sum(seen, counted, number, records[0])
+            sizes[number] += own
+            scores += rising
+            for place, said in there.items():
+                places[place] = places[place] + said if place in places else said
+            windows += found
+            count += 1
+        return Pass(tuple(windows), places, still, sizes, scores, count)
 
     def _sum(
         self, seen: Seen, counted: NDArray[np.bool_], number: int, record: Record
@@ -435,165 +401,10 @@ class LogProblem:
             rising = rising_scores(J, error, _BANDS)
         return windows, there, sizes, rising
 
-    def _tell(self, count: int, windows: list[Window]) -> None:
-        """Report the progress of a pass, at growing intervals."""
-        if count >= FEW and count % max(10 ** (len(str(count)) - 1), FEW) == 0:
-            error = 100 * total([w.sums for w in windows]).relative_error
-            self.progress(Detail(f"{count} windows, {windows[-1].end / 3600:.2f} h: torque error {error:.4f} %"))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LoopWindow:
-    """The loop of a joint that is simulated, as it is compared with one window.
-
-    Attributes:
-        problem: of the window that is started from; those of all others are like it.
-    """
-
-    problem: ClosedLoopProblem
-    motion_measured: bool = False
-    simulates: bool = True
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-        return self.problem.free
-
-    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window; see `WindowModel`."""
-        (record,) = records
-        if not moves(record):
-            return None
-        problem = begin_window(self.problem, record)
-        values = dict(zip((p.name for p in self.free), map(float, x), strict=True))
-        response, columns = problem.sensitivities(problem.vector(values))
-        if response.outcome is not Outcome.FINISHED:
-            raise NotSimulatedError.of(record, f"{response.outcome.value}")
-        return Seen(
-            problem.error(response)[np.newaxis],
-            -problem.filter(columns)[np.newaxis],
-            problem.filter(problem.measured)[np.newaxis],
-            problem.kept,
-            problem.measured.size,
-            problem.filtering.decimation or 1,
-            [motion(problem)],
-            response.at_limit,
-        )
-
-    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
-
-        A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample
-        of the torque by more than a hundredth.
-        """
-        problem = self.problem
-        other = begin_window(problem, records[0], disturbed=1.0)
-        apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
-        remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-        return remembers + ringing(problem.filtering, problem.sample_time)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Regression:
-    """The inverse model of one window: (equations, rows) torque and (equations, rows, parameters) columns."""
-
-    Y: FloatArray
-    W: FloatArray
-    at: NDArray[np.intp]
-    samples: int
-    keep: int
-    motion: Sequence[tuple[FloatArray, FloatArray]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class InverseWindow:
-    """The inverse model of a joint or a robot, as it is compared with one window.
-
-    Attributes:
-        free: the parameters that are identified. places: of them among the columns.
-        kept: (parameters,) values of the fixed ones, 0 for the free.
-        regress: from the records of a window.
-        speeds: (axes,) rms of the window that is started from.
-        ringing: samples that its filters ring.
-    """
-
-    free: tuple[Parameter, ...]
-    places: Sequence[int]
-    kept: FloatArray
-    regress: Callable[[Sequence[Record]], Regression]
-    speeds: FloatArray
-    ringing: int
-    motion_measured: bool = True
-    simulates: bool = False
-
-    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window; see `WindowModel`. One slower than rest is of rest."""
-        if not any(map(moves, records)) or is_braked(records):
-            return None
-        found = self.regress(records)
-        if np.all(speeds_of(found) < REST * self.speeds):
-            return None
-        W = found.W[..., list(self.places)]
-        error = found.Y - found.W @ self.kept - W @ x
-        return Seen(error, -W, found.Y, found.at, found.samples, found.keep, found.motion)
-
-    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return how many samples its filters ring."""
-        del records, x
-        return self.ringing
-
 
 def is_braked(records: Sequence[Record]) -> bool:
     """Test whether the torque of a joint is 0 throughout a window, as while its brake holds it."""
     return any(record.torque is not None and not np.any(record.torque.values) for record in records)
-
-
-def speeds_of(found: Regression) -> FloatArray:
-    """Return the rms speed of each equation's motion, (equations,)."""
-    return np.array([np.sqrt(np.mean(velocity**2)) for _, velocity in found.motion])
-
-
-def window_problem(
-    record: Record, loop: ClosedLoop, filtering: Filtering, parameters: tuple[Parameter, ...], free: Sequence[str]
-) -> ClosedLoopProblem:
-    """Return the problem of one window, with its state at the first sample kept.
-
-    Args:
-        record: the window.
-        loop: joint and controller.
-        filtering: as declared.
-        parameters: of the joint.
-        free: names of what surrounds it and is identified, too.
-
-    Raises:
-        RecordError: a channel is missing.
-    """
-    known = tuple(p.fix(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
-    return begin_window(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
-
-
-def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
-    """Return the problem of a window that is like another one's, with its own state at the first sample.
-
-    Args:
-        like: the problem of another window.
-        record: the window.
-        disturbed: by how much its beginning is to be wrong, as a share of the window's torque and speed.
-    """
-    assert record.torque is not None
-    experiment = prepare(like.loop, record)
-    problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment, seen=None)
-    # What an integral holds is one constant along the log, and no window's own.
-    seen = None if experiment.law.integrates else seen_position(record, like.loop)
-    inputs, period = experiment.inputs, experiment.law.period
-    torque = float(problem.filter(problem.measured)[0])  # a single sample has all of the noise
-    velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
-    torque += disturbed * float(np.std(problem.measured))
-    velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
-    position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
-    if seen is not None and record.motor_position is not None:
-        problem = replace(problem, seen=seen, measured=seen.torque(record.motor_position.values)[: experiment.samples])
-    return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 
 def ringing(filtering: Filtering, sample_time: float) -> int:
@@ -613,15 +424,14 @@ def commanded(record: Record) -> Channel | None:
     return record.motor_position if record.reference is None else record.reference
 
 
-def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the reference's position and velocity at the log's instants, (samples,) each."""
-    experiment = problem.experiment
-    position = experiment.inputs[experiment.log_index // experiment.lengths.size, REFERENCE]
-    return position, np.gradient(position, experiment.sample_time)
+def travel(records: Sequence[Record]) -> float:
+    """Return how far the axes are asked to move in a window, or what is injected varies, in sum."""
+    asked = [commanded(one) if one.injected is None else one.injected.channel for one in records]
+    return sum(float(np.sum(np.abs(np.diff(one.values)))) for one in asked if one is not None)
 
 
 def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
-    """Return a residual and its derivatives of these sums, (free + 1,) and (free + 1, free).
+    """Return a residual and its derivatives in as few rows as have these sums, (free + 1,) and (free + 1, free).
 
     The last row is what no parameter explains; rows of directions that nothing determines are 0.
     """

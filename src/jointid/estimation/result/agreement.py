@@ -113,6 +113,11 @@ class Agreement:
         """Whether the records differ by more than their intervals allow, jointly or in one of the parameters."""
         return any(p.differs for p in self.parameters) or (self.p_value is not None and self.p_value <= _LEVEL)
 
+    def widen(self, covariance: Covariance, names: Sequence[str]) -> Covariance:
+        """Add the variance between records, which is no noise of theirs, to that of these parameters."""
+        more = {p.name: p.widening for p in self.parameters}
+        return covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
+
     def __getitem__(self, name: str) -> Scatter:
         """Return how a parameter differs, by its name."""
         for parameter in self.parameters:

@@ -59,6 +59,7 @@ class Estimate(Documented):
         solved: of a robot that was simulated along one log; None elsewhere.
         undetermined: names of parameters that lose their values once all is checked.
         shifts: (free,) each, by which the deviations of a joint's simulation were widened.
+        window: of a log in windows the fit of the one that the search began with, which is checked.
 
     Example:
         >>> import jointid as ji
@@ -71,7 +72,7 @@ class Estimate(Documented):
         (30.0, True)
     """
 
-    in_json = "answer parameters controller_sha256 -problem -record -records -solved -undetermined"
+    in_json = "answer parameters controller_sha256 -problem -record -records -solved -undetermined -window"
     params: Params
     fit: Fit
     checks: Checks
@@ -85,6 +86,7 @@ class Estimate(Documented):
     solved: SolvedRobot | None = None
     undetermined: tuple[str, ...] = ()
     shifts: tuple[FloatArray, ...] = ()
+    window: Estimate | None = None
 
     @property
     def success(self) -> bool:

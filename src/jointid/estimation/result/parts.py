@@ -192,7 +192,6 @@ class Fit:
         simulations: that were run, all of them, those for derivatives and deviations included.
         passes: over the whole of a long log.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
-        interrupted: True if the last pass over a long log was: the estimate is of its beginning.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
         position_rms: of the simulated motor position's error where it was logged under a controller, in m or rad, by
             the name of the joint in its robot, "" for a joint alone.
@@ -210,7 +209,6 @@ class Fit:
     residuals: ResidualReport | None = None
     conditioning: Conditioning | None = None
     passes: int = 0
-    interrupted: bool = False
     axis_errors: Mapping[str, float] = field(default_factory=dict)
     position_rms: Mapping[str, float] = field(default_factory=dict)
 

@@ -4,7 +4,7 @@ The motors' positions are filtered and prescribed, the links simulated on their 
 compared with those that were logged (`simulation.robot_drive_side`), through one window and one filter. The positions'
 own filter goes over the torques and over the direction of friction, too: of random robots, logged at 500 Hz, it left
 twice the noise otherwise. Where a motor rests or turns round its row is left out, as in IDIM. The search is that of the
-closed loop (`flexible`), started from a robot of rigid joints, which here is a regression on the measured motion.
+closed loop (`robots.didim`), started from a robot of rigid joints, which here is a regression on the measured motion.
 
 Beside the robot's parameters two of the record are searched: by how much the log shows the torques late, one number for
 all joints, which else would be taken for the springs' damping; and where motors move at the first sample the links'
@@ -29,13 +29,8 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import MeasuredMotion, moving_weights
+from jointid.estimation.robots.didim import SLOW, require_springs, search_springs
 from jointid.estimation.robots.fit import RobotFit, fixed_point
-from jointid.estimation.robots.flexible import (
-    SLOW,
-    require_frequencies,
-    require_springs,
-    search_springs,
-)
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, each_log, motion_of_robot
@@ -302,7 +297,7 @@ def identify_flexible_drive_side(
         records: one for each joint, with torque and motor position behind the gear, of one log, or those of several;
             to show a spring the motion must excite its mode, as a multisine on top of it does.
         filtering: of positions and torques; the torques' cut-off above the modes, the positions' five times that.
-        frequencies: Hz, see `identify_flexible_robot`.
+        frequencies: Hz, see `DIDIM`.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each search.
         delay: s, by which the log shows torques later than positions; None to identify it.
@@ -311,9 +306,8 @@ def identify_flexible_drive_side(
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
-        MethodError: as of `identify_flexible_robot`, or one of several logs begins in motion.
+        MethodError: as of `search_robot`, or one of several logs begins in motion.
     """
-    require_springs(robot, frequencies)
     instead = 'identify the robot by "didim"'
     robot.require_linear_friction("The drive side of a robot takes", instead)
     robot.require_linear_springs("The drive side of a robot takes", instead)
@@ -324,7 +318,7 @@ def identify_flexible_drive_side(
     parts = [drive_side_problem(robot, log, parameters, filtering, delay, stated=stated) for log in logs]
     _require_one_beginning(robot, parts)
     problem = add_problems(parts)
-    require_frequencies(frequencies, problem.sample_time)
+    require_springs(robot, frequencies, problem.sample_time)
     of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)
     slow_parts = [drive_side_problem(stiff, log, of_stiff, SLOW) for log in logs]
     # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
@@ -333,7 +327,7 @@ def identify_flexible_drive_side(
         [replace(one, motion=replace(one.motion, moving=np.ones_like(one.motion.moving))) for one in slow_parts]
     )
     x = np.zeros(len(slow.free))
-    rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress).fit()
+    rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress)
 
     def search(problem: RobotProblem[Any]) -> RobotFit:
         return search_springs(problem, robot, rigid, frequencies, evaluations, progress)

@@ -108,34 +108,6 @@ class RobotFit:
         return float(self.values[at]), float(self.covariance.std[at])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedPoint:
-    """End of the steps by the regressor of the simulated motion.
-
-    Attributes:
-        problem: as the last step weighed it.
-        x: there. run: of that.
-        iterations: that were made. converged: whether they settled.
-    """
-
-    problem: RobotProblem[Any]
-    x: FloatArray
-    run: Any
-    iterations: int
-    converged: bool
-
-    @property
-    def left(self) -> float:
-        """Norm of the shares of the joints' filtered torques that are left."""
-        problem = self.problem
-        return float(np.linalg.norm(problem.norms(problem.error(self.run)) / problem.sizes))
-
-    def fit(self) -> RobotFit:
-        """Return the fit there."""
-        slopes, regressor = self.problem.slopes(self.run, self.x), self.problem.regressor(self.run)
-        return conclude(self.problem, self.x, self.run, slopes, regressor, self.iterations, self.converged)
-
-
 def fixed_point(
     problem: RobotProblem[Run],
     x: FloatArray,
@@ -143,8 +115,8 @@ def fixed_point(
     iterations: int,
     progress: Progress = lambda _: None,
     settled: float = SETTLED,
-) -> FixedPoint:
-    """Iterate with the regressor of the simulated motion from a valid start."""
+) -> RobotFit:
+    """Iterate with the regressor of the simulated motion from a valid start, and return the fit at the end."""
     bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
     arrived, made = False, 0
     # What no position shows never settles: the integral takes whatever is added.
@@ -160,7 +132,7 @@ def fixed_point(
         x, run = _take_step(problem, x, after, run)
         if arrived:
             break
-    return FixedPoint(problem, x, run, made, arrived)
+    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
 
 
 def conclude(

@@ -24,10 +24,9 @@ from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import IdentifiedRobot, Sums
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.numbers import (
     RobotParameters,
     begin_delays,
@@ -183,7 +182,7 @@ def identify_simulated_robot(
         progress: receives the steps.
 
     Raises:
-        RecordError, MethodError: see `identify_rigid_robot`, `identify_flexible_robot`, `identify_flexible_drive_side`.
+        RecordError, MethodError: see `search_robot`, `identify_flexible_drive_side`.
     """
     if isinstance(model, RobotDriveSide):
         side = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
@@ -194,14 +193,7 @@ def identify_simulated_robot(
         method = "drive_side", "drive side of a robot, from motor torques and motor positions"
     else:
         didim = settings if isinstance(settings, DIDIM) else DIDIM()
-        asked: dict[str, Any] = {
-            "offsets": didim.offsets, "evaluations": didim.evaluations, "known": known, "free": didim.free,
-            "progress": progress,
-        }  # fmt: skip
-        if any(model.robot.flexible):
-            fit = identify_flexible_robot(model, records, filtering, frequencies=didim.frequencies or None, **asked)
-        else:
-            fit = identify_rigid_robot(model, records, filtering, iterations=didim.iterations, **asked)
+        fit = search_robot(model, records, filtering, didim, known=known, progress=progress)
         fit = replace(fit, parameters=begin_delays(fit.parameters, model))
         model = at_estimate(model, fit.parameters, fit.values)
         computed = any(record.computed for log in each_log(records) for record in log)
