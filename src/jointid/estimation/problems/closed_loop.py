@@ -93,6 +93,15 @@ class ClosedLoopProblem(RecordProblem):
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
 
+    def under(self, controller: Controller, record: Record) -> ClosedLoopProblem:
+        """Return the problem with its record prepared for another controller.
+
+        Raises:
+            RecordError, MethodError: the record, or the law, cannot be at that period.
+        """
+        loop = replace(self.loop, controller=controller)
+        return replace(self, loop=loop, experiment=prepare(loop, record))
+
     def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
         return self._filter_all([columns])[0]
