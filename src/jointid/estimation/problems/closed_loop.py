@@ -26,7 +26,7 @@ from jointid.estimation.problems.base import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, SampledLaw, number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
