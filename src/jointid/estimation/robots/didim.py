@@ -396,8 +396,8 @@ def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
         bound = fit.parameters.parameters[fit.names.index(f"{joint.name}.stiffness")].upper
         shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - OFF
         at_least, unit = 1.0 / (compliance + UNSEEN * spread), "N/m" if link.kind == "prismatic" else "N m/rad"
-        value = (stiffness, deviation) if shown else (None, None)
-        found.append(SpringVerdict(joint.name, shown, *value, at_least, unit))
+        told, std = (stiffness, deviation) if shown else (None, None)
+        found.append(SpringVerdict(joint.name, shown, told, std, at_least, unit))
     return tuple(found)
 
 
