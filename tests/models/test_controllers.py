@@ -1,4 +1,4 @@
-"""Controllers: each law against its equation written out, and what can be done with all of them."""
+"""Laws turned round, and the units in which they count."""
 
 from __future__ import annotations
 
@@ -59,28 +59,6 @@ def test_a_law_turned_round_gives_the_position_back(name: str) -> None:
     torque = output(controller, r, q)
     found = invert(controller.law(T), torque, inputs(r, np.zeros_like(r)), at_rest(controller, r, q))
     assert np.max(np.abs(found - q)) <= 1e-9 * np.ptp(q)
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_memory_is_what_uniform_motion_leaves(name: str) -> None:
-    """After a long uniform motion the state is what `memory` says at once."""
-    law = LAWS[name].law(T)
-    k = np.arange(-4000, 1)
-    signal = 0.3 + 0.05 * k * T
-    state = law.memory(REFERENCE, signal[0], 0.05) + law.memory(POSITION, signal[0], 0.05)
-    for value in signal[:-1]:
-        state = law.A[0] @ state + law.B[0, :, REFERENCE] * value + law.B[0, :, POSITION] * value
-    expected = law.memory(REFERENCE, 0.3, 0.05) + law.memory(POSITION, 0.3, 0.05)
-    assert np.allclose(state, expected, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_scaling_multiplies_the_output(name: str) -> None:
-    law = LAWS[name].law(T).with_limit(7.0)
-    r, q = REFERENCE_SIGNAL, POSITION_SIGNAL
-    start = at_rest(LAWS[name], r, q)
-    assert np.allclose(run(scale(law, 3.0), inputs(r, q), start).output, 3.0 * run(law, inputs(r, q), start).output)
-    assert scale(law, 3.0).limit == 21.0
 
 
 def test_the_excess_is_fed_back_in_controller_units() -> None:

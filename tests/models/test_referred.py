@@ -1,4 +1,4 @@
-"""A law seen through a transmission is the same law, in other units of position and torque; so is a loop."""
+"""A law seen through a transmission is the same law, in other units of position and torque."""
 
 from __future__ import annotations
 
@@ -20,12 +20,7 @@ from jointid.models.controllers import (
     StateSpaceController,
     run,
 )
-from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.records.record import Channel, Injection, InjectionPoint, Record
-from jointid.simulation.closed_loop import simulate
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.loop_input import prepare
-from tests.geared import FLEXIBLE, RATE
+from tests.geared import RATE
 
 T, RATIOS = RATE, (100.0, -100.0, 2 * np.pi / 0.01, -0.3)
 FED = {"acceleration_feedforward": 2e-4, "viscous_feedforward": 1e-3, "coulomb_feedforward": 0.03}
@@ -79,30 +74,3 @@ def test_a_law_gives_ratio_times_what_it_gives_to_ratio_times_the_motion(control
     assert np.max(np.abs(plain.output)) == pytest.approx(own.limit)  # or limits and gates would not be tried
     np.testing.assert_allclose(turned.output, ratio * plain.output, rtol=1e-9, atol=1e-12 * abs(ratio))
     assert seen.limit == pytest.approx(abs(ratio) * own.limit)
-
-
-@pytest.mark.parametrize("ratio", RATIOS)
-@pytest.mark.parametrize("controller", LAWS.values(), ids=LAWS)
-@pytest.mark.parametrize("at", InjectionPoint)
-def test_a_loop_moves_alike_on_both_sides(controller: Controller, ratio: float, at: InjectionPoint) -> None:
-    """With saturation, sticking, an integral and feed-forward; the load is the joint's side."""
-    reference = trapezoids((20.0, 40.0), 400.0, 20.0, T, duration=3.0)
-    pulse = 0.2 * (np.arange(reference.size) % 500 < 10)
-    powers = {"coulomb": abs(ratio), "offset": ratio}
-    there = {name: v * powers.get(name.split("_")[-1], ratio**2) for name, v in FLEXIBLE.items()}
-    runs = []
-    for r, law, v in ((1.0, controller, FLEXIBLE), (ratio, replace(controller, ratio=ratio), there)):  # type: ignore[type-var]
-        velocity = np.gradient(reference / r, T)
-        record = Record(
-            reference=Channel(reference / r, "rad", T),
-            reference_velocity=Channel(velocity, "rad/s", T),
-            injected=Injection(Channel(pulse * r, "N m", T), at),
-        )
-        loop = ClosedLoop(FlexibleJoint("revolute"), law)
-        runs.append(simulate(loop, prepare(loop, record), v))
-    plain, turned = runs
-    assert turned.outcome is plain.outcome
-    assert turned.events == plain.events
-    scale = float(np.max(np.abs(plain.torque)))
-    np.testing.assert_allclose(turned.torque / ratio, plain.torque, atol=1e-8 * scale, rtol=0)
-    assert turned.at_limit == pytest.approx(plain.at_limit)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
 from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.models.springs import ElasticLoad, find_spring
-from jointid.output import json as answers
 from jointid.paper.twin import TABLE_2
 from jointid.planning.predict import _holding_torque
 from jointid.simulation.prescribed import DriveSide, prescribed_motion, simulate_drive_side
@@ -67,37 +65,6 @@ def test_a_regression_has_its_columns() -> None:
         moved = (motor, load)[row].position
         np.testing.assert_allclose(columns[row], PositionHarmonics(0.3, 2).columns_at(moved))
         assert not np.any(columns[1 - row])
-
-
-@pytest.fixture(scope="module")
-def rippled() -> tuple[ji.Record, ji.ClosedLoop]:
-    axis = ji.twin(noise="white")
-    loop = ji.ClosedLoop(RigidJoint("prismatic", ripple=RIPPLE), axis.loop.controller)
-    reference = ji.excitation.trapezoids((0.05, 0.1), 0.8, 0.1, 1e-3, duration=6.0)
-    noise = 0.5 * np.random.default_rng(1).standard_normal(reference.size)
-    return ji.simulated_record(loop, reference, RIGID | WAVED, sample_time=1e-3, torque_noise=noise), loop
-
-
-def test_it_is_identified_from_torque_and_reference_written_and_read_back(
-    rippled: tuple[ji.Record, ji.ClosedLoop], tmp_path: Path
-) -> None:
-    record, loop = rippled
-    found = ji.identify(record.without("motor_position"), loop, filtering=ji.Filtering(cutoff=40.0))
-    for name, value in (RIGID | WAVED).items():
-        assert abs(found[name].value - value) < 4 * found[name].stderr, name
-    answer = answers.to_dict(found)
-    assert answer["settings"]["system"]["ripple"] == {
-        "type": "PositionHarmonics",
-        "period": 0.02,
-        "harmonics": 1,
-        "side": "motor",
-    }
-    path = tmp_path / "answer.json"
-    answers.write(answer, path)
-    read = answers.load_estimate(path, loop)
-    assert read.values["harmonic_1_sine"] == found["harmonic_1_sine"].value
-    with pytest.raises(ji.RecordError):
-        answers.load_estimate(path, RigidJoint("prismatic", ripple=PositionHarmonics(0.03)))
 
 
 def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:

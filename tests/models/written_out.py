@@ -6,7 +6,6 @@ recurrence. Nothing here knows of states, elements or matrices.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -185,25 +184,10 @@ class Written:
         return m
 
 
-def begun(
-    law: Cascade | PD, T: float, first: Sample, slope: float, q: float, speed: float, torque: float | None = None
-) -> tuple[Written, float]:
-    """A law after uniform motion up to its first period, and what it puts out there without limits.
-
-    With a torque, its integral is what makes it put out that.
-    """
-
-    def after(content: float) -> tuple[Written, float]:
-        made = Written(law, T, first, q, I=content, k=-SETTLED)
-        for k in range(-SETTLED, 0):
-            made(replace(first, reference=first.reference + slope * k * T, injected=0.0), q + speed * k * T)
-        made.free = False
-        trial = copy.deepcopy(made)
-        trial.free = True
-        return made, trial(first, q)
-
-    made, out = after(0.0)
-    if torque is None:
-        return made, out
-    _, more = after(1.0)
-    return after((torque - out) / (more - out))
+def begun(law: Cascade | PD, T: float, first: Sample, slope: float, q: float, speed: float) -> Written:
+    """Return a law after uniform motion up to its first period."""
+    made = Written(law, T, first, q, k=-SETTLED)
+    for k in range(-SETTLED, 0):
+        made(replace(first, reference=first.reference + slope * k * T, injected=0.0), q + speed * k * T)
+    made.free = False
+    return made

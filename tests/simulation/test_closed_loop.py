@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-import shutil
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+from jointid.estimation.methods.didim import DIDIM
+from jointid.models.controllers import PD, Cascade, StateSpaceController, shift_start
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, require_success, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 
 T = 1e-3
 RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
@@ -39,38 +39,6 @@ def record(
 ) -> Record:
     torque = Channel(np.zeros(reference.size), "N", period, timing)
     return Record(torque=torque, reference=Channel(reference, "m", period, commanded), **more)  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: Path) -> None:
-    """All 230 events, 1e-9 of peak torque: against C with gcc, and against DOP853 (a quarter of a minute)."""
-    sys.path.insert(0, str(bench_dir))
-    import ref
-    import stick
-
-    problem = stick.problem()
-    alpha, gains = problem["controller"]["alpha"], problem["controller"]
-    controller = PD(
-        position_gain=gains["kp"], derivative_gain=gains["kd"], reference_velocity="channel",
-        velocity_filter=DigitalFilter((1 - alpha,), (1, -alpha)), limit=gains["umax"],
-    )  # fmt: skip
-    driven = Record(
-        reference=Channel(problem["reference"], "m", T),
-        reference_velocity=Channel(problem["reference_velocity"], "m/s", T),
-        injected=Injection(Channel(problem["pulse"], "N", T), "before_limit"),  # type: ignore[arg-type]
-    )
-    loop = ClosedLoop(FlexibleJoint("prismatic"), controller)
-    values = dict(zip([p.name for p in loop.joint.parameters], [*problem["parameters"], 0.0], strict=True))
-    run = simulate(loop, prepare(loop, driven), values)
-    expected, states, _, events = ref.run()
-    peak = np.max(np.abs(expected))
-    assert run.outcome is Outcome.FINISHED
-    assert run.events == events == 230
-    assert np.max(np.abs(run.torque - expected)) <= 1e-9 * peak
-    assert run.load_position is not None
-    assert np.max(np.abs(run.load_position - states[:, 2])) <= 1e-12
-    if shutil.which("gcc"):
-        assert np.max(np.abs(run.torque - stick.c_sim())) <= 1e-9 * peak
 
 
 def test_an_axis_at_rest_on_its_reference_stays_there() -> None:
@@ -96,18 +64,6 @@ def test_a_delay_is_a_later_torque(delay: float) -> None:
     exact = ClosedLoop(RigidJoint("prismatic"), feed)
     expected = simulate(exact, prepare(exact, record(held, fine)), RIGID).motor_position[::10]
     assert np.max(np.abs(position - expected)) <= 1e-9 * np.ptp(expected)
-
-
-def test_saturation_holds_the_torque_and_is_counted() -> None:
-    loop = ClosedLoop(
-        RigidJoint("prismatic"),
-        Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=2.0),
-    )
-    run = simulate(loop, prepare(loop, record()), RIGID)
-    limit = 2.0 * 35.15
-    assert np.max(np.abs(run.torque)) == limit
-    assert run.at_limit == pytest.approx(np.mean(np.abs(run.torque) == limit), abs=1e-12)
-    assert 0.02 < run.at_limit < 0.9
 
 
 @pytest.mark.parametrize(("at", "in_torque"), [("before_limit", True), ("after_limit", True), ("after_limit", False)])
@@ -263,3 +219,76 @@ def test_a_record_that_begins_in_motion_begins_without_a_kick(position_gain: flo
     assert np.max(np.abs(run.torque - friction)) <= 1e-7 * friction
     stopped = simulate(loop, prepare(loop, driven), FLEXIBLE)
     assert np.max(np.abs(stopped.torque - friction)) > 5.0
+
+
+def test_a_fast_loop_with_a_slow_position_gain_has_not_gone_far() -> None:
+    """Its gain within a period is nearly all the velocity's: 16000 / s beside 10 / s."""
+    reference = trapezoids((0.05, 0.1), 1.0, 0.05, 1e-3, rest=0.15)
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=10.0, velocity_gain=3e3, period=62.5e-6))
+    run = simulate(loop, prepare(loop, Record(reference=Channel(reference, "m", 1e-3))), RIGID)
+    assert run.outcome is Outcome.FINISHED
+    assert np.ptp(run.motor_position) > 0.9 * np.ptp(reference)
+
+
+SLOW = Cascade(
+    position_gain=60.0, velocity_gain=6e3, position_period=4 * T, position_offset=2 * T, velocity_feedforward=0.5
+)
+AT_REST = np.concatenate([np.zeros(12), trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0)])
+
+
+def after(cut: float, law: Cascade = SLOW) -> Record:
+    """What remains of a log from so many samples on, while nothing moves: as if its first refresh had been there."""
+    loop = ClosedLoop(RigidJoint("prismatic"), law)
+    whole = Record(reference=Channel(AT_REST, "m", T))
+    torque = simulate(loop, prepare(loop, whole), RIGID | {"offset": 0.0}).torque
+    first = math.ceil(cut)
+    kept = (Channel(AT_REST[first:], "m", T), Channel(torque[first:], "N", T, Timing.HELD))
+    return Record(reference=kept[0], torque=kept[1], begin=cut * T)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 3, 6])
+def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -> None:
+    """Simulated, differentiated and identified: the law of the whole log, whatever was cut off."""
+    loop, record, values = ClosedLoop(RigidJoint("prismatic"), SLOW), after(cut), RIGID | {"offset": 0.0}
+    assert record.torque is not None
+    run = simulate(loop, prepare(loop, record), values)
+    size = float(np.max(np.abs(record.torque.values)))
+    np.testing.assert_allclose(run.torque, record.torque.values, atol=1e-9 * size)
+    missed = simulate(loop, prepare(loop, replace(record, begin=record.begin + T)), values)
+    assert np.max(np.abs(missed.torque - record.torque.values)) > 0.01 * size
+
+    slope = simulate_sensitivities(loop, prepare(loop, record), values, ("position_gain",)).torque[:, 0]
+    low, high = (after(cut, replace(SLOW, position_gain=SLOW.position_gain + by)).torque for by in (-1e-3, 1e-3))
+    assert low is not None
+    assert high is not None
+    difference = (high.values - low.values) / 2e-3
+    np.testing.assert_allclose(slope, difference, atol=1e-4 * np.max(np.abs(difference)))
+
+    wrong = ClosedLoop(RigidJoint("prismatic"), replace(SLOW, position_gain=1.02 * SLOW.position_gain))
+    found = identify(record, wrong, DIDIM(free=("position_gain",)))
+    assert found["position_gain"].value == pytest.approx(SLOW.position_gain, rel=1e-5)
+    assert found["inertia"].value == pytest.approx(RIGID["inertia"], rel=1e-5)
+
+
+def test_a_record_that_begins_between_two_samples_of_the_file_takes_the_next_instant() -> None:
+    """Evaluated at 2, 6, ... ms after the file's first sample; the record's instants are at 2.5, 3.5, ... ms."""
+    assert shift_start(SLOW, 2.5 * T) == replace(SLOW, position_offset=3.5 * T)
+    for off_grid, first in ((3.5, 4), (3.001, 3), (3.1, 4), (0.0, 0)):
+        law, on_grid = (replace(SLOW, position_offset=at * T).law(T) for at in (off_grid, first))
+        np.testing.assert_array_equal(law.A, on_grid.A)
+        np.testing.assert_array_equal(law.B, on_grid.B)
+
+
+@pytest.mark.parametrize("later", [0, 1, 2, 3, 7])
+def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
+    """What a record that begins later shows, and what its file is told, lead to each other, on any grid."""
+    slow = replace(SLOW, period=4 * T, position_period=16 * T, position_offset=8 * T)
+    for learned in (SLOW, slow):
+        declared = shift_start(learned, -later * T)
+        assert isinstance(declared, Cascade)
+        cycle = learned.position_period or T
+        assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
+        assert shift_start(declared, later * T) == learned
+    assert shift_start(PD(position_gain=1.0, derivative_gain=1.0), later * T) == PD(
+        position_gain=1.0, derivative_gain=1.0
+    )

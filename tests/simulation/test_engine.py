@@ -17,10 +17,6 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
 from tests.simulation.differences import error_beside_differences
-from tests.simulation.kernel_case import FINE, run
-from tests.simulation.oracle import Law, Plant
-from tests.simulation.oracle import simulate as reference_in_pieces
-from tests.simulation.smooth_oracle import Smooth
 from tests.smooth_laws import with_law
 
 _STEP = 3e-6
@@ -59,28 +55,6 @@ def test_accelerations_balance_friction_that_drifts() -> None:
         np.testing.assert_allclose(motion.acceleration[moving], expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:
-    """A constant push below Fc moves it by s ln(1 / (1 - push / Fc)), where the wound-up friction carries the push."""
-    plant = Plant(inertia1=1.0, fv1=(2000.0, 2000.0), fc1=(10.0, 10.0), offset=-6.0)
-    nothing = np.zeros(0)
-    law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
-    w, more = np.zeros(5000), Smooth(presliding=(1e-3, 0.0))
-    _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), laws=more.laws)
-    assert x[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)
-
-
-def test_a_stop_at_the_end_of_a_period_ends_no_simulation() -> None:
-    """What rounding leaves of a period after it is no step that is too short."""
-    nothing = np.zeros(0)
-    law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
-    for speed in (0.1, 0.2, 1.0, 1.0 / 3.0):
-        for periods in range(3, 30):
-            plant = Plant(inertia1=1.0, fc1=(speed / (periods * 1e-3),) * 2)
-            w = np.zeros(periods + 3)
-            status, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.array([0.0, speed]), laws=Smooth().laws)
-            assert status == 0 and abs(x[-1, 1]) < 1e-12
-
-
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_friction_that_winds_up_over_next_to_nothing_is_coulombs(make: Callable[[int], Case]) -> None:
     """However stiff it then is; what it differs by is the motion of a mass that it holds, as the root of its length."""
@@ -93,26 +67,6 @@ def test_friction_that_winds_up_over_next_to_nothing_is_coulombs(make: Callable[
         found = simulate(loop, prepare(loop, case.clean), values)
         assert found.outcome is Outcome.FINISHED
         assert np.abs(found.torque - exact.torque).max() < within * np.abs(exact.torque).max()
-
-
-@pytest.mark.parametrize("kernel", ["exact", "in steps"])
-@pytest.mark.parametrize("eps", [6e-5, 2e-4, 1e-3])
-@pytest.mark.parametrize("period", [2e-3, 3e-2])
-def test_a_velocity_that_dips_below_nothing_for_a_moment_is_seen(kernel: str, eps: float, period: float) -> None:
-    """A load that swings in a motion, just faster than its mean, turns round twice at each swing."""
-    stiffness, inertia, speed, coulomb = 1e4, 1.0, 0.1, 1e-3
-    plant = Plant(inertia1=1e9, inertia2=inertia, stiffness=stiffness, fc2=(coulomb, coulomb))
-    nothing = np.zeros(0)
-    law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
-    w = np.zeros(round(0.08 / period))
-    pulled = speed * (1 + eps) * np.sqrt(stiffness * inertia) + coulomb
-    case = plant, law, w, w, period, 0.0, 0.0, np.array([0.0, speed, -pulled / stiffness, speed])
-    laws = None if kernel == "exact" else Smooth().laws
-    status, _, x, counts = run(*case, laws=laws, reach=FINE)
-    expected = reference_in_pieces(*case)
-    assert status == 0
-    assert counts[0] == len(expected.events) == 2
-    np.testing.assert_allclose(x[:, [1, 3]], expected.x[:, [1, 3]], rtol=0, atol=1e-8 * speed)
 
 
 @pytest.mark.parametrize("name", ["damping", "load_coulomb"])

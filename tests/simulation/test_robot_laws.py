@@ -111,7 +111,7 @@ def own_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
         "coulomb_drift": MassNumbers.COULOMB_DRIFT, "friction_per_torque": MassNumbers.PER_TORQUE,
     }  # fmt: skip
     for row, law in enumerate(numbers.frictions):
-        viscous = (4, 5) if law.depends_on_direction("viscous") else (1,)
+        viscous = (4, 5) if law.two_ways else (1,)
         columns = [*viscous, 2, 3, *(beside[p.name] for p in law.parameters() if p.name in beside)]
         if row >= numbers.rotors.size:
             columns = [column for column in columns if column != MassNumbers.PER_TORQUE]

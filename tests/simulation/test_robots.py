@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compile_kernel
-from jointid.models.controllers import PD, PID, Cascade, Controller
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, Tree
+from jointid.models.controllers import PD, PID
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial, Outcome
+from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.kernels.engine import (
-    COULOMB,
-    COULOMB_BACK,
     FREE,
-    HIGH,
     LENGTH,
-    SPRING,
     STATE,
-    accelerate,
-    settle,
 )
-from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotRun, add_feed_forward, begin, motion_at, prepare_robot, run_robot
+from jointid.simulation.robots import RobotLoop, RobotRun, add_feed_forward, motion_at, prepare_robot, run_robot
 from jointid.simulation.synthesis import simulate
-from tests.robots_plants import Twin, inertial, serial, seven, six, two
-from tests.simulation.robot_oracle import simulate_pd
+from tests.robots_plants import Twin, seven, six, two
+from tests.simulation.reference import of_robot
 
 
 def changed(twin: Twin, *joints: dict[str, Any]) -> Twin:
@@ -79,9 +67,7 @@ def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name
     loop = twin.loop()
     records = faster(twin.records(5.0 * duration), 8.0)
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
-    gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
-    start = begin(experiment, numbers).places
-    exact, _ = simulate_pd(experiment.tree, numbers, gains, experiment.references, 1e-3, start)
+    exact = of_robot(experiment, numbers)[0].T
     peak = np.max(np.abs(exact), axis=0)
     runs = {steps: run_robot(experiment, numbers, steps=steps) for steps in (1, 2, 4)}
     errors = {steps: float(np.max(np.abs(run.command.T - exact) / peak)) for steps, run in runs.items()}
@@ -91,50 +77,6 @@ def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name
     floor = 1e-12  # of rounding, and of the events' tolerances
     assert errors[2] < errors[1] / 12 + floor
     assert errors[4] < errors[2] / 12 + floor
-
-
-def single(flexible: bool) -> tuple[Robot, dict[str, float]]:
-    """Return a joint as a robot of one about an upright axis, and as a joint's values."""
-    spring = JointSpring(900.0, 1.5, 0.6, 0.9) if flexible else None
-    body = inertial(2.0, (0.1, 0.0, 0.0), (0.02, 0.02, 0.08))
-    joint = RobotJoint("one", 0.3, 1.1, 1.7, spring=spring)
-    robot = serial([(0.0, 0.0, 1.0)], [(0.0, 0.0, 0.0)], [np.eye(3)], [body], [joint])
-    if not flexible:
-        return robot, {"inertia": 0.4, "viscous": 1.1, "coulomb": 1.7, "offset": 0.0}
-    motor = {"motor_inertia": 0.3, "motor_viscous": 1.1, "motor_coulomb": 1.7, "stiffness": 900.0, "damping": 1.5}
-    return robot, motor | {"load_inertia": 0.1, "load_viscous": 0.6, "load_coulomb": 0.9, "offset": 0.0}
-
-
-LAWS: dict[str, Controller] = {
-    "PD": PD(position_gain=600.0, derivative_gain=30.0),
-    "PID at its limit": PID(position_gain=600.0, derivative_gain=30.0, integral_gain=900.0, limit=9.0),
-    "cascade of two rates, late": Cascade(
-        position_gain=20.0, velocity_gain=20.0, integral_gain=8.0, position_period=4e-3, delay=1.3e-3
-    ),
-}
-
-
-@pytest.mark.parametrize("flexible", [False, True])
-@pytest.mark.parametrize("name", LAWS)
-def test_a_robot_of_one_joint_is_that_joint(name: str, flexible: bool) -> None:
-    robot, values = single(flexible)
-    t = np.arange(1500) * 1e-3
-    x = np.clip(t / 0.3, 0, 1)
-    # A rest, so that the joint sticks: at the beginning, and in the middle.
-    reference = 0.6 * np.sin(2 * np.pi * 1.5 * np.minimum(t, 0.9)) * x**3 * (10 - 15 * x + 6 * x * x)
-    record = Record(reference=Channel(reference, "rad", 1e-3))
-    joint = FlexibleJoint("revolute") if flexible else RigidJoint("revolute")
-    loop = ClosedLoop(joint, LAWS[name])
-    found = simulate(RobotLoop(robot, (LAWS[name],)), [record], steps=8)
-    begun = Initial(float(found.motor_position[0, 0]), 0.0, 0.0)
-    exact = simulate(loop, prepare(loop, record), values, begun)
-    peak = float(np.max(np.abs(exact.torque)))
-    assert found.outcome is Outcome.FINISHED
-    assert np.max(np.abs(found.torque[:, 0] - exact.torque)) < 2e-8 * peak
-    assert np.max(np.abs(found.motor_position[:, 0] - exact.motor_position)) < 1e-9
-    assert found.events == exact.events
-    accelerations = exact.motor.acceleration, found.motion.acceleration[:, -1]
-    assert accelerations[0][:-2] == pytest.approx(accelerations[1][:-2], abs=1e-5 * peak / 0.3)
 
 
 def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
@@ -172,12 +114,7 @@ def test_no_mass_slides_against_its_friction() -> None:
 def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], worst: float) -> RobotRun:
     """Return a run at one step a part, of which the torque is that near to the adaptive reference's, of its peak."""
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
-    gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
-    began, clock = begin(experiment, numbers), experiment.clock
-    exact, _ = simulate_pd(
-        experiment.tree, numbers, gains, experiment.references, float(np.sum(clock.lengths)), began.places,
-        began.speeds, tuple(clock.every.tolist()), tuple(each.law.delay for each in experiment.experiments),
-    )  # fmt: skip
+    exact = of_robot(experiment, numbers)[0].T
     run = run_robot(experiment, numbers, steps=1, keep=True)
     assert run.outcome is Outcome.FINISHED
     assert np.max(np.abs(run.command.T - exact) / np.max(np.abs(exact), axis=0)) < worst
@@ -235,53 +172,6 @@ def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     from_rest = simulate(twin.loop(), late).torque
     wrong = [float(np.max(np.abs(torque - uncut))) for torque in (run.torque, from_rest)]
     assert wrong[0] < 0.1 * wrong[1]
-
-
-def brute_force(M: FloatArray, force: FloatArray, coulomb: FloatArray) -> FloatArray:
-    """Return the accelerations from rest that are consistent with friction, by trying all modes."""
-    best, least = np.zeros(force.size), 0.0
-    for choice in itertools.product((0.0, 1.0, -1.0), repeat=force.size):
-        modes = np.array(choice)
-        free, a = modes != 0, np.zeros(force.size)
-        a[free] = np.linalg.solve(M[np.ix_(free, free)], (force - modes * coulomb)[free])
-        value = 0.5 * a @ M @ a - force @ a + coulomb @ np.abs(a)
-        if value < least:
-            best, least = a, value
-    return best
-
-
-@compile_kernel
-def settled(
-    tree: Tree, M: FloatArray, force: FloatArray, coulomb: FloatArray, modes: FloatArray, a: FloatArray
-) -> None:
-    """Fill the accelerations of links that stand still, as the engine does."""
-    n = len(M)
-    mass, spring, none, still = np.zeros((n, HIGH + 1)), np.zeros((0, SPRING)), np.zeros((0, 5)), np.zeros(n)
-    pairs, carriers = np.zeros((0, 2), dtype=np.uint64), np.full(n, -1)
-    held, grip, L = np.zeros(n), np.zeros(n), np.zeros((n, n))
-    mass[:, COULOMB] = coulomb
-    mass[:, COULOMB_BACK] = coulomb
-    for _ in range(1000):
-        accelerate(
-            mass, spring, none, pairs, carriers, tree, M, L, still, still, modes, force, 0.0, still, still,
-            still, a, held, grip, still[:0],
-        )  # fmt: skip
-        if not settle(mass, modes, still, a, held, grip, True):
-            break
-
-
-def test_masses_that_stand_still_are_decided_together() -> None:
-    rng, n = np.random.default_rng(3), 4
-    rested = slid = 0
-    for _ in range(200):
-        root = rng.normal(size=(n, n))
-        M, force, coulomb = root @ root.T + 0.05 * np.eye(n), 3 * rng.normal(size=n), rng.uniform(0.2, 3.0, n)
-        modes, a = rng.choice([-1.0, 0.0, 1.0], n), np.empty(n)
-        settled(six().robot.tree, M, force, coulomb, modes, a)
-        assert a == pytest.approx(brute_force(M, force, coulomb), abs=1e-9)
-        rested, slid = rested + int(np.sum(modes == 0)), slid + int(np.sum(modes != 0))
-    assert rested > 100
-    assert slid > 100
 
 
 @pytest.mark.parametrize("twin", [six(), seven(), seven(flexible=True)], ids=["six", "seven", "seven flexible"])

@@ -1,13 +1,10 @@
-"""Friction laws: lines over the velocity, with own coefficients in each direction, in pieces or with more.
+"""Friction laws: lines over the velocity, with own coefficients in each direction, and terms beside them.
 
-Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being piecewise linear in velocity lets the simulation be exact;
-being linear in its parameters lets a regression estimate them (`columns`). At standstill the Coulomb force is a set:
-any force within its bounds keeps the mass at rest.
+Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being linear in its parameters lets a regression estimate them
+(`Friction.columns`). At standstill the Coulomb force is a set: any force within its bounds keeps the mass at rest.
 
-A law states which parameters its coefficients are (`coefficients`), and the `terms` that it has beside its lines, whose
-parameters no regression takes; everything else follows from these. One in pieces has other lines at low speed
-(`bands`). One whose terms are numbers of a smooth law is simulated in steps (`stepped`). To add one, write its class
-below, and its name in `FRICTIONS`.
+A law is a row: whether its lines differ by the direction (`two_ways`), and the `terms` that it has beside them. To add
+one, write its class below, and its name in `FRICTIONS`.
 """
 
 from __future__ import annotations
@@ -15,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise, product
 from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
@@ -29,23 +25,18 @@ Directions: TypeAlias = tuple[float, float, float, float]
 """Viscous coefficient forwards and backwards, Coulomb force forwards and backwards (both positive)."""
 
 Part: TypeAlias = Literal["viscous", "coulomb"]
-Direction: TypeAlias = Literal["forwards", "backwards"]
 
 PARTS: tuple[Part, ...] = ("viscous", "coulomb")
-DIRECTIONS: tuple[Direction, ...] = ("forwards", "backwards")
-
-_QUANTITY: Mapping[Part, Quantity] = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
 
 # exp(-x^2) by straight lines between these points, and 0 above: within 0.0042 of it (found by linear programming).
 KNOTS = (
     (0.0, 1.0), (0.148, 0.9822), (0.338, 0.8961), (0.575, 0.7206), (0.982, 0.3774), (1.247, 0.207), (1.514, 0.0973),
     (1.836, 0.0308), (2.375, 0.0),
 )  # fmt: skip
-_SLOWEST = 1e-12  # of a Stribeck speed, in the joint's unit
+_LEAST = 1e-12  # of a Stribeck speed, and of a displacement over which friction winds up, in the joint's unit
 _SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck speed begins
 _CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
-_SHORTEST = 1e-12  # displacement over which friction winds up, in the joint's unit
-_DISTANCES = (3e-4, 3e-3)  # of the travel: where a search for that begins
+_DISTANCES = (3e-4, 3e-3)  # of the travel: where a search for what winds up begins
 _MOST = 0.9  # of the torque through the spring: a friction that grows by all of it lets nothing through
 _LOSS = 0.03  # of the torque through the spring: where a search for a friction that grows with it begins
 _WARMED = 0.2  # of the friction, lost at the end: where a search for a change with time begins
@@ -57,35 +48,39 @@ def low_speed_share(ratio: FloatArray) -> FloatArray:
     return np.asarray(np.interp(np.abs(ratio), at, share))
 
 
-@dataclass(frozen=True, slots=True)
-class Coefficient:
-    """One parameter of a friction law, and where it acts.
+class Coefficient(NamedTuple):
+    """One parameter of a law's lines.
 
     Attributes:
-        name: of the parameter, after the side's prefix. A name that ends in a direction is the other direction's on the
-            far side of a gear that reverses the motion.
-        symbol: of the parameter, before the side's index. sign: after it.
-        part: "viscous" or "coulomb".
-        directions: in which it acts, "forwards", "backwards" or both.
+        name: after the side's prefix. A name that ends in a direction is the other direction's on the far side of a
+            gear that reverses the motion.
+        symbol: before the side's index. sign: after it.
+        part: "viscous" or "coulomb". way: 1 or -1, the direction in which it acts; 0 of both.
     """
 
     name: str
     symbol: str
+    sign: str
     part: Part
-    directions: tuple[Direction, ...] = DIRECTIONS
-    sign: str = ""
+    way: int
+
+
+_ONE_WAY = Coefficient("viscous", "Fv", "", "viscous", 0), Coefficient("coulomb", "Fc", "", "coulomb", 0)
+_TWO_WAYS = tuple(
+    Coefficient(f"{part}_{direction}", symbol, sign, part, way)
+    for direction, sign, way in (("forwards", "+", 1), ("backwards", "-", -1))
+    for part, symbol in (("viscous", "Fv"), ("coulomb", "Fc"))
+)
 
 
 class Band(NamedTuple):
-    """A range of speed with one line of friction in each direction."""
+    """A range of speed, up to `high`, with one line of friction in each direction."""
 
-    low: float
     high: float
     directions: Directions
 
 
-@dataclass(frozen=True, slots=True)
-class MotionSize:
+class MotionSize(NamedTuple):
     """Size of the motion in a record, for starting values of a friction law.
 
     Attributes:
@@ -102,30 +97,12 @@ class MotionSize:
     coulomb: float
 
 
-class SmoothFriction(NamedTuple):
-    """Numbers of a smooth friction law on one side, beside its lines.
-
-    Attributes:
-        presliding: the displacement over which the Coulomb force winds up, m or rad; 0 of one that sticks.
-        viscous_drift: by how much the viscous coefficient grows per second.
-        coulomb_drift: by how much the Coulomb force grows per second.
-        per_torque: the share of a torque that the Coulomb force grows by: on the load's side of the spring's, on the
-            motor's of the motor's.
-    """
-
-    presliding: float = 0.0
-    viscous_drift: float = 0.0
-    coulomb_drift: float = 0.0
-    per_torque: float = 0.0
-
-
 class Term(NamedTuple):
     """What a friction law has beside its lines.
 
     Attributes:
         adds: in words. instead: what its lines are, where only lines are written.
         parameters: name, symbol, quantity, lower and upper bound of each; the names begin with the side's prefix.
-        numbers: which of `SmoothFriction` they are; none of a law in pieces.
         starts: returns values of the parameters from which a search may begin.
         of_load: whether it is on the load's side of a flexible joint alone.
     """
@@ -133,45 +110,26 @@ class Term(NamedTuple):
     adds: str
     instead: str
     parameters: tuple[tuple[str, str, Quantity, float, float], ...]
-    numbers: tuple[str, ...]
     starts: Callable[[MotionSize], list[tuple[float, ...]]]
     of_load: bool = False
-
-    def acts(self, prefix: str) -> bool:
-        """Whether it is on the side of that prefix."""
-        return not (self.of_load and prefix == "motor_")
-
-
-def _start_stribeck(motion: MotionSize) -> list[tuple[float, ...]]:
-    """A rise and a fall below a few speeds."""
-    return [(sign * _CHANGE * motion.coulomb, share * motion.speed) for share in _SPEEDS for sign in (1.0, -1.0)]
-
-
-def _start_winding(motion: MotionSize) -> list[tuple[float, ...]]:
-    """A few parts of the travel."""
-    return [(share * motion.travel,) for share in _DISTANCES]
-
-
-def _start_drift(motion: MotionSize) -> list[tuple[float, ...]]:
-    """A fall by a part of both."""
-    return [tuple(-_WARMED * size / motion.duration for size in (motion.viscous, motion.coulomb))]
 
 
 _STRIBECK = Term(
     "the change of friction towards standstill", "what it is above low speed",
     (
         ("stribeck_force", "FS", Quantity.FORCE, -math.inf, math.inf),
-        ("stribeck_speed", "vS", Quantity.VELOCITY, _SLOWEST, math.inf),
+        ("stribeck_speed", "vS", Quantity.VELOCITY, _LEAST, math.inf),
     ),
-    (), _start_stribeck,
+    lambda size: [(sign * _CHANGE * size.coulomb, share * size.speed) for share in _SPEEDS for sign in (1.0, -1.0)],
 )  # fmt: skip
 _WINDING = Term(
     "the displacement over which friction winds up", "the Coulomb force that it winds up to",
-    (("presliding_distance", "s", Quantity.POSITION, _SHORTEST, math.inf),), ("presliding",), _start_winding,
+    (("presliding_distance", "s", Quantity.POSITION, _LEAST, math.inf),),
+    lambda size: [(share * size.travel,) for share in _DISTANCES],
 )  # fmt: skip
 _PER_TORQUE = Term(
     "the friction that grows with the gear's torque", "what it is without one",
-    (("friction_per_torque", "mu", Quantity.RATIO, 0.0, _MOST),), ("per_torque",), lambda motion: [(_LOSS,)], True,
+    (("friction_per_torque", "mu", Quantity.RATIO, 0.0, _MOST),), lambda size: [(_LOSS,)], True,
 )  # fmt: skip
 _DRIFT = Term(
     "the change of friction with time", "what it is at the first sample",
@@ -179,7 +137,7 @@ _DRIFT = Term(
         ("viscous_drift", "dFv", Quantity.VISCOUS_DRIFT, -math.inf, math.inf),
         ("coulomb_drift", "dFc", Quantity.FORCE_DRIFT, -math.inf, math.inf),
     ),
-    ("viscous_drift", "coulomb_drift"), _start_drift,
+    lambda size: [(-_WARMED * size.viscous / size.duration, -_WARMED * size.coulomb / size.duration)],
 )  # fmt: skip
 
 
@@ -190,43 +148,38 @@ class Friction:
     Attributes:
         name: in the joint file, the JSON answers and on the command line.
         label: on the web page.
-        contrast: name of the law that it is compared with, and whose lines it has where it `adds` anything to lines.
-        coefficients: its parameters, in their order; each part has at most one in each direction.
+        two_ways: whether its lines are others backwards.
         terms: what it has beside its lines.
+        contrast: name of the law that it is compared with, and whose lines it has where it `adds` anything to lines.
+        coefficients: the parameters of its lines, in their order.
+        adds: what it has beside its lines, in words; "" of lines alone. instead: what its lines are, where only lines
+            are written.
+        stepped: whether a simulation has more than lines over the speed.
+        softens: whether without it a spring is found that is much too soft.
+        follows_time: whether it changes with the time since the first sample, which each window of a long log would
+            begin anew.
     """
 
     in_json = "name"
     name: ClassVar[str]
     label: ClassVar[str]
-    contrast: ClassVar[str] = "symmetric"
-    coefficients: ClassVar[tuple[Coefficient, ...]] = (
-        Coefficient("viscous", "Fv", "viscous"), Coefficient("coulomb", "Fc", "coulomb"),
-    )  # fmt: skip
+    two_ways: ClassVar[bool] = False
     terms: ClassVar[tuple[Term, ...]] = ()
-    stepped: ClassVar[bool] = False
-    """True if it is smooth, so that the simulation goes in steps of a stated error."""
-    softens: ClassVar[bool] = False
-    """True if without it a spring is found that is much too soft."""
-    follows_time: ClassVar[bool] = False
-    """Whether it changes with the time since the first sample, which each window of a long log would begin anew."""
-    adds: ClassVar[str] = ""
-    """What it has beside its lines, in words; "" of lines alone."""
-    instead: ClassVar[str] = ""
-    """What its lines are, where only lines are written, in words."""
+    contrast: ClassVar[str]
+    coefficients: ClassVar[tuple[Coefficient, ...]]
+    adds: ClassVar[str]
+    instead: ClassVar[str]
+    stepped: ClassVar[bool]
+    softens: ClassVar[bool]
+    follows_time: ClassVar[bool]
 
     def __init_subclass__(cls) -> None:
-        cls.adds = ", and ".join(term.adds for term in cls.terms)
-        cls.instead = ", ".join(term.instead for term in cls.terms)
-        cls.stepped = any(term.numbers for term in cls.terms)
-        cls.softens, cls.follows_time = _WINDING in cls.terms, _DRIFT in cls.terms
-
-    def coefficient_name(self, part: Part, direction: Direction) -> str | None:
-        """Return the name of a coefficient; None if the law has none, so that it is 0."""
-        return next((c.name for c in self.coefficients if c.part == part and direction in c.directions), None)
-
-    def depends_on_direction(self, part: Part) -> bool:
-        """Return True if the forwards and backwards coefficients of this part are different parameters."""
-        return self.coefficient_name(part, "forwards") != self.coefficient_name(part, "backwards")
+        terms = cls.terms
+        cls.contrast = "asymmetric" if cls.two_ways == bool(terms) else "symmetric"
+        cls.coefficients = _TWO_WAYS if cls.two_ways else _ONE_WAY
+        cls.adds, cls.instead = ", and ".join(term.adds for term in terms), ", ".join(term.instead for term in terms)
+        cls.stepped = any(term is not _STRIBECK for term in terms)
+        cls.softens, cls.follows_time = _WINDING in terms, _DRIFT in terms
 
     @property
     def offset_identifiable(self) -> bool:
@@ -234,68 +187,69 @@ class Friction:
 
         A constant force adds to Fc+ and subtracts from Fc- alike: beside two Coulomb parameters it is not.
         """
-        return len(self.constant()) < len(DIRECTIONS)
+        return not self.two_ways
+
+    @property
+    def linear(self) -> bool:
+        """True if the law is one line in each direction, and so linear in its parameters."""
+        return not self.terms
+
+    @property
+    def lines(self) -> Friction:
+        """The law of one line in each direction that this one is, or adds to."""
+        return FRICTIONS[self.contrast]() if self.terms else self
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return the law's parameters, with `prefix` before the names and `index` after the symbols."""
+        quantity = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
         lines = (
-            Parameter(f"{prefix}{c.name}", f"{c.symbol}{index}{c.sign}", _QUANTITY[c.part], lower=0.0)
+            Parameter(f"{prefix}{c.name}", f"{c.symbol}{index}{c.sign}", quantity[c.part], lower=0.0)
             for c in self.coefficients
         )
         beside = (
-            Parameter(f"{prefix}{name}", f"{symbol}{index}", quantity, lower=lower, upper=upper)
-            for term in self.terms
-            if term.acts(prefix)
-            for name, symbol, quantity, lower, upper in term.parameters
+            Parameter(f"{prefix}{name}", f"{symbol}{index}", what, lower=lower, upper=upper)
+            for term in self._terms_of(prefix)
+            for name, symbol, what, lower, upper in term.parameters
         )
         return (*lines, *beside)
 
     def columns(self, velocity: FloatArray) -> FloatArray:
-        """Return the regressor of the law's parameters, shape (samples, parameters)."""
-        columns = []
+        """Return the regressor of the law's lines, shape (samples, parameters)."""
+        sign, columns = np.sign(velocity), []
         for one in self.coefficients:
-            moving, sign = np.ones(velocity.shape, dtype=np.bool_), np.sign(velocity)
-            if len(one.directions) == 1:
-                moving = velocity > 0 if one.directions == ("forwards",) else velocity < 0
+            moving = (sign == one.way) | (one.way == 0)
             columns.append((velocity if one.part == "viscous" else sign) * moving)
         return np.stack(columns).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
         """Return the coefficients for both directions of motion."""
-        one, other, forwards, backwards = (values[prefix + name] if name else 0.0 for name in _slots(self))
-        return one, other, forwards, backwards
+        if not self.two_ways:
+            viscous, coulomb = values[f"{prefix}viscous"], values[f"{prefix}coulomb"]
+            return viscous, viscous, coulomb, coulomb
+        forwards, held, backwards, held_back = (values[prefix + one.name] for one in _TWO_WAYS)
+        return forwards, backwards, held, held_back
 
-    @property
-    def lines(self) -> Friction:
-        """The law of one line in each direction that this one is, or adds to."""
-        return FRICTIONS[self.contrast]() if self.adds else self
-
-    @property
-    def linear(self) -> bool:
-        """True if the law is one line in each direction, and so linear in its parameters."""
-        return not self.adds
-
-    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
-        """Return the numbers of the smooth law beside the lines."""
-        found: dict[str, float] = {}
-        for term in self.terms:
-            if term.acts(prefix):
-                found |= {n: values[f"{prefix}{p[0]}"] for n, p in zip(term.numbers, term.parameters, strict=False)}
-        return SmoothFriction(**found)
-
-    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
-        """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest.
-
-        One that grows with the torque T is in balance with it: ``T = load + F + mu |T| sign(v)``.
-        """
-        own, share = float(self.force(values, np.array(velocity), prefix)), self.smooth(values, prefix).per_torque
-        if velocity == 0.0 or share == 0.0:
-            return own
-        return (load + own) / (1.0 - share * math.copysign(1.0, velocity) * math.copysign(1.0, load + own)) - load
+    def beside(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+        """Return the numbers of the terms by their names without the prefix; 0 of those that the law has not."""
+        own = [name for term in self._terms_of(prefix) for name, *_ in term.parameters]
+        return dict.fromkeys(_BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
-        """Return the law by the speed, the slowest band first, without a gap; the last has no end."""
-        return (Band(0.0, math.inf, self.directions(values, prefix)),)
+        """Return the law by the speed, the slowest band first, without a gap; the last has no end.
+
+        A change towards standstill has a band between each two of the points of its exponential.
+        """
+        viscous, viscous_back, coulomb, coulomb_back = whole = self.directions(values, prefix)
+        found = []
+        if _STRIBECK in self.terms:
+            change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
+            speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
+            for (low, more), (high, less) in pairwise(KNOTS):
+                slope = (less - more) / (high - low)
+                steeper, higher = change * slope / speed, change * (more - slope * low)
+                line = viscous + steeper, viscous_back + steeper, coulomb + higher, coulomb_back + higher
+                found.append(Band(high * speed, line))
+        return (*found, Band(math.inf, whole))
 
     def force(self, values: Mapping[str, float], velocity: FloatArray, prefix: str = "") -> FloatArray:
         """Return the friction of steady motion at velocities, of any shape; 0 at rest."""
@@ -306,28 +260,35 @@ class Friction:
         held = np.sign(velocity) * np.where(forwards, coulomb, coulomb_back)
         return np.asarray(np.where(forwards, viscous, viscous_back) * velocity + held)
 
+    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
+        """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest.
+
+        One that grows with the torque T is in balance with it: ``T = load + F + mu |T| sign(v)``.
+        """
+        own = float(self.force(values, np.array(velocity), prefix))
+        share = self.beside(values, prefix)["friction_per_torque"] * math.copysign(float(velocity != 0.0), velocity)
+        return own if share == 0.0 else (load + own) / (1.0 - share * math.copysign(1.0, load + own)) - load
+
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield starting values of the parameters beside the lines."""
-        beside = [term for term in self.terms if term.acts(prefix)]
-        names = [f"{prefix}{name}" for term in beside for name, *_ in term.parameters]
-        for values in product(*(term.starts(motion) for term in beside)):
+        terms = self._terms_of(prefix)
+        names = [f"{prefix}{name}" for term in terms for name, *_ in term.parameters]
+        for values in product(*(term.starts(motion) for term in terms)):
             yield dict(zip(names, (value for one in values for value in one), strict=True))
 
     def mean(self, part: Part, prefix: str = "") -> dict[str, float]:
         """Return the weights, by parameter, whose sum is the mean of a part over both directions."""
-        return {f"{prefix}{c.name}": 0.5 * len(c.directions) for c in self.coefficients if c.part == part}
+        return {f"{prefix}{c.name}": 0.5 if c.way else 1.0 for c in self.coefficients if c.part == part}
 
     def constant(self, prefix: str = "") -> dict[str, float]:
         """Return the weights, by parameter, whose sum is the constant force in the law; none where it has none."""
-        half = {"forwards": 0.5, "backwards": -0.5}
-        one_way = [c for c in self.coefficients if c.part == "coulomb" and len(c.directions) == 1]
-        return {f"{prefix}{c.name}": half[c.directions[0]] for c in one_way}
+        return {f"{prefix}{c.name}": 0.5 * c.way for c in self.coefficients if c.part == "coulomb" and c.way}
+
+    def _terms_of(self, prefix: str) -> list[Term]:
+        return [term for term in self.terms if not (term.of_load and prefix == "motor_")]
 
 
-@cache
-def _slots(law: Friction) -> tuple[str | None, ...]:
-    """Return the names of a law's coefficients, in the order of `Directions`; every simulation asks for them."""
-    return tuple(law.coefficient_name(part, direction) for part in PARTS for direction in DIRECTIONS)
+_BESIDE = tuple(name for term in (_STRIBECK, _WINDING, _PER_TORQUE, _DRIFT) for name, *_ in term.parameters)
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,7 +297,6 @@ class SymmetricFriction(Friction):
 
     name = "symmetric"
     label = "the same in both directions"
-    contrast = "asymmetric"
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,12 +308,7 @@ class AsymmetricFriction(Friction):
 
     name = "asymmetric"
     label = "different in the two directions"
-    coefficients = (
-        Coefficient("viscous_forwards", "Fv", "viscous", ("forwards",), "+"),
-        Coefficient("coulomb_forwards", "Fc", "coulomb", ("forwards",), "+"),
-        Coefficient("viscous_backwards", "Fv", "viscous", ("backwards",), "-"),
-        Coefficient("coulomb_backwards", "Fc", "coulomb", ("backwards",), "-"),
-    )
+    two_ways = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,25 +317,12 @@ class StribeckFriction(Friction):
 
     Positive FS is Stribeck's rise (H. Olsson et al., Friction models and friction compensation, European Journal of
     Control 4, 1998), negative FS a friction that is smaller there, as before a contact slides. At rest it holds up to
-    Fc + FS. The exponential is taken by straight lines, within 0.5 % of FS, so that the simulation stays exact.
+    Fc + FS. The exponential is taken by straight lines, within 0.5 % of FS.
     """
 
     name = "stribeck"
     label = "the same, another at low speed"
     terms = (_STRIBECK,)
-
-    def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
-        """Return a band between each two of the points of the exponential, and one above the last."""
-        viscous, viscous_back, coulomb, coulomb_back = self.directions(values, prefix)
-        change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
-        speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
-        found = []
-        for (low, more), (high, less) in pairwise(KNOTS):
-            slope = (less - more) / (high - low)
-            steeper, higher = change * slope / speed, change * (more - slope * low)
-            line = viscous + steeper, viscous_back + steeper, coulomb + higher, coulomb_back + higher
-            found.append(Band(low * speed, high * speed, line))
-        return (*found, Band(found[-1].high, math.inf, (viscous, viscous_back, coulomb, coulomb_back)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,8 +331,7 @@ class AsymmetricStribeckFriction(StribeckFriction):
 
     name = "asymmetric-stribeck"
     label = "different, another at low speed"
-    contrast = "asymmetric"
-    coefficients = AsymmetricFriction.coefficients
+    two_ways = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +345,7 @@ class PreslidingFriction(Friction):
 
     name = "presliding"
     label = "the same, wound up at reversals"
-    terms: ClassVar[tuple[Term, ...]] = (_WINDING,)
+    terms = (_WINDING,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,8 +370,7 @@ class AsymmetricLoadDependentFriction(LoadDependentFriction):
 
     name = "asymmetric-load-dependent"
     label = "different, more under load"
-    contrast = "asymmetric"
-    coefficients = AsymmetricFriction.coefficients
+    two_ways = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,20 +66,22 @@ class _JointBase:
             )
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
-
-        in_pieces = not (self.friction.linear or self.friction.stepped)
         if self.ripple is not None:
             self.ripple.require(self.model)
-            if in_pieces:
-                raise MethodError(
-                    f"{self.friction.name.capitalize()} friction, which is in pieces, is not simulated beside a "
-                    "ripple; use symmetric friction, or leave the ripple out."
-                )
-        if in_pieces and self.gravity is not None and self.gravity.varies:
+        varies = self.gravity is not None and self.gravity.varies
+        in_pieces = any(not (law.linear or law.stepped) for law in self.laws)
+        if (in_pieces and (self.stepped or varies)) or (varies and not all(law.linear for law in self.laws[1:])):
+            names = [law.name for law in self.laws if not law.linear]
+            names += ["ripple"] * (self.ripple is not None) + ["gravity that follows the position"] * varies
             raise MethodError(
-                f"{self.friction.name.capitalize()} friction is not simulated beside gravity that follows the "
-                "position; expected a constant load or none: use symmetric friction, or leave gravity out."
+                f"The laws {', '.join(names)} are not simulated beside each other; leave one of them out, or use "
+                "symmetric friction and a linear spring."
             )
+
+    @property
+    def laws(self) -> tuple[Friction | Spring, ...]:
+        """The laws of friction and, where there is one, of the spring."""
+        return (self.friction,)
 
     @property
     def spring_name(self) -> str | None:
@@ -89,13 +91,13 @@ class _JointBase:
     @property
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
-        return self.friction.stepped or self.ripple is not None
+        return any(law.stepped for law in self.laws) or self.ripple is not None
 
     @property
     def straight(self) -> bool:
         """True if all its laws are lines, so that its simulation is exact."""
         varies = self.gravity is not None and self.gravity.varies
-        return self.friction.linear and self.spring_name in {None, "linear"} and self.ripple is None and not varies
+        return all(law.linear for law in self.laws) and self.ripple is None and not varies
 
     def require_no_ripple(self, taker: str, instead: str, side: Side | None = None) -> None:
         """Raise a `MethodError` if there is a ripple, on any side or on one; see `require_linear`."""
@@ -172,7 +174,7 @@ class RigidJoint(_JointBase):
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
-        ripple: a force that comes back with the position, of a known period; not simulated beside laws in pieces.
+        ripple: a force that comes back with the position, of a known period.
     """
 
     model = "rigid"
@@ -234,43 +236,25 @@ class FlexibleJoint(_JointBase):
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
         ripple: see `RigidJoint`; on the side whose position it follows.
-        spring: the law of the spring, linear unless said; another is not simulated beside gravity that follows the
-            position.
+        spring: the law of the spring, linear unless said.
+
+    Raises:
+        MethodError: laws in pieces beside smooth ones, or beside gravity or a ripple, are not simulated.
     """
 
     model = "flexible"
 
     spring: Spring = field(default_factory=LinearSpring)
 
-    def __post_init__(self) -> None:
-        _JointBase.__post_init__(self)
-        if self.ripple is not None and not (self.spring.linear or self.spring.stepped):
-            raise MethodError(
-                f"A {self.spring.name} spring, which is in pieces, is not simulated beside a ripple; use a linear "
-                "spring, or leave the ripple out."
-            )
-        smooth = self.friction.stepped or self.spring.stepped
-        if smooth and not all(law.linear or law.stepped for law in (self.friction, self.spring)):
-            raise MethodError(
-                f'The laws "{self.friction.name}" and "{self.spring.name}" of friction and spring are not simulated '
-                "beside each other: one is in pieces, the other is smooth; use a linear spring, or symmetric friction, "
-                "beside one of them."
-            )
-        if not self.spring.linear and self.gravity is not None and self.gravity.varies:
-            raise MethodError(
-                f"A {self.spring.name} spring is not simulated beside gravity that follows the position; expected a "
-                "constant load or none: use a linear spring, or leave gravity out."
-            )
+    @property
+    def laws(self) -> tuple[Friction | Spring, ...]:
+        """The laws of friction and spring."""
+        return self.friction, self.spring
 
     @property
     def spring_name(self) -> str:
         """Name of the spring's law."""
         return self.spring.name
-
-    @property
-    def stepped(self) -> bool:
-        """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
-        return self.friction.stepped or self.spring.stepped or self.ripple is not None
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -364,26 +348,16 @@ class FlexibleJoint(_JointBase):
         ``load_locked`` the motor against the held load. Of an elastic load the first two are the lower ones, and
         ``second_free_free`` is the other pole.
         """
-        motor, load, stiffness = values["motor_inertia"], values["load_inertia"], values["stiffness"]
-        share = values.get("swinging_share", 0.0)
-        if share > 0.0:
-            masses = np.array([motor, (1 - share) * load, share * load])
-            second = values["swinging_stiffness"]
-            springs = stiffness * np.outer([1, -1, 0], [1, -1, 0]) + second * np.outer([0, 1, -1], [0, 1, -1])
-            swinging = springs / np.sqrt(np.outer(masses, masses))
-            _, free, other = np.sqrt(np.maximum(np.linalg.eigvalsh(swinging), 0.0)) / (2 * math.pi)
-            held = np.sqrt(np.maximum(np.linalg.eigvalsh(swinging[1:, 1:]), 0.0)) / (2 * math.pi)
-            return {
-                "free_free": float(free),
-                "motor_locked": float(held[0]),
-                "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
-                "second_free_free": float(other),
-            }
-        return {
-            "free_free": math.sqrt(stiffness * (1 / motor + 1 / load)) / (2 * math.pi),
-            "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
-            "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
-        }
+        share, stiffness = values.get("swinging_share", 0.0), values["stiffness"]
+        load = values["load_inertia"] * np.array([1.0 - share, share] if share > 0.0 else [1.0])
+        masses, springs = np.append(values["motor_inertia"], load), [stiffness, values.get("swinging_stiffness", 0.0)]
+        ties = np.diff(np.eye(masses.size), axis=0)
+        swinging = ties.T @ np.diag(springs[: masses.size - 1]) @ ties / np.sqrt(np.outer(masses, masses))
+        _, *free = np.sqrt(np.maximum(np.linalg.eigvalsh(swinging), 0.0)) / (2 * math.pi)
+        held = np.sqrt(np.maximum(np.linalg.eigvalsh(swinging[1:, 1:]), 0.0)) / (2 * math.pi)
+        locked = {"motor_locked": float(held[0]), "load_locked": math.sqrt(stiffness / masses[0]) / (2 * math.pi)}
+        second = {"second_free_free": float(free[1])} if masses.size > 2 else {}
+        return {"free_free": float(free[0])} | locked | second
 
     @staticmethod
     def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:

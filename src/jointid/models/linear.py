@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.springs import SmoothSpring
+from jointid.models.springs import LinearSpring
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
@@ -219,13 +219,14 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         joint: the model.
         candidates: every parameter of it by name, one mapping for each joint.
     """
-    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)  # forwards, backwards
+    ways = (0, 1) if joint.friction.two_ways else (0,)  # forwards, backwards
     masses = 2 if isinstance(joint, FlexibleJoint) else 1
     made = []
     for values in candidates:
         c = joint.coefficients(values)
-        spring = joint.spring.smooth(values) if isinstance(joint, FlexibleJoint) else SmoothSpring()
-        swings = spring.swing_share, spring.swing_stiffness, spring.swing_damping
+        spring = joint.spring if isinstance(joint, FlexibleJoint) else LinearSpring()
+        beside = spring.beside(values)
+        swings = [beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping")]
         rate = 0.0 if joint.gravity is None else joint.gravity.coefficients(values)[3]
         for way in ways:
             viscous = (c[4 + way], c[8 + way])[:masses]

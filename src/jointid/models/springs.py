@@ -1,14 +1,12 @@
-"""Springs of a flexible joint: linear, in pieces between which the torque goes on where it was, or smooth.
+"""Springs of a flexible joint: in pieces between which the torque goes on where it was, and with terms beside them.
 
 A law states the pieces of one side of its torque over the deflection; the other side is the same, turned round::
 
     torque(e) = sign(e) (T + K (|e| - e0))      from the deflection e0, where the piece begins with the torque T
 
-Being affine in each piece lets the simulation be exact: between two edges the drive is linear (`simulation.kernels`).
 Makers of strain-wave gears state three: K1 up to the torque T1, K2 up to T2, then K3 (Harmonic Drive SE, Engineering
-data, torsional stiffness). Backlash is a first piece without any stiffness. A smooth spring says so (`stepped`)
-and what it has beside its line (`smooth`): it is simulated in steps. To add a law, write its class below, and its name
-in `SPRINGS`.
+data, torsional stiffness). Backlash is a first piece without any stiffness. A smooth spring says so (`stepped`), and
+has other parameters beside its line. To add a law, write its class below, and its name in `SPRINGS`.
 """
 
 from __future__ import annotations
@@ -25,8 +23,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 
-_STIFFNESS = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
-_DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
 _SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for another piece begins
 _GAPS = (0.1, 0.3, 0.6, 0.8)  # of it, for half the gap
 _NEWTON = 50  # steps to the deflection of a smooth spring
@@ -34,26 +30,6 @@ _LEAST = 1e-12  # torque at which a slider slips
 _PARTS, _TIMES = (0.2, 0.5), (1.7, 3.0)  # of the load that swings at so many times the first mode, at a start
 _WHOLE = 0.99  # of a load: the part behind the first spring has some inertia
 _SOFTER, _STIFFER = 0.7, 1.3  # first and last piece at the start of a search, over the linear spring's stiffness
-
-
-class SmoothSpring(NamedTuple):
-    """Numbers of a smooth spring, beside its line.
-
-    Attributes:
-        cubic: torque per cube of the deflection.
-        slider: stiffness of what winds up beside the spring.
-        slips: torque at which that slips.
-        swing_share: share of an elastic load that swings on a spring of its own.
-        swing_stiffness: of that spring.
-        swing_damping: of that spring.
-    """
-
-    cubic: float = 0.0
-    slider: float = 0.0
-    slips: float = 0.0
-    swing_share: float = 0.0
-    swing_stiffness: float = 0.0
-    swing_damping: float = 0.0
 
 
 class Piece(NamedTuple):
@@ -74,31 +50,42 @@ class Spring:
     Attributes:
         name: in the joint file and the JSON answers.
         label: on the web page.
+        symbol: of its stiffness.
+        own: its parameters between stiffness and damping.
+        words: the spring in words, with its parameters in braces.
+        adds: what a smooth spring has beside its line, in words. instead: what its line is, where only that is written.
+        stepped: whether it is smooth.
     """
 
     in_json = "name"
     name: ClassVar[str]
     label: ClassVar[str]
+    symbol: ClassVar[str] = "K12"
+    own: ClassVar[tuple[Parameter, ...]] = ()
+    words: ClassVar[str] = "{stiffness}"
     adds: ClassVar[str] = ""
-    """What a smooth spring has beside its line, in words."""
     instead: ClassVar[str] = ""
-    """What its line is, where only that is written, in words."""
     stepped: ClassVar[bool] = False
-    """True if it is smooth, so that the simulation goes in steps of a stated error."""
 
     @property
     def linear(self) -> bool:
         """True if the spring is one piece."""
-        return isinstance(self, LinearSpring)
+        return not self.own
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness first, damping last."""
-        return (_STIFFNESS, _DAMPING)
+        first = Parameter("stiffness", self.symbol, Quantity.STIFFNESS, lower=0.0)
+        return (first, *self.own, Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0))
 
     def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
         """Return the pieces of one side, by rising deflection; the first begins at 0, with no torque."""
         return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
+
+    def beside(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the numbers of the smooth laws by their names; 0 of those that this one has not."""
+        own = {p.name for p in self.own} if self.stepped else set()
+        return {name: values[name] if name in own else 0.0 for name in _BESIDE}
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield values of all but the damping from which a search may begin, beside those with a linear spring.
@@ -111,7 +98,7 @@ class Spring:
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Return the spring in words, from what is shown of all its parameters but the damping."""
-        return shown["stiffness"]
+        return self.words.format(**{name: text.removesuffix(" 1") for name, text in shown.items()})  # a share's unit
 
     def deflection(self, values: Mapping[str, float], torque: float) -> float:
         """Return the deflection under a constant torque; 0 under none."""
@@ -122,10 +109,6 @@ class Spring:
             if size >= piece.torque:
                 found = piece.deflection + ((size - piece.torque) / piece.stiffness if piece.stiffness > 0.0 else 0.0)
         return math.copysign(found, torque)
-
-    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
-        """Return the numbers of the smooth law beside stiffness and damping."""
-        return SmoothSpring()
 
     def torque(self, values: Mapping[str, float], deflection: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return the torque of spring and damper, (samples,), at deflections and their rates, (samples,)."""
@@ -145,24 +128,14 @@ class LinearSpring(Spring):
 
 @dataclass(frozen=True, slots=True)
 class PiecewiseSpring(Spring):
-    """A spring in pieces, each with a stiffness, that end at given torques; its damper acts in all of them.
+    """A spring in pieces, each with a stiffness, that end at given torques; its damper acts in all of them."""
 
-    Attributes:
-        count: of its pieces.
-    """
-
-    count: ClassVar[int]
+    symbol = "K1"
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """K1, K2, ..., then T1, T2, ..., then the damping."""
-        numbers = range(1, self.count + 1)
-        stiffnesses = [
-            Parameter("stiffness" if i == 1 else f"stiffness_{i}", f"K{i}", Quantity.STIFFNESS, lower=0.0)
-            for i in numbers
-        ]
-        torques = [Parameter(f"torque_{i}", f"T{i}", Quantity.FORCE, lower=0.0) for i in numbers[:-1]]
-        return (*stiffnesses, *torques, _DAMPING)
+    def count(self) -> int:
+        """Number of its pieces."""
+        return len(self.own) // 2 + 1
 
     def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
         """Return the pieces; one without a stiffness never ends."""
@@ -178,18 +151,16 @@ class PiecewiseSpring(Spring):
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield a stiffening and a softening spring, in equal parts of the largest torque."""
-        stiffness = linear["stiffness"]
-        names = [p.name for p in self.parameters[:-1]]
+        stiffness, names = linear["stiffness"], [p.name for p in self.parameters[:-1]]
         torques = [stiffness * windup * i / self.count for i in range(1, self.count)]
         for shares in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
             yield dict(zip(names, [*(stiffness * np.linspace(*shares, self.count)), *torques], strict=True))
 
-    def describe(self, shown: Mapping[str, str]) -> str:
-        """Return each stiffness and up to which torque it is."""
-        names = [p.name for p in self.parameters[:-1]]
-        stiffnesses, torques = names[: self.count], names[self.count :]
-        pieces = [f"{shown[k]} up to {shown[t]}" for k, t in zip(stiffnesses, torques, strict=False)]
-        return ", ".join([*pieces, f"{shown[stiffnesses[-1]]} above"])
+
+def _pieces(count: int) -> tuple[Parameter, ...]:
+    """Return the parameters of the pieces: K2, K3, ..., then T1, T2, ..."""
+    then = (Parameter(f"stiffness_{i}", f"K{i}", Quantity.STIFFNESS, lower=0.0) for i in range(2, count + 1))
+    return (*then, *(Parameter(f"torque_{i}", f"T{i}", Quantity.FORCE, lower=0.0) for i in range(1, count)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +169,8 @@ class TwoPieceSpring(PiecewiseSpring):
 
     name = "two-piece"
     label = "of two stiffnesses"
-    count = 2
+    own = _pieces(2)
+    words = "{stiffness} up to {torque_1}, {stiffness_2} above"
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +179,8 @@ class ThreePieceSpring(PiecewiseSpring):
 
     name = "three-piece"
     label = "of three stiffnesses"
-    count = 3
+    own = _pieces(3)
+    words = "{stiffness} up to {torque_1}, {stiffness_2} up to {torque_2}, {stiffness_3} above"
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,11 +193,8 @@ class Backlash(Spring):
 
     name = "backlash"
     label = "linear, behind a gap"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness in contact, gap, damping."""
-        return (_STIFFNESS, Parameter("gap", "gap", Quantity.POSITION, lower=0.0), _DAMPING)
+    own = (Parameter("gap", "gap", Quantity.POSITION, lower=0.0),)
+    words = "{stiffness} behind a gap of {gap}"
 
     def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
         """Return the gap and the spring behind it."""
@@ -234,10 +204,6 @@ class Backlash(Spring):
         """Yield gaps of a part of the deflection; the spring alone is stiffer by that."""
         for share in _GAPS:
             yield {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup}
-
-    def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the stiffness and the gap before it."""
-        return f"{shown['stiffness']} behind a gap of {shown['gap']}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,26 +216,15 @@ class CubicSpring(Spring):
     name = "cubic"
     stepped = True
     label = "stiffer as it winds up"
+    own = (Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS),)
+    words = "{stiffness}, and {cubic_stiffness} times the cube of the deflection"
     adds, instead = "the cube in the spring's torque", "its stiffness for small deflections"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness without a deflection, cubic stiffness, damping."""
-        return (_STIFFNESS, Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS), _DAMPING)
-
-    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
-        """Return the cubic stiffness."""
-        return SmoothSpring(cubic=values["cubic_stiffness"])
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield a stiffening and a softening spring, for the largest deflection."""
         stiffness = linear["stiffness"]
         for first, last in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
             yield {"stiffness": first * stiffness, "cubic_stiffness": (last - first) * stiffness / windup**2}
-
-    def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the stiffness and what it grows by."""
-        return f"{shown['stiffness']}, and {shown['cubic_stiffness']} times the cube of the deflection"
 
     def deflection(self, values: Mapping[str, float], torque: float) -> float:
         """Return the deflection under a constant torque: the smallest; of a softening spring none holds too much."""
@@ -298,34 +253,21 @@ class HystereticSpring(Spring):
     name = "hysteretic"
     stepped = True
     label = "linear, with hysteresis"
+    own = (
+        Parameter("hysteresis_stiffness", "Kh", Quantity.STIFFNESS, lower=0.0),
+        Parameter("hysteresis_torque", "Th", Quantity.FORCE, lower=_LEAST),
+    )
+    words = "{stiffness}, beside {hysteresis_stiffness} that slips at {hysteresis_torque}"
     adds, instead = "the slider beside the spring", "the stiffness where that slips"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness where the slider slips, stiffness and limit of the slider, damping."""
-        return (
-            _STIFFNESS,
-            Parameter("hysteresis_stiffness", "Kh", Quantity.STIFFNESS, lower=0.0),
-            Parameter("hysteresis_torque", "Th", Quantity.FORCE, lower=_LEAST),
-            _DAMPING,
-        )
-
-    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
-        """Return stiffness and limit of the slider."""
-        return SmoothSpring(slider=values["hysteresis_stiffness"], slips=values["hysteresis_torque"])
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield sliders that slip at parts of the largest deflection."""
-        stiffness = linear["stiffness"]
+        slider = (1.0 - _SOFTER) * linear["stiffness"]
         for share in _SHARES:
-            slider = (1.0 - _SOFTER) * stiffness
             limit = share * slider * windup
-            yield {"stiffness": _SOFTER * stiffness, "hysteresis_stiffness": slider, "hysteresis_torque": limit}
-
-    def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the stiffness, and the slider beside it."""
-        slider = f"{shown['hysteresis_stiffness']} that slips at {shown['hysteresis_torque']}"
-        return f"{shown['stiffness']}, beside {slider}"
+            yield {
+                "stiffness": _SOFTER * linear["stiffness"], "hysteresis_stiffness": slider, "hysteresis_torque": limit
+            }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,24 +282,13 @@ class ElasticLoad(Spring):
     name = "elastic-load"
     stepped = True
     label = "linear, and the load elastic"
+    own = (
+        Parameter("swinging_share", "r3", Quantity.RATIO, lower=0.0, upper=_WHOLE),
+        Parameter("swinging_stiffness", "K23", Quantity.STIFFNESS, lower=0.0),
+        Parameter("swinging_damping", "F23", Quantity.VISCOUS, lower=0.0),
+    )
+    words = "{stiffness}, and a share of {swinging_share} of the load on {swinging_stiffness}"
     adds, instead = "the part of the load that swings on a spring of its own", "the whole load on the first spring"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, share of the load that swings, stiffness and damping of its spring, damping."""
-        return (
-            _STIFFNESS,
-            Parameter("swinging_share", "r3", Quantity.RATIO, lower=0.0, upper=_WHOLE),
-            Parameter("swinging_stiffness", "K23", Quantity.STIFFNESS, lower=0.0),
-            Parameter("swinging_damping", "F23", Quantity.VISCOUS, lower=0.0),
-            _DAMPING,
-        )
-
-    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
-        """Return share, stiffness and damping of what swings."""
-        return SmoothSpring(
-            **{f"swing_{word}": values[f"swinging_{word}"] for word in ("share", "stiffness", "damping")}
-        )
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield parts of the load that swing at a few times the first mode."""
@@ -374,11 +305,8 @@ class ElasticLoad(Spring):
         swings["swinging_damping"] = linear["damping"] * second / stiffness
         return {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
 
-    def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the stiffness, the swinging share and its stiffness."""
-        share = shown["swinging_share"].removesuffix(" 1")  # the unit of a share
-        return f"{shown['stiffness']}, and a share of {share} of the load on {shown['swinging_stiffness']}"
 
+_BESIDE = tuple(p.name for law in (CubicSpring, HystereticSpring, ElasticLoad) for p in law.own)
 
 SPRINGS: Mapping[str, type[Spring]] = {
     law.name: law

@@ -46,19 +46,23 @@ _MORE = 2  # rows of a tape per step and part, beside a thousand
 
 def lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], prefix: str = "") -> AnyArray:
     """Return a mass in each band of its friction, (bands, MASS + 1); complex of complex values."""
-    smooth = law.smooth(values, prefix)
-    winding = 1.0 / smooth.presliding if smooth.presliding != 0.0 else 0.0
-    beside = winding, smooth.viscous_drift, smooth.coulomb_drift, smooth.per_torque
-    return np.array([[inertia, offset, *band.directions, *beside, band.high] for band in law.bands(values, prefix)])
+    own = law.beside(values, prefix)
+    length, *beside = (own[n] for n in ("presliding_distance", "viscous_drift", "coulomb_drift", "friction_per_torque"))
+    winds = 1.0 / length if length != 0.0 else 0.0
+    return np.array([[inertia, offset, *b.directions, winds, *beside, b.high] for b in law.bands(values, prefix)])
 
 
 def lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
     """Return a spring in each of its pieces, (pieces, SPRING); complex of complex values."""
-    smooth, found = law.smooth(values), []
-    slides = smooth.slider / smooth.slips if smooth.slips != 0.0 else (math.nan if smooth.slider != 0.0 else 0.0)
-    for begin, torque, stiffness, damping in law.pieces(values):
-        found.append([stiffness, damping, smooth.cubic, smooth.slips, slides, torque - stiffness * begin, begin])
-    return np.array(found)
+    own = law.beside(values)
+    cubic, slider, slips = (own[name] for name in ("cubic_stiffness", "hysteresis_stiffness", "hysteresis_torque"))
+    slides = slider / slips if slips != 0.0 else (math.nan if slider != 0.0 else 0.0)
+    return np.array(
+        [
+            [p.stiffness, p.damping, cubic, slips, slides, p.torque - p.stiffness * p.deflection, p.deflection]
+            for p in law.pieces(values)
+        ]
+    )
 
 
 def assemble(
@@ -108,11 +112,12 @@ def plant_of(joint: Joint, values: Mapping[str, Any]) -> Plant:
     drive, places, friction = joint.coefficients(values), joint.places(values), joint.friction
     if isinstance(joint, RigidJoint):
         return assemble([lower_mass(drive[0], drive[12], friction, values)], [], places, [], [0], [-1])
-    smooth = joint.spring.smooth(values)
-    load, share, swings = drive[1], smooth.swing_share, np.real(smooth.swing_share) > 0.0
+    beside = joint.spring.beside(values)
+    share, stiffness, damping = (beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping"))
+    load, swings = drive[1], np.real(share) > 0.0
     if np.real(share) < 0.0:
         load = math.nan
-    elif swings or smooth.swing_stiffness + smooth.swing_damping == 0.0:
+    elif swings or stiffness + damping == 0.0:
         load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
     masses = [
         lower_mass(drive[0], drive[12], friction, values, "motor_"),
@@ -121,8 +126,7 @@ def plant_of(joint: Joint, values: Mapping[str, Any]) -> Plant:
     springs = [lower_spring(joint.spring, values)]
     if swings:
         masses.append(np.array([[share * drive[1], *np.zeros(HIGH - 1), math.inf]]))
-        own = {"stiffness": smooth.swing_stiffness, "damping": smooth.swing_damping}
-        springs.append(lower_spring(LinearSpring(), own))
+        springs.append(lower_spring(LinearSpring(), {"stiffness": stiffness, "damping": damping}))
     return assemble(masses, springs, places, [(0, 1), (1, 2)][: len(springs)], [0], [-1, 0, 1][: len(masses)])
 
 

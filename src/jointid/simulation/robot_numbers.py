@@ -156,7 +156,7 @@ def _mass_row(law: Friction, values: Mapping[str, float], prefix: str, inertia: 
     """
     row = np.zeros(len(MassNumbers))
     forwards, backwards, coulomb, coulomb_back = law.directions(values, prefix)
-    one = not law.depends_on_direction("viscous") or (prefix == "load_" and forwards == backwards)
+    one = not law.two_ways or (prefix == "load_" and forwards == backwards)
     row[: MassNumbers.RISE] = (
         inertia, forwards if one else 0.0, 0.5 * (coulomb + coulomb_back),
         values["offset"] + 0.5 * (coulomb - coulomb_back), 0.0 if one else forwards, 0.0 if one else backwards,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.models.robots.dynamics import inverse_dynamics, regressor, regressor_of
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Robot
 from tests.models.robots.trees import (
@@ -51,40 +50,3 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
         full, (found, torque) = full_mass_matrix(mujoco, model, data), equations(robot, q, v, a)
         assert difference(found + np.diag(rotors), full[np.ix_(order, order)]) < by_mujoco(AGREES)
         assert difference(torque + rotors * a, data.qfrc_inverse[order]) < by_mujoco(AGREES)
-
-
-@SEEDS
-def test_regressor_times_parameters_is_the_torque(seed: int) -> None:
-    robot = random_robot(seed)
-    q, v, a = motion_of(seed, len(robot))
-    torque = np.array([equations(robot, *one)[1] for one in zip(q, v, a, strict=True)])
-    columns = regressor_of(robot.tree, q, v, a)
-    assert difference(inverse_dynamics(robot.tree, robot.inertials, q, v, a), torque) < 1e-12
-    assert difference(columns @ robot.inertials.ravel(), torque) < 1e-12
-    one = np.empty((6, 60))
-    regressor(robot.tree, q[2], v[2], a[2], one)
-    assert np.array_equal(one, columns[2])
-
-
-@SEEDS
-def test_mass_matrix_times_acceleration_is_what_it_adds_to_the_torque(seed: int) -> None:
-    robot = random_robot(seed)
-    q, v, a = motion_of(seed, len(robot))
-    matrix, _ = equations(robot, q[0], v[0], a[0])
-    tree, bodies = robot.tree, robot.inertials
-    added = inverse_dynamics(tree, bodies, q, v, a) - inverse_dynamics(tree, bodies, q, v, 0 * a)
-    assert difference(matrix @ a[0], added[0]) < 1e-12
-    assert np.linalg.eigvalsh(matrix)[0] > 0
-
-
-def test_power_of_a_free_fall_is_the_change_of_energy() -> None:
-    """The torque does the work that kinetic energy and height take up, whatever the motion."""
-    robot = random_robot(4)
-    tree, bodies = robot.tree, robot.inertials
-    t = np.linspace(0.0, 1.0, 20001)[:, np.newaxis]
-    rates = np.linspace(1.0, 3.0, 6)
-    q, v, a = np.sin(rates * t), rates * np.cos(rates * t), -(rates**2) * np.sin(rates * t)
-    torque = inverse_dynamics(tree._replace(gravity=np.zeros(3)), bodies, q, v, a)
-    kinetic = [0.5 * v[k] @ equations(robot, q[k], v[k], a[k])[0] @ v[k] for k in (0, -1)]
-    work = np.trapezoid(np.sum(torque * v, axis=1), t[:, 0])
-    assert work == pytest.approx(kinetic[1] - kinetic[0], rel=1e-6)

@@ -248,7 +248,7 @@ class RobotJoint:
     def asymmetric(self) -> bool:
         """True of a friction that is another in the other direction."""
         if self.friction is not None:
-            return self.friction.depends_on_direction("viscous")
+            return self.friction.two_ways
         return self.viscous_backwards is not None or self.coulomb_backwards is not None
 
     @property

@@ -1,0 +1,107 @@
+"""Plants, laws and controllers in one table, against the one slow reference (`reference`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.position_forces import Counterbalance, Gravity
+from jointid.records.record import Record
+from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate
+from jointid.simulation.kernels import engine
+from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
+from tests.plants import Case, prismatic, rotary
+from tests.simulation.reference import of_joint
+from tests.smooth_laws import LAWS, PIECES, with_law
+
+_PERIODS = 100
+_FINE = 0.01  # rad in a step
+
+WAYS: dict[str, dict[str, float]] = {
+    "plain": {}, "late by a fraction": {"delay": 0.37}, "late by periods": {"delay": 2.4}, "limited": {"limit": 0.3},
+    "limited, with an integral": {"limit": 0.3, "integral_gain": 5.0, "delay": 0.37},
+}  # fmt: skip
+"""Numbers of the controller: delays in periods, limits in the torque's peak."""
+
+
+def window(record: Record) -> Record:
+    """Return a part of a record in which the reference turns round, after a rest; with a push."""
+    assert record.reference is not None
+    moved = np.diff(record.reference.values)
+    turns = int(np.flatnonzero(moved[1:] * moved[:-1] < 0.0)[0]) + 1
+    at = turns + np.concatenate([np.arange(-_PERIODS // 3, 0), np.zeros(_PERIODS // 3, int), np.arange(_PERIODS // 3)])
+    return record.with_channels({name: replace(one, values=one.values[at]) for name, one in record.items()})
+
+
+def controlled(loop: ClosedLoop, record: Record, values: dict[str, float], way: str) -> ClosedLoop:
+    """Return the loop with other numbers of its controller."""
+    experiment, own = prepare(loop, record), dict(WAYS[way])
+    peak = float(np.max(np.abs(simulate(loop, experiment, values).torque)))
+    size = {"delay": experiment.law.period, "limit": peak / numbers_of(loop.controller)["gain"]}
+    return replace(loop, controller=with_numbers(loop.controller, {n: x * size.get(n, 1.0) for n, x in own.items()}))
+
+
+def agree(
+    loop: ClosedLoop, experiment: LoopInput, values: dict[str, float], initial: Initial | None, within: float
+) -> tuple[Simulation, int]:
+    """Assert that torque and positions are the reference's; return the run, and its events there."""
+    found = simulate(loop, experiment, values, initial)
+    assert found.outcome is Outcome.FINISHED
+    command, q, _, events = of_joint(loop, experiment, values, initial)
+    torque = to_log(experiment, seen_torque(experiment, command[0]))
+    assert np.max(np.abs(found.torque - torque)) <= within * np.max(np.abs(torque))
+    travel = np.ptp(q[:, 0]) + np.max(np.abs(q[:, 0] - q[:, -1]))
+    for seen, mass in ((found.motor_position, 0), (found.load_position, 1)):
+        if seen is not None:
+            assert np.max(np.abs(seen - q[:: experiment.every, mass])) <= within * travel
+    return found, events
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 9))])
+def test_joints_of_straight_lines_are_exact(seed: int, way: str) -> None:
+    """Rigid and flexible, of friction that differs by the direction; they stick, slide and turn round."""
+    case = (prismatic, rotary)[seed % 2](seed)
+    rng, record = np.random.default_rng(seed), window(case.clean)
+    for joint in (replace(case.loop.joint, friction=FRICTIONS["asymmetric"]()), RigidJoint(case.loop.joint.kind)):
+        sums = case.loop.joint.rigid_sums(case.truth)
+        known = case.truth | sums
+        values = {p.name: known.get(p.name, known.get(p.name.rpartition("_")[0], 0.0)) for p in joint.parameters}
+        values = {name: value * rng.uniform(0.7, 1.4) if "_" in name else value for name, value in values.items()}
+        loop = controlled(replace(case.loop, joint=joint), record, values, way)
+        speed = 0.1 * float(np.max(np.abs(np.diff(record.reference.values)))) / record.reference.sample_time  # type: ignore[union-attr]
+        found, events = agree(loop, prepare(loop, record), values, Initial(velocity=speed), 1e-8)
+        assert found.events == events > 0
+        assert (found.at_limit > 0.01) == ("limited" in way)
+
+
+def with_any(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
+    """Return a drive with a law that shows, or two."""
+    if law == "balanced":
+        rate = 0.3 * case.truth["stiffness"]
+        joint = replace(case.loop.joint, gravity=Gravity("constant", Counterbalance(rate=rate)))
+        weight = 3.0 * case.truth["motor_coulomb"]
+        return replace(case.loop, joint=joint), case.truth | {"gravity_constant": weight, "counterbalance_rate": rate}
+    return with_law(case, law)
+
+
+@pytest.mark.parametrize("way", ["plain", pytest.param("late by periods", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("law", [*LAWS, *PIECES, "balanced"])
+@pytest.mark.parametrize("make", [prismatic, pytest.param(rotary, marks=pytest.mark.slow)])
+def test_every_other_law_is_as_near_as_is_said(make: Any, law: str, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some 1e-5 of the torque's peak in steps as they are; and far nearer in fine ones."""
+    case = make(1)
+    loop, values = with_any(case, law)
+    record = window(case.clean)
+    loop = controlled(loop, record, values, way)
+    experiment = prepare(loop, record)
+    agree(loop, experiment, values, None, 3e-5)
+    monkeypatch.setattr(engine, "REACH", _FINE)
+    found, _ = agree(loop, experiment, values, None, 1e-7)
+    assert found.events > 0
