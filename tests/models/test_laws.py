@@ -32,7 +32,7 @@ from jointid.models.controllers import (
 )
 from jointid.records.record import Channel, Timing
 from jointid.records.resampling import at_period
-from tests.models.written_out import Sample, begun
+from tests.models.written_out import SETTLED, torque_of
 
 T = 1e-3
 PERIODS = 400
@@ -83,11 +83,14 @@ def driven(rng: np.random.Generator, T: float) -> np.ndarray:
 
 
 def expected(law: Cascade | PD, T: float, inputs: np.ndarray, speed: float) -> np.ndarray:
-    """The torque, (periods,)."""
-    samples = [Sample(row[REFERENCE], row[REFERENCE_VELOCITY], row[DIRECTION], row[INJECTED]) for row in inputs]
-    slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / T
-    written = begun(law, T, samples[0], slope, inputs[0, POSITION], speed)
-    return np.array([written(sample, q) for sample, q in zip(samples, inputs[:, POSITION], strict=True)])
+    """The torque, (periods,), behind uniform motion up to the first period."""
+    before = np.arange(-SETTLED, 0) * T
+    whole = np.vstack([np.repeat(inputs[:1], SETTLED, axis=0), inputs])
+    whole[:SETTLED, REFERENCE] += (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / T * before
+    whole[:SETTLED, POSITION] += speed * before
+    whole[:SETTLED, INJECTED] = 0.0
+    columns = (REFERENCE, REFERENCE_VELOCITY, DIRECTION, INJECTED, POSITION)
+    return torque_of(law, T, *(whole[:, column] for column in columns))
 
 
 def check(law: Cascade | PD, seed: int, T: float = T, speed: float = 0.03) -> tuple[float, float]:

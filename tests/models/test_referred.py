@@ -18,7 +18,9 @@ from jointid.models.controllers import (
     Controller,
     FirstOrder,
     StateSpaceController,
+    invert,
     run,
+    scale,
 )
 from tests.geared import RATE
 
@@ -74,3 +76,22 @@ def test_a_law_gives_ratio_times_what_it_gives_to_ratio_times_the_motion(control
     assert np.max(np.abs(plain.output)) == pytest.approx(own.limit)  # or limits and gates would not be tried
     np.testing.assert_allclose(turned.output, ratio * plain.output, rtol=1e-9, atol=1e-12 * abs(ratio))
     assert seen.limit == pytest.approx(abs(ratio) * own.limit)
+
+
+def test_the_excess_is_fed_back_in_controller_units() -> None:
+    law = StateSpaceController(A=[[1.0]], B={"excess": [0.5]}, C=[2.0], D={"reference": 1.0}, gain=10.0, limit=3.0)
+    lowered = law.law(T)
+    assert lowered.limit == 30.0
+    assert lowered.F[0, 0, 0] * 10.0 == 0.5
+    assert scale(lowered, 4.0).F[0, 0, 0] * 40.0 == 0.5
+
+
+@pytest.mark.parametrize("controller", [LAWS["PD with a channel"], replace(LAWS["PID"], integral_gain=0.0)])
+def test_a_law_turned_round_gives_the_position_back(controller: Controller) -> None:
+    law, inputs = replace(controller, limit=np.inf).law(T), np.zeros((300, 6))  # type: ignore[type-var]
+    rng = np.random.default_rng(0)
+    inputs[:, REFERENCE] = np.cumsum(rng.normal(0, 1e-3, 300))
+    inputs[:, POSITION] = inputs[:, REFERENCE] + rng.normal(0, 1e-4, 300)
+    start = law.memory(REFERENCE, inputs[0, REFERENCE], 0.0) + law.memory(POSITION, inputs[0, POSITION], 0.0)
+    found = invert(law, run(law, inputs, start).raw[:, 0], inputs, start)
+    assert np.max(np.abs(found - inputs[:, POSITION])) <= 1e-9 * np.ptp(inputs[:, POSITION])

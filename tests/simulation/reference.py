@@ -2,8 +2,8 @@
 
 It reads the numbers of a plant, and the controllers and torques of a `SampledLoop`, and shares no equation with the
 kernels: of a tree it takes mass matrix and bias from the regressor alone. What winds up is a state in the form of its
-rate, ``z' = (v - |v| z) / s``. The integrator's error control sees bends of friction and springs; a mass that stops,
-and one that comes loose, are events.
+rate, ``z' = (v - |v| z) / s``. The integrator's error control sees the bends of friction; a mass that stops, one that
+comes loose, and the ends of a spring's pieces are events.
 """
 
 from __future__ import annotations
@@ -44,17 +44,31 @@ class _Motion:
         self.y = np.concatenate([place, speed, wound, np.zeros(len(self.springs))])
         self.winds = [row[0][6] > 0.0 for row in self.rows]
         self.y[2 * self.size : 3 * self.size] *= self.winds
+        slips = [row[0][4] + row[0][5] + abs(row[0][8]) + row[0][9] == 0.0 for row in self.rows]
+        self.free = [winds or slips for winds, slips in zip(self.winds, slips, strict=True)]  # nothing ever sticks
         self.modes = [float(np.sign(v)) for v in speed]
         self.drive, self.events, self.fastest = [0.0] * self.size, 0, 1e-9
+        self.pieces = [0] * len(self.springs)  # of each spring, negative for negative deflections
+        for s, (one, two) in enumerate(self.pairs):
+            e = place[two] - place[one]
+            self.pieces[s] = int(math.copysign(sum(abs(e) > row[6] for row in self.springs[s][1:]), e))
 
     def springs_at(self, y: list[float]) -> list[float]:
         """Return the torques of the springs."""
         n, found = self.size, []
-        for s, ((one, two), pieces) in enumerate(zip(self.pairs, self.springs, strict=True)):
-            e, de = y[two] - y[one], y[n + two] - y[n + one]
-            k, damping, cubic, slips, _, held, _ = [p for p in pieces if abs(e) >= p[6]][-1]
-            found.append(math.copysign(held, e) + k * e + cubic * e**3 + damping * de + slips * y[3 * n + s])
+        for s, (one, two) in enumerate(self.pairs):
+            e, de, piece = y[two] - y[one], y[n + two] - y[n + one], self.pieces[s]
+            k, damping, cubic, slips, _, held, _ = self.springs[s][abs(piece)]
+            found.append(float(np.sign(piece)) * held + k * e + cubic * e**3 + damping * de + slips * y[3 * n + s])
         return found
+
+    def room(self, s: int, y: FloatArray) -> tuple[float, float]:
+        """Return how far a deflection is above and below the ends of its piece."""
+        (one, two), piece = self.pairs[s], self.pieces[s]
+        begins = [*(row[6] for row in self.springs[s]), math.inf]
+        low, high = begins[abs(piece)], begins[abs(piece) + 1]
+        low, high = (low, high) if piece > 0 else (-high, -low if piece < 0 else high)
+        return float(y[two] - y[one]) - low, high - float(y[two] - y[one])
 
     def friction(self, i: int, t: float, v: float, way: float, pull: list[float]) -> tuple[float, float]:
         """Return the viscous coefficient and the Coulomb force of a mass that moves one way."""
@@ -84,23 +98,23 @@ class _Motion:
             bias[:n] = joints.T @ torque_by_regressor(self.tree, self.inertials, q, v, np.zeros(n))
         return M, bias
 
-    def accelerations(self, t: float, y: FloatArray, modes: list[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def accelerations(
+        self, t: float, y: FloatArray, modes: list[float], matrix: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return accelerations, what is left for friction of masses at rest, and the most that it can hold."""
         state, n = y.tolist(), self.size
         push, pull = self.forces(t, state)
         grip, held = np.zeros(n), np.zeros(n)
         for i in range(n):
             v = state[n + i]
-            way = modes[i] or push[i]
-            if self.winds[i]:
-                way = v
+            way = v if self.free[i] else modes[i] or push[i]
             viscous, coulomb = self.friction(i, t, v, way, pull)
             held[i] = push[i] - viscous * v - coulomb * (state[2 * n + i] if self.winds[i] else modes[i])
             grip[i] = coulomb
         if self.tree is None:
             moving = zip(held, modes, self.rows, strict=True)
             return np.array([push / rows[0][0] if mode else 0.0 for push, mode, rows in moving]), held, grip
-        M, bias = self.mass_matrix(y)
+        M, bias = matrix or self.mass_matrix(y)
         a, free = np.zeros(n), np.array(modes) != 0.0
         a[free] = np.linalg.solve(M[np.ix_(free, free)], (held - bias)[free])
         return a, held - bias - M @ a, grip
@@ -108,15 +122,16 @@ class _Motion:
     def settle(self) -> None:
         """Find the directions of masses that stand still by trying all."""
         n = self.size
-        _, _, grip = self.accelerations(self.time, self.y, self.modes)
-        standing = [i for i in range(n) if self.y[n + i] == 0.0 and not self.winds[i]]
+        standing = [i for i in range(n) if self.y[n + i] == 0.0 and not self.free[i]]
         for i in range(n):
-            self.modes[i] = 1.0 if self.winds[i] else self.modes[i]
-        for choice in itertools.product((0.0, 1.0, -1.0), repeat=len(standing)):
+            self.modes[i] = 1.0 if self.free[i] else self.modes[i]
+        matrix = None if self.tree is None else self.mass_matrix(self.y)
+        choices = itertools.product((0.0, 1.0, -1.0), repeat=len(standing))
+        for choice in sorted(choices, key=np.count_nonzero):  # few begin to move at once
             tried = list(self.modes)
             for i, mode in zip(standing, choice, strict=True):
                 tried[i] = mode
-            a, held, grip = self.accelerations(self.time, self.y, tried)
+            a, held, grip = self.accelerations(self.time, self.y, tried, matrix)
             rests = all(abs(held[i]) <= grip[i] * (1 + _EDGE) + 1e-300 for i in standing if tried[i] == 0.0)
             if rests and all(tried[i] * a[i] > 0.0 for i in standing if tried[i] != 0.0):
                 self.modes = tried
@@ -135,8 +150,8 @@ class _Motion:
         return np.concatenate([v, a, rates])
 
     def guard(self, i: int) -> Any:
-        """Return the event of a mass: it stops, or comes loose."""
-        n, mode = self.size, self.modes[i]
+        """Return the event of a mass: it stops, or comes loose; of a spring, after the masses, that its piece ends."""
+        n, mode = self.size, self.modes[i] if i < self.size else 0.0
 
         def slides(t: float, y: FloatArray) -> float:
             return float(mode * y[n + i])
@@ -145,7 +160,10 @@ class _Motion:
             _, held, grip = self.accelerations(t, y, self.modes)
             return float(grip[i] * (1 + 10 * _EDGE) - abs(held[i]))
 
-        event: Any = slides if mode else rests
+        def ends(t: float, y: FloatArray) -> float:
+            return min(self.room(i - n, y)) + _EDGE * self.fastest * self.period
+
+        event: Any = ends if i >= n else (slides if mode else rests)
         event.terminal, event.direction = True, -1.0
         return event
 
@@ -154,7 +172,8 @@ class _Motion:
         self.drive, end, n = drive, self.time + duration, self.size
         while end - self.time > 1e-13 * self.period:
             self.settle()
-            watched = [i for i in range(n) if not self.winds[i]]
+            watched = [i for i in range(n) if not self.free[i]]
+            watched += [n + s for s, rows in enumerate(self.springs) if len(rows) > 1]
             self.fastest = max(self.fastest, float(np.max(np.abs(self.y[n : 2 * n]))))
             atol = np.repeat(1e-13 * np.array([self.fastest * self.period, self.fastest, 1.0]), n)
             atol = np.append(atol, np.full(len(self.springs), 1e-13))
@@ -168,7 +187,10 @@ class _Motion:
             for i, times in zip(watched, run.t_events if run.status == 1 else [], strict=False):
                 if len(times):
                     self.events += 1
-                    if self.modes[i]:
+                    if i >= n:
+                        below, above = self.room(i - n, self.y)
+                        self.pieces[i - n] += 1 if above < below else -1
+                    elif self.modes[i]:
                         self.y[n + i] = 0.0
                     else:
                         _, held, _ = self.accelerations(self.time, self.y, self.modes)

@@ -47,9 +47,9 @@ WAYS = {
 }  # fmt: skip
 SIZES = {
     "offset": 10.0, "constant_feedforward": 10.0, "initial_torque": 10.0, "initial_position": 0.01,
-    "initial_velocity": 0.05, "delay": T, "reference_delay": T,
+    "initial_velocity": 0.05, "delay": 10.0 * T, "reference_delay": T,
 }  # fmt: skip
-"""Of numbers that may be 0."""
+"""Of numbers that may be 0; and of a delay, of which less than a millionth of a period is nothing."""
 
 
 def driven(timing: Timing = Timing.HELD, tap: Tap = Tap.COMMAND) -> Record:
@@ -76,6 +76,7 @@ def check(
     for j, name in enumerate(names):
         now = values.get(name) or numbers_of(loop.controller).get(name)
         size = SIZES.get(name) or abs(now or 1e-3)
+        size = values.get("motor_coulomb", size) if name == "offset" else size
         columns = tuple(one[:, j] for one in (found.torque, found.motor_position, found.load_position) if one.size)
         steps, back = tuple(share * size for share in shares), 0.0 if name in to_right else 1.0
         error = error_beside_differences(columns, loop, record, values, name, steps, start, back=back)

@@ -76,9 +76,9 @@ def test_joints_of_straight_lines_are_exact(seed: int, way: str) -> None:
         values = {name: value * rng.uniform(0.7, 1.4) if "_" in name else value for name, value in values.items()}
         loop = controlled(replace(case.loop, joint=joint), record, values, way)
         speed = 0.1 * float(np.max(np.abs(np.diff(record.reference.values)))) / record.reference.sample_time  # type: ignore[union-attr]
-        found, events = agree(loop, prepare(loop, record), values, Initial(velocity=speed), 1e-8)
+        found, events = agree(loop, prepare(loop, record), values, Initial(velocity=speed), 1e-9)
         assert found.events == events > 0
-        assert (found.at_limit > 0.01) == ("limited" in way)
+        assert found.at_limit > 0.01 or "limited" not in way
 
 
 def with_any(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:

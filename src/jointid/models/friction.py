@@ -67,9 +67,9 @@ class Coefficient(NamedTuple):
 
 _ONE_WAY = Coefficient("viscous", "Fv", "", "viscous", 0), Coefficient("coulomb", "Fc", "", "coulomb", 0)
 _TWO_WAYS = tuple(
-    Coefficient(f"{part}_{direction}", symbol, sign, part, way)
+    one._replace(name=f"{one.name}_{direction}", sign=sign, way=way)
     for direction, sign, way in (("forwards", "+", 1), ("backwards", "-", -1))
-    for part, symbol in (("viscous", "Fv"), ("coulomb", "Fc"))
+    for one in _ONE_WAY
 )
 
 
@@ -232,7 +232,7 @@ class Friction:
     def beside(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Return the numbers of the terms by their names without the prefix; 0 of those that the law has not."""
         own = [name for term in self._terms_of(prefix) for name, *_ in term.parameters]
-        return dict.fromkeys(_BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
+        return dict.fromkeys(BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
         """Return the law by the speed, the slowest band first, without a gap; the last has no end.
@@ -288,7 +288,8 @@ class Friction:
         return [term for term in self.terms if not (term.of_load and prefix == "motor_")]
 
 
-_BESIDE = tuple(name for term in (_STRIBECK, _WINDING, _PER_TORQUE, _DRIFT) for name, *_ in term.parameters)
+BESIDE = tuple(name for term in (_STRIBECK, _WINDING, _DRIFT, _PER_TORQUE) for name, *_ in term.parameters)
+"""The numbers that a law may have beside its lines, by their names without a side's prefix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,7 +346,7 @@ class PreslidingFriction(Friction):
 
     name = "presliding"
     label = "the same, wound up at reversals"
-    terms = (_WINDING,)
+    terms: ClassVar[tuple[Term, ...]] = (_WINDING,)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter
-from jointid.models.friction import Friction, low_speed_share
+from jointid.models.friction import BESIDE, Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels.drive import IntArray
@@ -134,14 +134,7 @@ class MassNumbers(IntEnum):
 
 
 _DRIFTS = MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT
-_BESIDE_LINES = {
-    "stribeck_force": MassNumbers.RISE,
-    "stribeck_speed": MassNumbers.SPEED,
-    "presliding_distance": MassNumbers.PRESLIDING,
-    "viscous_drift": MassNumbers.VISCOUS_DRIFT,
-    "coulomb_drift": MassNumbers.COULOMB_DRIFT,
-    "friction_per_torque": MassNumbers.PER_TORQUE,
-}
+_BESIDE_LINES = {name: MassNumbers(MassNumbers.RISE + i) for i, name in enumerate(BESIDE)}
 SPRING_NUMBERS = (
     "stiffness", "damping", "gap", "stiffness_2", "stiffness_3", "torque_1", "torque_2", "cubic_stiffness",
     "hysteresis_stiffness", "hysteresis_torque",
@@ -161,19 +154,17 @@ def _mass_row(law: Friction, values: Mapping[str, float], prefix: str, inertia: 
         inertia, forwards if one else 0.0, 0.5 * (coulomb + coulomb_back),
         values["offset"] + 0.5 * (coulomb - coulomb_back), 0.0 if one else forwards, 0.0 if one else backwards,
     )  # fmt: skip
-    for p in law.parameters(prefix):
-        name = p.name.removeprefix(prefix)
-        if name in _BESIDE_LINES:
-            row[_BESIDE_LINES[name]] = values[p.name]
+    row[MassNumbers.RISE :] = [law.beside(values, prefix)[name] for name in BESIDE]
     return row
 
 
 def friction_values(row: AnyArray) -> dict[str, Any]:
     """Return the numbers of a mass by the names of any law of friction; the offset stands apart."""
     viscous, coulomb = row[MassNumbers.VISCOUS], row[MassNumbers.COULOMB]
-    found = {name: row[column] for name, column in _BESIDE_LINES.items()} | {"viscous": viscous, "coulomb": coulomb}
-    found |= {"viscous_forwards": viscous + row[MassNumbers.FORWARDS], "coulomb_forwards": coulomb}
-    return found | {"viscous_backwards": viscous + row[MassNumbers.BACKWARDS], "coulomb_backwards": coulomb}
+    found = dict(zip(BESIDE, row[MassNumbers.RISE :], strict=True)) | {"viscous": viscous}
+    found |= dict.fromkeys(("coulomb", "coulomb_forwards", "coulomb_backwards"), coulomb)
+    found["viscous_forwards"] = viscous + row[MassNumbers.FORWARDS]
+    return found | {"viscous_backwards": viscous + row[MassNumbers.BACKWARDS]}
 
 
 def values_of_joint(numbers: RobotNumbers, joint: int) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Regressor of the inertial parameters of a tree of links, and the vectors that the equations are written in.
+"""The motion of a tree of links, the regressor of its inertial parameters, and the vectors that both are written in.
 
 ::
 
@@ -9,9 +9,9 @@ Link i has its frame on its joint. At q = 0 that frame stands in the parent's at
 ``m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz`` are about the origin of the link's frame, so the dynamics are linear in
 them [Khalil and Dombre 2002, ch. 9]. What a rotor adds behind its gear, and friction, is not in here.
 
-`equations` has the mass matrix and the torque in one pass. The regressor carries the axis of every joint out to the
-links that it moves, one twist for each pair, rather than ten wrenches of each link back to the base [Atkeson, An and
-Hollerbach 1986 for the linear form].
+All motion is seen from the base, as in `equations`, which has the mass matrix and the torque in one pass. The regressor
+takes the axis of every joint to the links that it moves, one twist for each pair, rather than ten wrenches of each link
+back to the base [Atkeson, An and Hollerbach 1986 for the linear form].
 
 All arrays are contiguous, of float64 and int64; nothing is checked here (`robot.Robot` does).
 """
@@ -35,6 +35,9 @@ IntArray: TypeAlias = NDArray[np.int64]
 REVOLUTE, PRISMATIC = 0, 1
 PARAMETERS = 10
 """Inertial parameters of a link."""
+# Columns of the scratch: rotation, row by row, and origin; twists of the joint, of velocity and of acceleration,
+# and how the joint's turns. What follows is free for `equations`.
+ORIGIN, JOINT, VELOCITY, ACCELERATION, TURNING, FREE = 9, 12, 18, 24, 30, 36
 
 
 @inline_kernel
@@ -87,79 +90,66 @@ def inertia_times(body: FloatArray, i: int, j: int, a: Vector) -> Vector:
 
 
 @inline_kernel
-def _to_link(place: FloatArray, i: int, a: Vector) -> Vector:
-    x, y, z = get(place, i, 0), get(place, i, 3), get(place, i, 6)
-    return (
-        x[0] * a[0] + y[0] * a[1] + z[0] * a[2],
-        x[1] * a[0] + y[1] * a[1] + z[1] * a[2],
-        x[2] * a[0] + y[2] * a[1] + z[2] * a[2],
-    )
-
-
-@inline_kernel
-def _place(tree: Tree, q: FloatArray, place: FloatArray) -> None:
-    """Fill `place`, (n, 12): each link's rotation to its parent, row by row, and its origin there."""
-    kinds, axes, rotations, origins = tree.kinds, tree.axes, tree.rotations, tree.origins
-    for i in range(q.size):
-        x, y, z = get(axes, i, 0)
-        for row in range(3):
-            a, b, c = rotations[i, row, 0], rotations[i, row, 1], rotations[i, row, 2]
-            along = a * x + b * y + c * z
-            if kinds[i] == REVOLUTE:
-                cosine, sine = math.cos(q[i]), math.sin(q[i])
-                rest = (1.0 - cosine) * along
-                put(
-                    place,
-                    i,
-                    3 * row,
-                    (
-                        cosine * a + sine * (b * z - c * y) + rest * x,
-                        cosine * b + sine * (c * x - a * z) + rest * y,
-                        cosine * c + sine * (a * y - b * x) + rest * z,
-                    ),
-                )
-                place[i, 9 + row] = origins[i, row]
-            else:
-                put(place, i, 3 * row, (a, b, c))
-                place[i, 9 + row] = origins[i, row] + q[i] * along
-
-
-@inline_kernel
-def _move(tree: Tree, place: FloatArray, v: FloatArray, a: FloatArray, motion: FloatArray) -> None:
-    """Fill `motion`, (n, 9): angular velocity, its derivative, and acceleration less gravity, in each link's frame."""
-    parents, kinds, axes, gravity = tree.parents, tree.kinds, tree.axes, tree.gravity
-    for i in range(v.size):
+def move_outwards(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
+    """Write frames, twists of joints, velocities and accelerations, all seen from the base."""
+    parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
+    gravity = tree.gravity
+    for i in range(parents.size):
         parent = parents[i]
-        turning, changing = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        rising = (-gravity[0], -gravity[1], -gravity[2])
+        x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
+        w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
         if parent >= 0:
-            turning, changing, rising = get(motion, parent, 0), get(motion, parent, 3), get(motion, parent, 6)
-        r, axis = get(place, i, 9), get(axes, i, 0)
-        rising = add(rising, add(cross(changing, r), cross(turning, cross(turning, r))))
-        turning, changing, rising = (
-            _to_link(place, i, turning),
-            _to_link(place, i, changing),
-            _to_link(place, i, rising),
-        )
-        across, along = times(v[i], cross(turning, axis)), times(a[i], axis)
+            x, y, z = get(room, parent, 0), get(room, parent, 3), get(room, parent, 6)
+            p = get(room, parent, ORIGIN)
+            w, u = get(room, parent, VELOCITY), get(room, parent, VELOCITY + 3)
+            dw, du = get(room, parent, ACCELERATION), get(room, parent, ACCELERATION + 3)
+        p = add(p, rotate(x, y, z, get(origins, i, 0)))
+        r = rotations[i]
+        first, second, third = (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
+        x = dot(x, first), dot(x, second), dot(x, third)
+        y = dot(y, first), dot(y, second), dot(y, third)
+        z = dot(z, first), dot(z, second), dot(z, third)
+        axis = get(axes, i, 0)
+        s = rotate(x, y, z, axis)
         if kinds[i] == REVOLUTE:
-            changing = add(changing, add(across, along))
-            turning = add(turning, times(v[i], axis))
+            cosine, sine = math.cos(q[i]), math.sin(q[i])
+            x = _about(x, axis, cosine, sine, s[0])
+            y = _about(y, axis, cosine, sine, s[1])
+            z = _about(z, axis, cosine, sine, s[2])
+            turns, slides = s, cross(p, s)
         else:
-            rising = add(rising, add(times(2.0, across), along))
-        put(motion, i, 0, turning)
-        put(motion, i, 3, changing)
-        put(motion, i, 6, rising)
+            p = add(p, times(q[i], s))
+            turns, slides = ZERO, s
+        put(room, i, 0, x)
+        put(room, i, 3, y)
+        put(room, i, 6, z)
+        put(room, i, ORIGIN, p)
+        put(room, i, JOINT, turns)
+        put(room, i, JOINT + 3, slides)
+        turning, sliding = cross(w, turns), add(cross(w, slides), cross(u, turns))
+        put(room, i, TURNING, turning)
+        put(room, i, TURNING + 3, sliding)
+        put(room, i, VELOCITY, add(w, times(v[i], turns)))
+        put(room, i, VELOCITY + 3, add(u, times(v[i], slides)))
+        put(room, i, ACCELERATION, add(dw, add(times(v[i], turning), times(a[i], turns))))
+        put(room, i, ACCELERATION + 3, add(du, add(times(v[i], sliding), times(a[i], slides))))
+
+
+@inline_kernel
+def _about(row: Vector, axis: Vector, cosine: float, sine: float, along: float) -> Vector:
+    """Turn a row of a rotation about an axis; `along` is its component on the axis."""
+    return add(add(times(cosine, row), times(sine, cross(row, axis))), times((1.0 - cosine) * along, axis))
+
+
+@inline_kernel
+def _to_link(room: FloatArray, i: int, a: Vector) -> Vector:
+    """Return a vector of the base in the frame of a link."""
+    x, y, z = get(room, i, 0), get(room, i, 3), get(room, i, 6)
+    return add(times(a[0], x), add(times(a[1], y), times(a[2], z)))
 
 
 @compile_kernel
-def regressor(
-    tree: Tree,
-    q: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    out: FloatArray,
-) -> None:
+def regressor(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, out: FloatArray) -> None:
     """Fill `out`, (n, 10 n), with the regressor: times the inertials, link by link, it is the torque.
 
     Args:
@@ -169,30 +159,18 @@ def regressor(
         a: (n,) rad/s2 or m/s2.
         out: (n, 10 n) N m or N per unit of each parameter.
     """
-    n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
-    place, motion, twist = np.empty((n, 12)), np.empty((n, 9)), np.empty((n, 6))
-    _place(tree, q, place)
-    _move(tree, place, v, a, motion)
-    moves = np.empty(n, np.bool_)
+    room = np.empty((q.size, FREE))
+    move_outwards(tree, q, v, a, room)
     out[:] = 0.0
-    for i in range(n):  # the joint whose axis is carried outwards: about it a link turns, and its origin slides
-        moves[:] = False
-        for j in range(i, n):
-            parent = parents[j]
-            if j == i:
-                axis = get(axes, i, 0)
-                turn, slide = (axis, (0.0, 0.0, 0.0)) if kinds[i] == REVOLUTE else ((0.0, 0.0, 0.0), axis)
-            elif parent >= 0 and moves[parent]:
-                turn, slide = get(twist, parent, 0), get(twist, parent, 3)
-                slide = _to_link(place, j, add(slide, cross(turn, get(place, j, 9))))
-                turn = _to_link(place, j, turn)
-            else:
-                continue
-            moves[j] = True
-            put(twist, j, 0, turn)
-            put(twist, j, 3, slide)
-            w, dw, rising = get(motion, j, 0), get(motion, j, 3), get(motion, j, 6)
-            at = PARAMETERS * j
+    for link in range(q.size):
+        p, spun, turned = get(room, link, ORIGIN), get(room, link, VELOCITY), get(room, link, ACCELERATION)
+        speed = add(get(room, link, VELOCITY + 3), cross(spun, p))
+        lifted = add(get(room, link, ACCELERATION + 3), add(cross(turned, p), cross(spun, speed)))
+        w, dw, rising = _to_link(room, link, spun), _to_link(room, link, turned), _to_link(room, link, lifted)
+        at, i = PARAMETERS * link, link
+        while i >= 0:  # a joint that carries the link: about it the link turns, and its origin slides
+            axis = get(room, i, JOINT)
+            turn, slide = _to_link(room, link, axis), _to_link(room, link, add(get(room, i, JOINT + 3), cross(axis, p)))
             out[i, at] = dot(slide, rising)
             first = add(cross(slide, dw), cross(rising, turn))
             first = add(first, add(times(dot(slide, w), w), times(-dot(w, w), slide)))
@@ -204,15 +182,11 @@ def regressor(
             out[i, at + 7] = turn[1] * dw[1] + u[1] * w[1]
             out[i, at + 8] = turn[1] * dw[2] + turn[2] * dw[1] + u[1] * w[2] + u[2] * w[1]
             out[i, at + 9] = turn[2] * dw[2] + u[2] * w[2]
+            i = tree.parents[i]
 
 
 @compile_kernel
-def regressor_of(
-    tree: Tree,
-    q: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-) -> FloatArray:
+def regressor_of(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
     """Return the regressor of a motion, (samples, n, 10 n); its arguments are (samples, n)."""
     samples, n = q.shape
     out = np.empty((samples, n, PARAMETERS * n))

@@ -25,15 +25,18 @@ scratch, (n, ROOM).
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import (
+    ACCELERATION,
+    FREE,
+    JOINT,
+    ORIGIN,
     PARAMETERS,
-    REVOLUTE,
+    TURNING,
+    VELOCITY,
     ZERO,
     IntArray,
     Vector,
@@ -42,6 +45,7 @@ from jointid.models.robots.dynamics import (
     dot,
     get,
     inertia_times,
+    move_outwards,
     put,
     regressor,
     rotate,
@@ -49,13 +53,12 @@ from jointid.models.robots.dynamics import (
 )
 from jointid.models.robots.robot import Tree
 
-ROOM = 64
+ROOM = FREE + 28
 """Numbers of scratch for each link."""
 
-# Columns of the scratch: rotation, row by row, and origin; twists of the joint, of velocity and of acceleration,
-# and how the joint's turns; inertia of what is carried, and its force; W and momentum, of which B is made.
-_ROTATION, _ORIGIN, _JOINT, _VELOCITY, _ACCELERATION, _TURNING = 0, 9, 12, 18, 24, 30
-_MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = 36, 37, 40, 46, 52, 61
+# Columns of the scratch behind those of the motion: inertia of what is carried, and its force; W and momentum, of which
+# B is made.
+_MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = (FREE + column for column in (0, 1, 4, 10, 16, 25))
 
 
 @inline_kernel
@@ -85,8 +88,9 @@ def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
 
 
 @inline_kernel
-def _body(inertials: FloatArray, i: int, x: Vector, y: Vector, z: Vector, p: Vector, room: FloatArray) -> None:
-    """Write the inertia of a link about the base's origin: x, y, z are the rows of its rotation, p its origin."""
+def _body(inertials: FloatArray, i: int, room: FloatArray) -> None:
+    """Write the inertia of a link about the base's origin."""
+    x, y, z, p = get(room, i, 0), get(room, i, 3), get(room, i, 6), get(room, i, ORIGIN)
     m = inertials[i, 0]
     h = rotate(x, y, z, get(inertials, i, 1))
     of_x, of_y, of_z = (
@@ -113,63 +117,10 @@ def _times_inertia(room: FloatArray, i: int, a: Vector, b: Vector) -> tuple[Vect
 
 
 @inline_kernel
-def _outwards(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
-    """Write frames, twists of joints, velocities and accelerations, and inertias."""
-    parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
-    gravity = tree.gravity
-    for i in range(parents.size):
-        parent = parents[i]
-        x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
-        w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
-        if parent >= 0:
-            x, y, z = get(room, parent, 0), get(room, parent, 3), get(room, parent, 6)
-            p = get(room, parent, _ORIGIN)
-            w, u = get(room, parent, _VELOCITY), get(room, parent, _VELOCITY + 3)
-            dw, du = get(room, parent, _ACCELERATION), get(room, parent, _ACCELERATION + 3)
-        p = add(p, rotate(x, y, z, get(origins, i, 0)))
-        r = rotations[i]
-        first, second, third = (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
-        x = dot(x, first), dot(x, second), dot(x, third)
-        y = dot(y, first), dot(y, second), dot(y, third)
-        z = dot(z, first), dot(z, second), dot(z, third)
-        axis = get(axes, i, 0)
-        s = rotate(x, y, z, axis)
-        if kinds[i] == REVOLUTE:
-            cosine, sine = math.cos(q[i]), math.sin(q[i])
-            x = _about(x, axis, cosine, sine, s[0])
-            y = _about(y, axis, cosine, sine, s[1])
-            z = _about(z, axis, cosine, sine, s[2])
-            turns, slides = s, cross(p, s)
-        else:
-            p = add(p, times(q[i], s))
-            turns, slides = ZERO, s
-        put(room, i, 0, x)
-        put(room, i, 3, y)
-        put(room, i, 6, z)
-        put(room, i, _ORIGIN, p)
-        put(room, i, _JOINT, turns)
-        put(room, i, _JOINT + 3, slides)
-        turning, sliding = cross(w, turns), add(cross(w, slides), cross(u, turns))
-        put(room, i, _TURNING, turning)
-        put(room, i, _TURNING + 3, sliding)
-        put(room, i, _VELOCITY, add(w, times(v[i], turns)))
-        put(room, i, _VELOCITY + 3, add(u, times(v[i], slides)))
-        put(room, i, _ACCELERATION, add(dw, add(times(v[i], turning), times(a[i], turns))))
-        put(room, i, _ACCELERATION + 3, add(du, add(times(v[i], sliding), times(a[i], slides))))
-        _body(inertials, i, x, y, z, p, room)
-
-
-@inline_kernel
-def _about(row: Vector, axis: Vector, cosine: float, sine: float, along: float) -> Vector:
-    """Turn a row of a rotation about an axis; `along` is its component on the axis."""
-    return add(add(times(cosine, row), times(sine, cross(row, axis))), times((1.0 - cosine) * along, axis))
-
-
-@inline_kernel
 def _force(room: FloatArray, i: int) -> None:
     """Write the force that moves a link as it moves."""
-    w, u = get(room, i, _VELOCITY), get(room, i, _VELOCITY + 3)
-    moment, force = _times_inertia(room, i, get(room, i, _ACCELERATION), get(room, i, _ACCELERATION + 3))
+    w, u = get(room, i, VELOCITY), get(room, i, VELOCITY + 3)
+    moment, force = _times_inertia(room, i, get(room, i, ACCELERATION), get(room, i, ACCELERATION + 3))
     N, p = _times_inertia(room, i, w, u)
     put(room, i, _FORCE, add(moment, add(cross(w, N), cross(u, p))))
     put(room, i, _FORCE + 3, add(force, cross(w, p)))
@@ -192,18 +143,19 @@ def equations_of_motion(
     n, coupled = parents.size, joints.shape[0] > 0
     if coupled:
         q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
-    _outwards(tree, inertials, q, v, a, room)
+    move_outwards(tree, q, v, a, room)
     for i in range(n):
+        _body(inertials, i, room)
         _force(room, i)
         for j in range(n):
             M[i, j] = 0.0
     for i in range(n - 1, -1, -1):
-        s, t = get(room, i, _JOINT), get(room, i, _JOINT + 3)
+        s, t = get(room, i, JOINT), get(room, i, JOINT + 3)
         torque[i] = dot(s, get(room, i, _FORCE)) + dot(t, get(room, i, _FORCE + 3))
         moment, force = _times_inertia(room, i, s, t)
         j = i
         while j >= 0:
-            M[i, j] = M[j, i] = dot(moment, get(room, j, _JOINT)) + dot(force, get(room, j, _JOINT + 3))
+            M[i, j] = M[j, i] = dot(moment, get(room, j, JOINT)) + dot(force, get(room, j, JOINT + 3))
             j = parents[j]
         if parents[i] >= 0:
             _accumulate(room, i, parents[i], _MASS, _W)
@@ -215,7 +167,7 @@ def equations_of_motion(
 @inline_kernel
 def _own_slopes(room: FloatArray, i: int) -> None:
     """Write W and the momentum of a link, of which its B is made."""
-    w, u, h = get(room, i, _VELOCITY), get(room, i, _VELOCITY + 3), get(room, i, _MOMENT)
+    w, u, h = get(room, i, VELOCITY), get(room, i, VELOCITY + 3), get(room, i, _MOMENT)
     xx, xy, xz = room[i, _INERTIA], room[i, _INERTIA + 1], room[i, _INERTIA + 2]
     yy, yz, zz = room[i, _INERTIA + 3], room[i, _INERTIA + 4], room[i, _INERTIA + 5]
     half, along = 0.5 * (xx + yy + zz), dot(h, u)
@@ -236,10 +188,10 @@ def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tup
     """Return R of a joint: how the twist of its joint turns with what carries it, a second time."""
     w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
     if parent >= 0:
-        w, u = get(room, parent, _VELOCITY), get(room, parent, _VELOCITY + 3)
-        dw, du = get(room, parent, _ACCELERATION), get(room, parent, _ACCELERATION + 3)
-    s, t = get(room, i, _JOINT), get(room, i, _JOINT + 3)
-    P, Q = get(room, i, _TURNING), get(room, i, _TURNING + 3)
+        w, u = get(room, parent, VELOCITY), get(room, parent, VELOCITY + 3)
+        dw, du = get(room, parent, ACCELERATION), get(room, parent, ACCELERATION + 3)
+    s, t = get(room, i, JOINT), get(room, i, JOINT + 3)
+    P, Q = get(room, i, TURNING), get(room, i, TURNING + 3)
     return add(cross(dw, s), cross(w, P)), add(add(cross(dw, t), cross(du, s)), add(cross(w, Q), cross(u, P)))
 
 
@@ -253,15 +205,16 @@ def linearised_equations(
     n, coupled = parents.size, joints.shape[0] > 0
     if coupled:
         q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
-    _outwards(tree, inertials, q, v, a, room)
+    move_outwards(tree, q, v, a, room)
     for i in range(n):
         for j in range(n):
             M[i, j] = by_place[i, j] = by_speed[i, j] = 0.0
     for i in range(n):
+        _body(inertials, i, room)
         _force(room, i)
         _own_slopes(room, i)
     for i in range(n - 1, -1, -1):
-        s, t = get(room, i, _JOINT), get(room, i, _JOINT + 3)
+        s, t = get(room, i, JOINT), get(room, i, JOINT + 3)
         g, h = _times_inertia(room, i, s, t)  # I S
         x, y, z = get(room, i, _W), get(room, i, _W + 3), get(room, i, _W + 6)
         p = get(room, i, _MOMENTUM)
@@ -269,7 +222,7 @@ def linearised_equations(
         c = add(add(times(s[0], x), add(times(s[1], y), times(s[2], z))), cross(p, t))
         d, e = rotate(x, y, z, s), cross(s, p)
         # 2 B P + I R + S x* f, and B S + I P
-        turning, sliding = get(room, i, _TURNING), get(room, i, _TURNING + 3)
+        turning, sliding = get(room, i, TURNING), get(room, i, TURNING + 3)
         spinning, swaying = _changing(room, i, parents[i], tree.gravity)
         pulled, pushed = _times_inertia(room, i, spinning, swaying)
         moment, force = get(room, i, _FORCE), get(room, i, _FORCE + 3)
@@ -279,8 +232,8 @@ def linearised_equations(
         d, e = add(d, turned), add(e, slid)
         j = i
         while j >= 0:
-            a_j, b_j = get(room, j, _JOINT), get(room, j, _JOINT + 3)
-            P, Q = get(room, j, _TURNING), get(room, j, _TURNING + 3)
+            a_j, b_j = get(room, j, JOINT), get(room, j, JOINT + 3)
+            P, Q = get(room, j, TURNING), get(room, j, TURNING + 3)
             spinning, swaying = _changing(room, j, parents[j], tree.gravity)
             M[i, j] = M[j, i] = dot(g, a_j) + dot(h, b_j)
             by_place[j, i] = dot(pulled, a_j) + dot(pushed, b_j)

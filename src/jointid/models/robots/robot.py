@@ -154,32 +154,19 @@ class RobotJoint:
 
     def __post_init__(self) -> None:
         check_settings(self, called=f"joint {self.name}")
-        if self.spring is not None and self.rotor_inertia == 0:
-            raise MethodError(
-                f"The joint {self.name} has a spring, but no rotor_inertia; expected a positive one: add it, or leave "
-                "the spring out for a rigid joint."
-            )
-
-        if self.stribeck_force > 0 and self.stribeck_speed is None:
-            raise MethodError(
-                f"The joint {self.name} has a stribeck_force, but no stribeck_speed; expected the speed below which "
-                "friction rises: add it."
-            )
         optional = ("viscous_backwards", "coulomb_backwards", "stribeck_force", "stribeck_speed")
         own = optional if self.friction is None else {p.name for p in self.friction.parameters()}
-        if foreign := [name for name in optional if getattr(self, name) and name not in own]:
-            raise MethodError(
-                f"The joint {self.name} has {', '.join(foreign)}, which {self.law.name} friction does not have; leave "
-                "the numbers out, or choose another friction."
-            )
         known = {p.name for p in self.model.parameters}
-        unknown = sorted(set(self.numbers) - known)
+        foreign = [name for name in optional if getattr(self, name) and name not in own]
+        foreign += sorted(set(self.numbers) - known)
         lacks = sorted(known - set(self.values) - {"load_inertia"})
-        if unknown or lacks:
-            names = ", ".join(unknown or lacks)
+        lacks += ["rotor_inertia"] * (self.spring is not None and self.rotor_inertia == 0)
+        lacks += ["stribeck_speed"] * (self.stribeck_force > 0 and self.stribeck_speed is None)
+        if foreign or lacks:
             raise MethodError(
-                f"The joint {self.name} {'has' if unknown else 'lacks'} {names}; expected the numbers of its laws, "
-                f"which are {', '.join(sorted(known))}: {'leave them out' if unknown else 'add them'}."
+                f"The joint {self.name} {'has' if foreign else 'lacks'} {', '.join(foreign or lacks)}; expected the "
+                f"numbers of {self.law.name} friction and its spring: {'leave them out' if foreign else 'add them'}, "
+                "or choose another law."
             )
 
     @property
@@ -214,33 +201,32 @@ class RobotJoint:
         """The joint whose spring does not give: what the link's side takes is added to the motor's."""
         if self.spring is None or not isinstance(self.model, FlexibleJoint):
             return self
-        whole, viscous, coulomb = self.model.rigid, self.spring.viscous, self.spring.coulomb
-        back, held = self.viscous_backwards, self.coulomb_backwards
+        whole, behind = self.model.rigid, self.spring
         beside = {name.removeprefix("motor_").removeprefix("load_") for name in self.numbers}
-        numbers = {p.name: of_whole(p, self.values) for p in whole.parameters if p.name in beside}
+        back, held = self.viscous_backwards, self.coulomb_backwards
         return replace(
             self,
-            viscous=self.viscous + viscous,
-            coulomb=self.coulomb + coulomb,
-            viscous_backwards=None if back is None else back + viscous,
-            coulomb_backwards=None if held is None else held + coulomb,
+            viscous=self.viscous + behind.viscous,
+            coulomb=self.coulomb + behind.coulomb,
+            viscous_backwards=None if back is None else back + behind.viscous,
+            coulomb_backwards=None if held is None else held + behind.coulomb,
             friction=self.friction and whole.friction,
             spring=None,
-            numbers=numbers,
+            numbers={p.name: of_whole(p, self.values) for p in whole.parameters if p.name in beside},
         )
 
     @property
     def values(self) -> dict[str, float]:
         """Its numbers by the names of a joint's parameters; what its link weighs is not among them."""
-        motor = "" if self.spring is None else "motor_"
+        motor, behind = "" if self.spring is None else "motor_", self.spring
         back = self.viscous if self.viscous_backwards is None else self.viscous_backwards
         held = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
-        rise = self.stribeck_force, self.stribeck_speed or 0.0
-        found = _friction_values(motor, self.viscous, back, self.coulomb, held, *rise)
-        if self.spring is not None:
-            viscous, coulomb = self.spring.viscous, self.spring.coulomb
-            found |= _friction_values("load_", viscous, viscous, coulomb, coulomb, 0.0, 0.0)
-            found |= {"stiffness": self.spring.stiffness, "damping": self.spring.damping}
+        found = _sides(motor, self.viscous, back, self.coulomb, held)
+        found |= {f"{motor}stribeck_force": self.stribeck_force, f"{motor}stribeck_speed": self.stribeck_speed or 0.0}
+        if behind is not None:
+            found |= _sides("load_", behind.viscous, behind.viscous, behind.coulomb, behind.coulomb)
+            found |= {"load_stribeck_force": 0.0, "load_stribeck_speed": 0.0}
+            found |= {"stiffness": behind.stiffness, "damping": behind.damping}
         given = {f"{motor}inertia": self.rotor_inertia, "offset": self.offset, **self.numbers}
         return found | {name: float(value) for name, value in given.items()}
 
@@ -263,15 +249,11 @@ class RobotJoint:
         return self.offset + 0.5 * (forwards - backwards)
 
 
-def _friction_values(
-    prefix: str, viscous: float, viscous_back: float, coulomb: float, coulomb_back: float, rise: float, speed: float
-) -> dict[str, float]:
-    """Return the numbers of a side's friction by the names that they have in any law."""
-    forwards, backwards = {"viscous": viscous, "coulomb": coulomb}, {"viscous": viscous_back, "coulomb": coulomb_back}
-    found = {f"{prefix}{part}": value for part, value in forwards.items()}
-    found |= {f"{prefix}{part}_forwards": value for part, value in forwards.items()}
-    found |= {f"{prefix}{part}_backwards": value for part, value in backwards.items()}
-    return found | {f"{prefix}stribeck_force": rise, f"{prefix}stribeck_speed": speed}
+def _sides(prefix: str, viscous: float, back: float, coulomb: float, held: float) -> dict[str, float]:
+    """Return the lines of a side's friction by the names that they have in any law."""
+    both = {"viscous": viscous, "viscous_forwards": viscous, "viscous_backwards": back}
+    both |= {"coulomb": coulomb, "coulomb_forwards": coulomb, "coulomb_backwards": held}
+    return {f"{prefix}{name}": value for name, value in both.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -324,9 +324,8 @@ def _move(h: float, f: FloatArray, mobility: FloatArray, s: FloatArray) -> None:
 
 @inline_kernel
 def _move_tree(
-    h: float, masses: FloatArray, pairs: IndexArray, carriers: IntArray, f: FloatArray, M: FloatArray, K: FloatArray,
-    C: FloatArray, left: FloatArray, rows: FloatArray, dq: FloatArray, dv: FloatArray, given: FloatArray,
-    gone: FloatArray,
+    h: float, masses: FloatArray, pairs: IndexArray, f: FloatArray, M: FloatArray, K: FloatArray, C: FloatArray,
+    left: FloatArray, rows: FloatArray, dq: FloatArray, dv: FloatArray, given: FloatArray, gone: FloatArray,
 ) -> None:  # fmt: skip
     """Move the derivatives of a tree over a step, by the implicit midpoint rule.
 
@@ -611,7 +610,7 @@ def follow(
                         for e in range(len(seeds.links)):
                             for i in range(n):
                                 given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
-                        _move_tree(h, masses, pairs, carriers, f, M, K, C, left, rows, dq, dv, given, gone)
+                        _move_tree(h, masses, pairs, f, M, K, C, left, rows, dq, dv, given, gone)
                     for i in range(nd):
                         if masses[i, 0, WINDING] > 0.0:
                             for c in range(count):
