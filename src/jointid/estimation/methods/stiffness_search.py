@@ -62,7 +62,6 @@ NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 _LITTLE = 0.3  # of the torque: an end that leaves so much may be a false minimum
 _REFINED = 6  # starts that are refined at most, until two of them end together; or twice as many, see above
 _GLANCED = 2  # of them in a first look
-_DOUBTED = 0.1  # of the torque: where the first starts leave so much, what is declared may be wrong
 _HELD = 1e-3  # of its start: so little of a number is left where its bound at 0 holds it
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
@@ -220,9 +219,6 @@ class StiffnessSearch:
             near = bool(np.any(x - low < _HELD * (start - low)))
             ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x, near))
             cost, mode, x, held = min(ends, key=lambda end: end[0])
-            if len(ends) == _GLANCED and cost > _DOUBTED * wide.size:
-                said = f"the first leave {100 * cost / wide.size:.0f} % of the torque"
-                history.progress(Detail(said, "searching from other starts"))
             together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
             if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
                 break
@@ -349,9 +345,7 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
     best = int(np.argmin(left))
     if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
         return None
-    there = problem.values(tried[best])
-    share = 100 * np.mean([there[motor] / ((there[motor] + there[load]) or 1.0) for motor, load in sides])
-    history.progress(Detail(f"with {share:.0f} % of the Coulomb friction on the motor the model explains more"))
+    history.progress(Detail("with the Coulomb friction divided otherwise the model explains more"))
     return tried[best]
 
 
