@@ -28,7 +28,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
 from jointid.estimation.result.agreement import Agreement, Alone, compare_records
 from jointid.estimation.result.build_result import (
-    build_fit,
+    build_estimate,
     build_params,
     build_rows,
     find_active_bounds,
@@ -36,7 +36,7 @@ from jointid.estimation.result.build_result import (
     list_loop_channels,
 )
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, RecordFit, Settings
+from jointid.estimation.result.parts import Checks, EstimatedParameter, RecordFit, Settings
 from jointid.records.checks import find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -202,30 +202,25 @@ def _build_result(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf
     error = problem.filter(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
     held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
-    return Estimate(
-        params=build_params(problem, end.x, covariance, lost, held, records=len(shares)),
-        fit=build_fit(problem, predicted, error, end.message, converged=end.converged, simulations=simulations),
-        checks=Checks(
-            agreement=compared,
-            warnings=(
-                *map(str, judged.warnings),
-                *([str(judged.repeatable)] if judged.repeatable.significant else []),
-                *(
-                    f"record {k}: {said}"
-                    for k, one in enumerate(alone, 1)
-                    for said in find_record_warnings(one.record, one.fit.data.channels)
-                ),
-            ),
-        ),
-        data=Data(
-            record=", ".join(share.name for share in shares),
-            channels=tuple(dict.fromkeys(name for share in shares for name in share.channels)),
-            sample_time=problem.sample_time,
-            torque_unit=layout.torque_unit,
-            records=shares,
-        ),
-        settings=Settings("didim", "DIDIM by least squares", problem.joint, layout.loops[0], problem.filtering),
+    said = (
+        f"record {k}: {warning}"
+        for k, one in enumerate(alone, 1)
+        for warning in find_record_warnings(one.record, one.fit.data.channels)
     )
+    repeats = [str(judged.repeatable)] if judged.repeatable.significant else []
+    found = build_estimate(
+        [one.record for one in alone],
+        build_params(problem, end.x, covariance, lost, held, records=len(shares)),
+        (problem.measured, predicted),
+        problem.filtered_error(error),
+        error.size,
+        (end.message, end.converged),
+        simulations,
+        Settings("didim", "DIDIM by least squares", problem.joint, layout.loops[0], problem.filtering),
+        dict.fromkeys(name for share in shares for name in share.channels),
+        Checks(agreement=compared, warnings=(*map(str, judged.warnings), *repeats, *said)),
+    )
+    return replace(found, data=replace(found.data, records=shares, torque_unit=layout.torque_unit))
 
 
 def _judge_together(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf], gain: float) -> Uncertainty:

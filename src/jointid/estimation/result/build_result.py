@@ -99,39 +99,6 @@ def build_rows(
     )
 
 
-def build_fit(
-    problem: RecordProblem,
-    predicted: FloatArray,
-    error: FloatArray,
-    stop: str,
-    *,
-    converged: bool,
-    simulations: int,
-) -> Fit:
-    """Return the fit of a problem's solution.
-
-    Args:
-        problem: that was solved.
-        predicted: (samples,) what the model says, raw.
-        error: (rows,) filtered.
-        stop: why the search ended.
-        converged: whether that is a good end.
-        simulations: that were run.
-    """
-    borders = problem.filtering.borders
-    return Fit(
-        measured=problem.measured,
-        predicted=predicted,
-        borders=borders,
-        relative_error=relative_error(problem.measured, predicted, borders),
-        filtered_error=problem.filtered_error(error),
-        rows=error.size,
-        simulations=simulations,
-        stop=stop,
-        converged=converged,
-    )
-
-
 def build_estimate(
     records: Sequence[Record],
     params: Params,
