@@ -32,7 +32,7 @@ def judge(seed: int, system: str) -> dict[str, float | bool]:
         errors = (robot.values - truth) / robot.covariance.std
         z = dict(zip(robot.names, map(float, errors), strict=True))
         estimate = ji.identify(arm.logs[0], arm.plain, ji.DIDIM(), checks=False)
-        said = ji.diagnose(estimate, arm.logs[0], controllers=LAWS)
+        said = ji.diagnose(arm.logs[0], estimate, controllers=LAWS)
         named = "grows with its torque" in " ".join(map(str, said.sentences))
     shares = [error for name, error in z.items() if name.endswith("friction_per_torque")]
     grips = [error for name, error in z.items() if name.endswith("coulomb")]

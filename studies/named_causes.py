@@ -47,7 +47,7 @@ def judge(seed: int, name: AxisName, mistake: str) -> NamedCauses:
     one = find_mistake(name, mistake)
     record, loop = one.make(axis(name), seed)
     named, words = tell(without_positions(record) if one in PAIRS else record, loop)
-    return NamedCauses(tuple(sorted(one.right)), named, is_misled(one, named, words), one.said in words)
+    return NamedCauses(tuple(sorted(one.right)), named, is_misled(one, named), one.said in words)
 
 
 def judge_healthy(seed: int, name: AxisName) -> int:

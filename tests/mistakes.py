@@ -574,9 +574,9 @@ def tell(record: Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
     return _codes(verdict.reasons[0]), said
 
 
-def is_misled(mistake: Mistake, named: tuple[str, ...], said: str) -> bool:
-    """Whether only wrong causes are named, without that more than one thing may be wrong."""
-    return bool(named) and not mistake.right & set(named) and "more than one thing" not in said
+def is_misled(mistake: Mistake, named: tuple[str, ...]) -> bool:
+    """Whether only wrong causes are named."""
+    return bool(named) and not mistake.right & set(named)
 
 
 def _codes(reason: Message) -> tuple[str, ...]:

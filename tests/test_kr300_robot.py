@@ -14,7 +14,7 @@ import jointid as ji
 from jointid import MethodError
 from jointid.config import File, load
 from jointid.controller import Cascade
-from jointid.diagnostics.diagnose import diagnose_robot
+from jointid.diagnostics.diagnose_axes import diagnose_robot
 from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns

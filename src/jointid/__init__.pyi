@@ -7,7 +7,6 @@ from .config import load
 from .controller_id.learn import learn_controller
 from .diagnostics.compare import compare
 from .diagnostics.diagnose import diagnose
-from .diagnostics.examine_record import examine
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.validation import validate
@@ -79,7 +78,6 @@ __all__ = [
     "controller",
     "design",
     "diagnose",
-    "examine",
     "excitation",
     "export",
     "figures",

@@ -15,23 +15,18 @@ from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, REFERENCE_SCALE, TORQUE_SCALE
-from jointid.diagnostics.faults.numbers import SWAPPED_GAINS, TORQUE_FILTER, VELOCITY_FILTER, number_fault
-from jointid.diagnostics.faults.record import (
-    FLEXIBLE,
-    SAMPLE_TIME,
-    find_plain_cause,
-    with_cutoffs,
-)
+from jointid.diagnostics.faults.numbers import TORQUE_FILTER, VELOCITY_FILTER, number_fault
+from jointid.diagnostics.faults.record import FLEXIBLE, SAMPLE_TIME
 from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_unexplained_share
+from jointid.diagnostics.samples import find_plain_cause
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade, FirstOrder, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
-from studies.healthy import drive
+from jointid.uncertainty.verdict import Reason, Subject
 from tests.estimates import amended, identify
 from tests.mistakes import (
     MISTAKES,
@@ -40,7 +35,6 @@ from tests.mistakes import (
     Mistake,
     axis,
     cut,
-    pulsed,
     tell,
     without_mistake,
     without_positions,
@@ -91,25 +85,6 @@ def test_verdict_of_the_loop_is_the_cause() -> None:
     assert causes[2]["value"] == pytest.approx(0.5, rel=0.05)
 
 
-def test_nothing_is_looked_for_where_the_record_fits() -> None:
-    """A healthy record costs nothing more."""
-    record, loop = without_mistake(axis("rigid"))
-    said: list[str] = []
-    estimate = ji.identify(record, loop, progress=said.append)
-    assert estimate.checks.verdicts[-1].good
-    assert not [one for one in said if "searching for the cause" in one]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["rigid", "flexible"])
-def test_healthy_record_has_no_cause(name: AxisName) -> None:
-    """Nothing explains what is not there, even where it is asked for."""
-    causes = find_causes(*without_mistake(axis(name), seed=3))
-    assert causes.explanations == ()
-    assert causes.message.code is Reason.NO_CAUSE_FOUND
-    assert causes.declared_error < 0.05
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [4.0, 0.2])
 def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
@@ -122,30 +97,6 @@ def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
     assert f"{max(factor, 1 / factor):.1f} times too {'long' if factor > 1 else 'short'}" in causes.message.words
 
 
-def test_a_loop_remembers_as_long_as_it_does_whatever_the_sample_time_is_said_to_be() -> None:
-    """Ten times too long, and thirty samples of responses left 83 % of what three hundred leave a few percent of."""
-    record, loop = without_mistake(axis("rigid"))
-    assert record.reference is not None
-    slow = record.with_channels({n: replace(c, sample_time=10 * c.sample_time) for n, c in record.items()})
-    shares, filtering = [], identify(record, loop).settings.filtering
-    for one, memory in ((record, 0.3), (slow, 3.0), (slow, 0.3)):
-        by = one.torque.sample_time / record.torque.sample_time  # type: ignore[union-attr]
-        problem = torque_problem(one, loop, with_cutoffs(filtering, 1 / by), loop.joint.parameters)
-        shares.append(find_unexplained_share(problem, record.reference.values, memory))
-    assert shares[1] == pytest.approx(shares[0], rel=0.02)
-    assert shares[2] > 1.5 * shares[0]
-
-
-@pytest.mark.slow
-def test_swapped_gains_of_a_pd_law_are_no_scale() -> None:
-    """A scale of the loop leaves three times as much, and is not named."""
-    made = axis("direct")
-    record, loop = without_mistake(made)
-    gains = {"position_gain": made.controller.derivative_gain, "derivative_gain": made.controller.position_gain}
-    causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
-    assert [one.fault for one in causes.explanations] == [SWAPPED_GAINS]
-
-
 @pytest.mark.slow
 def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one() -> None:
     """A torque ten times too large and a threefold position gain: the nearest cause is told, but not as the cause."""
@@ -153,10 +104,8 @@ def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one()
     gains = {"position_gain": 3 * loop.controller.position_gain}  # type: ignore[attr-defined]
     causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
     assert causes.explanations == ()
-    assert causes.nearest[0].error > 1.15 * causes.unexplained
+    assert causes.nearest is not None and causes.nearest.error > 1.15 * causes.unexplained
     assert causes.message.code is Reason.NO_CAUSE_FOUND
-    assert 1 <= len(causes.nearest) <= 2
-    assert all(one.words in causes.message.brief for one in causes.nearest)
 
 
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
@@ -250,17 +199,6 @@ def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
 
 
 @pytest.mark.slow
-def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A healthy drive that moves one way only, whose stiffness is refused, was told that as what is wrong."""
-    plant = drive(323, 12.0)
-    estimate = identify(plant.record, plant.loop)
-    assert estimate["stiffness"].value is None
-    monkeypatch.setattr(searching, "find_causes", lambda *_, **__: pytest.fail("it was asked"))
-    verdict = ji.identify(plant.record, plant.loop).checks.verdicts[-1]
-    assert verdict.status is Status.UNKNOWN
-
-
-@pytest.mark.slow
 def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """A filter of a third of a period was told, since the search with it alone had found the joint."""
     record, loop = without_mistake(axis("rigid"))
@@ -283,18 +221,6 @@ def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monk
     assert causes.explanations == ()
 
 
-def test_steps_that_the_torque_makes_at_rest_only_are_counted() -> None:
-    """A controller slower than the log makes steps, too, but only where it moves."""
-    record = pulsed(axis("direct"), 1)
-    message = find_steps(record)
-    assert message is not None
-    assert message.values["causes"][0]["value"] > 200
-    assert record.torque is not None and record.reference is not None
-    moving = np.gradient(record.reference.values)
-    slow = np.repeat(moving[::8], 8)[: moving.size] * 10 / np.max(np.abs(moving))
-    assert find_steps(record.with_channels({"torque": replace(record.torque, values=slow)})) is None
-
-
 DRIVE = ji.controller.PD(position_gain=60.0, derivative_gain=4.0, period=1e-3)
 LATE = 4e-3  # s: of the torque, which nobody declares
 
@@ -310,17 +236,6 @@ def late_drive(record_period: float = 4e-3, law: Any = DRIVE) -> ji.Record:
     assert torque is not None
     noise = 0.02 * np.std(torque.values) * np.random.default_rng(0).standard_normal(torque.values.size)
     return replace(record, torque=replace(torque, values=torque.values + noise))
-
-
-def test_hypotheses_find_the_delay_with_a_gain_that_is_off_by_a_unit() -> None:
-    loop = ClosedLoop(RigidJoint("revolute"), replace(DRIVE, derivative_gain=180 / np.pi * DRIVE.derivative_gain))
-    tried = searching.list_hypotheses(late_drive(), loop, ji.Filtering().resolve(4e-3, "rigid"), ("delay",))
-    assert not any(one.free == "delay" for one in tried)
-    (gain,) = (one for one in tried if one.free == "derivative_gain")
-    assert any(one.controller.derivative_gain == pytest.approx(DRIVE.derivative_gain) for one in gain.loops)
-    (fit,) = searching.fit_rigid([gain], loop.joint)
-    assert fit.number == pytest.approx(DRIVE.derivative_gain, rel=0.05)
-    assert fit.values["delay"] == pytest.approx(LATE, abs=1e-3)
 
 
 @pytest.mark.slow
@@ -373,17 +288,11 @@ def test_motor_position_shows_a_number_of_the_law(runs: dict[str, Any], fault: A
 
 
 def test_number_that_the_position_shows_is_the_verdict_where_no_simulation_shows_it() -> None:
-    """A verdict that passed, or names something else, gets the number before its own reasons."""
-    record, loop = late_drive(law=replace(DRIVE, position_gain=72.0)), ClosedLoop(RigidJoint("revolute"), DRIVE)
-    passed = Verdict(Subject.LOOP, Status.PASSED, ())
-    told = identifying._judge_by_position(record, loop, (), passed, ())
-    assert told.status is Status.FAILED
-    assert told.reasons[0].values["causes"][0]["cause"] == "position_gain"
-    assert identifying._judge_by_position(late_drive(), loop, (), passed, ()) is passed
     part: Any = SimpleNamespace(
         model=SimpleNamespace(links=[SimpleNamespace(kind="revolute")]), setup=SimpleNamespace(controllers=(DRIVE,))
     )
+    record = late_drive(law=replace(DRIVE, position_gain=72.0))
     wrong, held = (SimpleNamespace(axes=[SimpleNamespace(name="elbow", law_holds=one)]) for one in (False, True))
     (shown,) = identifying._numbers_by_position(part, [record], wrong)  # type: ignore[arg-type]
-    assert str(shown).startswith("elbow: the position gain is about 7")
+    assert shown.values["causes"][0]["cause"] == "position_gain"
     assert identifying._numbers_by_position(part, [record], held) == []  # type: ignore[arg-type]

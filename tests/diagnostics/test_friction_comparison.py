@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.law_comparison import LawComparison
+from jointid.common.messages import ignore_progress
+from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -19,7 +20,9 @@ from jointid.simulation.loop_input import prepare
 from tests.plants import prismatic
 from tests.smooth_laws import RISES, rigid, slow
 
-compare_frictions = partial(ji.compare, among="frictions")
+compare_frictions = partial(
+    compare_laws, among="frictions", filtering=None, parameters=None, didim=None, progress=ignore_progress
+)
 
 
 @pytest.fixture(scope="module")

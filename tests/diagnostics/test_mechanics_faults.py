@@ -12,6 +12,7 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.check_loop import search_faults
+from jointid.diagnostics.considered import widen_for_faults, widen_for_rest
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.forces import GRAVITY, TORQUE_SATURATION
@@ -26,9 +27,9 @@ from jointid.diagnostics.faults.friction import (
 from jointid.diagnostics.faults.registry import FAULTS, list_signatures
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
 from jointid.diagnostics.faults.trials import vary_mechanics
-from jointid.diagnostics.identify import widen_for_faults, worst_shift
 from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.seen import see_loop
+from jointid.diagnostics.unmodelled_motion import PredictedResidual
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -239,15 +240,14 @@ def test_a_residual_that_follows_the_motion_widens_alike_in_any_unit() -> None:
     slopes = made.linearise(x)[1]
     sizes = np.linalg.norm(slopes, axis=0)
     exact = np.sqrt(np.diag(np.linalg.inv((slopes / sizes).T @ (slopes / sizes)))) / sizes
-    assert worst_shift(made, x, 1.0) == pytest.approx(
-        dict(zip([p.name for p in made.free], exact, strict=True)), rel=1e-6
-    )
+    wider = widen_for_rest(made, x, PredictedResidual(2.0 / made.size, 0.0, 0.0))
+    assert wider.by == pytest.approx(dict(zip([p.name for p in made.free], exact, strict=True)), rel=1e-6)
 
 
 def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() -> None:
     test = FaultTest(CUBIC_SPRING, (), 0.0, 0.3, 0.1, 3.0, 0.2, 0.3)
     suspected = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
     check = AxisFaults((), (test,), 0.05, {"stiffness": "K12"}, {"stiffness": "N/m"}, suspected=suspected)
-    (wider,) = widen_for_faults(check, {"stiffness": 100.0})
+    *_, wider = widen_for_faults(check, {})
     assert wider.by == {"stiffness": 20.0, "damping": 0.1}
-    assert not widen_for_faults(replace(check, suspected=None), {"stiffness": 100.0})
+    assert not any(one.by for one in widen_for_faults(replace(check, suspected=None), {}))

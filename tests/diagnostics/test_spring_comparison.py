@@ -11,14 +11,17 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
+from jointid.common.messages import ignore_progress
 from jointid.diagnostics import law_comparison
-from jointid.diagnostics.law_comparison import RIGID, JudgedLaw, LawComparison
+from jointid.diagnostics.law_comparison import RIGID, JudgedLaw, LawComparison, compare_laws
 from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
 from studies.mechanics import spoiled
 from tests.plants import Case, gapped_axis, prismatic, with_spring
 
-compare_springs = partial(ji.compare, among="springs")
+compare_springs = partial(
+    compare_laws, among="springs", filtering=None, parameters=None, didim=None, progress=ignore_progress
+)
 
 
 def some_of(record: Record, samples: int) -> Record:

@@ -58,19 +58,6 @@ def test_noise_does_not_follow_it(coloured: bool) -> None:
     assert found.gain < 0.02
 
 
-def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> None:
-    case = prismatic(1)
-    estimate = ji.identify(case.noisy(0.01, 1), case.loop, ji.DIDIM(frequency=case.mode))
-    assert estimate.answer.trust.code == Trust.RELIABLE
-    follows = of_a_gap.verdict
-    assert (follows.subject, follows.status) == (Subject.REPEATABLE, Status.FAILED)
-    verdicts = tuple(follows if one.subject is follows.subject else one for one in estimate.checks.verdicts)
-    doubted = amended(estimate, checks={"verdicts": verdicts})
-    assert doubted.answer.trust.code == Trust.NOT_YET
-    assert str(Reason.RESIDUAL_FOLLOWS_MOTION) in doubted.answer.trust.values["reasons"]
-    assert "of the torque follows the motion and is not in the model" in doubted.sentence
-
-
 def test_it_is_said_where_loop_and_log_pass(of_a_gap: PredictedResidual, monkeypatch: pytest.MonkeyPatch) -> None:
     case = prismatic(1)
     fit = fit_records(case.noisy(0.01, 1), case.loop, ji.DIDIM(frequency=case.mode))
@@ -81,7 +68,7 @@ def test_it_is_said_where_loop_and_log_pass(of_a_gap: PredictedResidual, monkeyp
     assert fit.problem is not None
     assert fit.x is not None
     state = SearchState(fit.problem, fit.x)
-    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", lambda *_, **__: (nothing_found, state))
+    monkeypatch.setattr("jointid.diagnostics.diagnose_axes.search_faults", lambda *_, **__: (nothing_found, state))
     monkeypatch.setattr(identifying, "predict_residual", lambda *_: of_a_gap)
     monkeypatch.setattr(identifying, "explain_misfit", lambda *_: None)
     checked = assemble(fit, identifying.run_checks(fit))

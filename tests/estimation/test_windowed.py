@@ -181,7 +181,7 @@ def test_idim_of_a_robot_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
     assert "in windows" in str(found) and ji.to_dict(found)["robot"] is not None
     windows = found.data.windows
     assert windows is not None and ji.to_dict(found)["data"]["windows"]["count"] == windows.count
-    for use in (ji.diagnose, ji.Report.of):
+    for use in (lambda one, log: ji.diagnose(log, one), ji.Report.of):
         with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
             use(found, log)
 

@@ -104,5 +104,5 @@ def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
 
 def test_pictures_are_a_word_away() -> None:
     _, estimate, validation = results().values()
-    for figure in (estimate.plot(), validation.plot()):
+    for figure in (estimate.plot(), ji.figures.torque(validation)):
         assert figure.axes[0].get_ylabel() == "torque [N m]"

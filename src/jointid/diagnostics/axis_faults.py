@@ -178,12 +178,13 @@ def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[_Sh
 
 
 def find_driving_axes(torques: AxisTorques) -> list[int]:
-    """Return the axes that their friction drives: its torque along the velocity is clearly negative."""
+    """Return the axes that their friction drives, the clearest first: its torque along the velocity is negative."""
     if torques.friction is None or len(torques.names) < _TWO:
         return []
     along = np.sum(torques.friction * torques.velocity * torques.seen, axis=1)
     noise = np.sqrt(np.sum(torques.velocity**2 * torques.seen, axis=1) * np.mean(torques.error**2, axis=1))
-    return [int(k) for k in np.flatnonzero(along < -_DRIVES * noise)]
+    share = along / np.maximum(noise, np.finfo(float).tiny)
+    return [int(k) for k in np.argsort(share) if share[k] < -_DRIVES]
 
 
 def _of_axis(test: FaultTest, keys: dict[Fault, tuple[int, Fault]]) -> tuple[int, FaultTest]:

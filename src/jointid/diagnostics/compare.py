@@ -1,71 +1,271 @@
-"""The verb `compare`: springs or frictions for one record, or two estimates of one joint.
+"""The verb `compare`: which quantities of a joint changed between two estimates.
 
-`law_comparison` judges the laws of springs and frictions. A fault of the controller, a delay or dynamics behind the
-load may look like another law: check loop and log (`check_loop`) of an estimate with the chosen law.
+The difference of two independent estimates of a quantity has the sum of their variances, and is tested against 0 with
+the normal distribution. Many quantities are tested at once, so the p-values are adjusted by Holm (1979): with nothing
+changed, the probability that any of them falls below the level is at most the level. Two estimates of one record share
+their errors; their differences come from the settings and are shown without a test.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import Parameter
-from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, compare_estimates
-from jointid.diagnostics.law_comparison import LawComparison, compare_laws
-from jointid.estimation.methods.didim import DIDIM
-from jointid.models.joints import ClosedLoop
-from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
+from jointid.common.document import Document, Documented, Facts, Listing, Table
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.fields import read
+from jointid.common.text import in_words, join, number
+from jointid.estimation.result.parts import EstimatedParameter
+
+LEVEL = 0.05
+"""Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
 
 
-def compare(
-    first: Record | Mapping[str, Any],
-    second: ClosedLoop | Mapping[str, Any],
-    among: Literal["springs", "frictions"] | None = None,
-    *,
-    filtering: Filtering | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-    didim: DIDIM | None = None,
-    level: float = LEVEL,
-    progress: Progress = ignore_progress,
-) -> LawComparison | EstimateComparison:
-    """Identify a joint with every law of its spring or friction, or set two estimates side by side.
+@dataclass(frozen=True, slots=True)
+class QuantityChange:
+    """Change of one quantity between two estimates.
 
-    Each law is judged on parts of the record that were kept from its fit, to say which one the record shows.
+    Attributes:
+        name, symbol, unit: of the quantity.
+        before, after: its values; None where not identifiable.
+        difference: after less before; None where there is none.
+        std: of the difference; None where it is not tested.
+        p_value: of the difference, adjusted for all quantities tested; None where it is not tested.
+        reason: why it is not tested.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    before: float | None
+    after: float | None
+    difference: float | None
+    std: float | None
+    p_value: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateComparison(Documented):
+    """Changes between two estimates.
+
+    Attributes:
+        records: the names of their records.
+        errors: of the raw torque of each, a ratio; None of a long log.
+        same_record: True if a record of one is also of the other.
+        rows: every quantity.
+        level: see `LEVEL`.
+        notes: limits of the comparison, one sentence each.
+    """
+
+    in_json = "changed sentence"
+    records: tuple[str, str]
+    errors: tuple[float | None, ...]
+    same_record: bool
+    rows: tuple[QuantityChange, ...]
+    level: float
+    notes: tuple[str, ...]
+
+    @property
+    def changed(self) -> tuple[QuantityChange, ...]:
+        """Significant changes, smallest p-value first."""
+        found = [row for row in self.rows if row.p_value is not None and row.p_value <= self.level]
+        return tuple(sorted(found, key=lambda row: row.p_value or 0.0))
+
+    @property
+    def sentence(self) -> str:
+        """Whether anything changed."""
+        tested = sum(row.p_value is not None for row in self.rows)
+        if not tested:
+            why = ", as both estimates share the errors of one record" if self.same_record else ""
+            return f"No difference can be tested{why}."
+        if not self.changed:
+            return f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
+        changes = []
+        for row in self.changed:
+            change = row.difference or 0.0
+            percent = f" ({100 * change / abs(row.before):+.1f} %)" if row.before else ""
+            size = f"{number(abs(change), 3)} ± {number(2 * (row.std or 0.0), 2)} {row.unit}"
+            sense = "rose" if change > 0 else "fell"
+            changes.append(f"{row.symbol} {sense} by {size}{percent}, p = {number(row.p_value, 2)}")
+        return f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}."
+
+    def to_document(self, *, details: bool = False) -> Document:
+        """Return the table and the sentences; there are no further details."""
+        del details
+        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
+        errors = " and ".join("-" if one is None else f"{100 * one:.2f} %" for one in self.errors)
+        rows, short = [], [row.name.partition(" with ")[0] for row in self.rows]
+        for row, name in zip(self.rows, short, strict=True):
+            mark = "changed" if row in self.changed else row.reason
+            spread = None if row.std is None else 2 * row.std
+            values = number(row.before), number(row.after), number(row.difference, 3), number(spread, 2)
+            shown = in_words(name if short.count(name) == 1 else row.name)
+            rows.append((shown, *values, row.unit, number(row.p_value, 2), mark, row.symbol))
+        table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
+        blocks = (
+            Facts((*zip("AB", self.records, strict=True), ("torque error", errors))),
+            table,
+            Listing(self.notes),
+        )
+        return Document(self.sentence, blocks)
+
+
+def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = LEVEL) -> EstimateComparison:
+    """Set two estimates of one joint side by side, and test each difference.
 
     Args:
-        first: a record with torque and reference; or the first estimate, as `to_dict` gives it.
-        second: the loop (joint and controller); or the second estimate.
-        among: what is compared for a record.
-        filtering: of every fit; see `Filtering`.
-        parameters: changes to the joint's parameters by name, for every law that has them; those of the declared
-            spring or friction for that law only.
-        didim: settings of DIDIM, by least squares, and what it frees around the joint is free with each.
-        level: of the tests of all quantities of two estimates together.
-        progress: called with each step.
+        before: the first estimate, as `to_dict` returns it.
+        after: the second.
+        level: of the tests of all quantities together.
 
     Raises:
-        RecordError: the record contradicts its description, or no estimate is given.
-        MethodError: springs of a rigid joint, or laws beside gravity that follows the position, or without a
-            controller; a parameter has no such name; the record is too short to keep parts of it; the estimates are not
-            of one joint, or the level is no probability.
+        MethodError: they are not of the same model, on the same side and in the same units, or the level is no
+            probability.
+        RecordError: one is no document of an estimate.
 
     Example:
         >>> import jointid as ji
-        >>> axis = ji.twin(noise="white")
-        >>> found = ji.compare(axis.record, axis.loop, "springs", didim=ji.DIDIM(frequency=30.0))
-        >>> found.shown.name
-        'linear'
+        >>> axis = ji.twin("L19", noise="white")
+        >>> found = ji.to_dict(ji.identify(axis.record, axis.loop, checks=False))
+        >>> print(ji.compare(found, found).sentence)
+        No difference can be tested, as both estimates share the errors of one record.
     """
-    if isinstance(first, Mapping) and isinstance(second, Mapping):
-        return compare_estimates(first, second, level)
-    if not isinstance(first, Record) or among not in ("springs", "frictions"):
-        raise MethodError(
-            'Two estimates are compared as `to_dict` returns them, or the laws of among = "springs" or "frictions" '
-            f"for a record; received {type(first).__name__}, {type(second).__name__} and among = {among!r}."
-        )
-    if not isinstance(second, ClosedLoop):
-        raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")
-    return compare_laws(first, second, among, filtering, parameters, didim, progress)
+    if not 0 < level < 1:
+        raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
+    try:
+        return _compare_documents((before, after), level)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise RecordError(
+            "One of these is no estimate, or a damaged one; give what `to_dict` or `read_report` returned of each."
+        ) from None
+
+
+def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> EstimateComparison:
+    here, there = map(_describe_system, both)
+    for what, one in here.items():
+        if one != there.get(what):
+            raise MethodError(
+                f"A and B are not of the same system: the {what} is {one} in A and {there.get(what)} in B; identify "
+                "both with the same file and options."
+            )
+    prints = [_fingerprints(one) for one in both]
+    same = not prints[0].isdisjoint(prints[1])
+    sums = [*map(_sums, both)]
+    pairs = [*_pair(*map(_quantities, both)), *(_pair(*sums) if all(sums) else [])]  # several records look for none
+    notes = ["A record of one is also of the other, and they share its errors: differences are not tested."] * same
+    if not all(prints):
+        notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
+    mine, other = map(_describe_settings, both)
+    notes += [
+        f"They differ in {name}, {value} in A and {other[name]} in B, which alone may change the values."
+        for name, value in mine.items()
+        if value != other[name]
+    ]
+    records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
+    errors = tuple(read(float | None, one["fit"]["relative_error"]) for one in both)
+    rows = _adjust_p_values([_compare(one, other, same) for one, other in pairs])
+    return EstimateComparison(records, errors, same, rows, level, tuple(notes))
+
+
+def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
+    """Return what two estimates of one joint or robot have in common."""
+    system = answer["settings"]["system"]
+    gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
+    side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"
+    if answer["robot"] is not None:
+        names = ", ".join(str(one["name"]) for one in system["joints"])
+        return {"model": "robot", "robot": f"{system['name']} of {names}", "torque unit": unit}
+    said = {"model": system["model"], "kind": system["kind"], "friction law": system["friction"]["name"]}
+    return said | {"transmission": side, "torque unit": unit}
+
+
+def _describe_settings(answer: Mapping[str, Any]) -> dict[str, str]:
+    """Return the settings that may change the values."""
+    settings, filtering = answer["settings"], answer["settings"]["filtering"]
+    return {
+        "method": str(settings["variant"]),
+        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
+        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
+        "controller": str(answer["controller_sha256"] or "none")[:12],
+    }
+
+
+def _fingerprints(answer: Mapping[str, Any]) -> set[str]:
+    """Return the fingerprints of the torque of each record; none of a long log."""
+    data = answer["data"]
+    found = data["logs"] or [one["fingerprint"] for one in data["records"] or (data,)]
+    return {str(one) for one in found if one}
+
+
+def _quantities(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
+    """Return the parameters, but those of the initial state.
+
+    A sum of a robot has a name with what else is in it: by two methods the same name may have other sums.
+    """
+    robot, found = answer["robot"], []
+    formulas = {} if robot is None else dict(zip(robot["names"], robot["formulas"], strict=True))
+    for name, raw in answer["parameters"].items():
+        row = read(EstimatedParameter, raw)
+        if (robot is not None and not row.axis) or name.rpartition(".")[2].startswith("initial_"):
+            continue
+        within = re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(formulas.get(name, "")))
+        others = ", ".join(sorted(one for one in within if one != row.symbol))
+        symbol = "@".join((row.symbol, *name.split("@")[1:]))  # of a record's own parameter with its number
+        found.append(replace(row, name=f"{name} with {others}" if others else name, symbol=symbol))
+    return found
+
+
+def _sums(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
+    """Return the sums of both sides of a flexible joint."""
+    known = (answer["checks"]["known"] or {"physical": ()})["physical"]
+    stated = [{"free": True, "identifiable": True} | one | one["combination"] for one in known]
+    return [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
+
+
+def _pair(
+    before: Sequence[EstimatedParameter], after: Sequence[EstimatedParameter]
+) -> list[tuple[EstimatedParameter, EstimatedParameter]]:
+    """Return each quantity of either estimate with its counterpart, which may lack a value.
+
+    Raises:
+        MethodError: one has another unit than its counterpart.
+    """
+    here, there = ({q.name: q for q in group} for group in (before, after))
+    for name in here.keys() & there.keys():
+        if here[name].unit != there[name].unit:
+            raise MethodError(
+                f"{name} is in {here[name].unit} in A and in {there[name].unit} in B; identify both with one file."
+            )
+    every = here | {name: q for name, q in there.items() if name not in here}
+    lacking = {name: replace(q, value=None, stderr=None) for name, q in every.items()}
+    return [(here.get(name, without), there.get(name, without)) for name, without in lacking.items()]
+
+
+def _compare(before: EstimatedParameter, after: EstimatedParameter, same: bool) -> QuantityChange:
+    found = QuantityChange(before.name, before.symbol, before.unit, before.value, after.value, None, None)
+    both = (("A", before), ("B", after))
+    if before.value is None or after.value is None:
+        return replace(found, reason=f"not identified in {join([name for name, q in both if q.value is None])}")
+    difference = after.value - before.value
+    found = replace(found, difference=difference)
+    fixed = [name for name, q in both if not q.free or q.stderr is None]
+    if before.stderr is None or after.stderr is None or fixed:
+        return replace(found, reason=f"fixed in {join(fixed)}")
+    std = math.hypot(before.stderr, after.stderr)
+    if same or not std > 0:
+        return replace(found, reason="same record: not tested" if same else "standard deviation 0: not tested")
+    return replace(found, std=std, p_value=math.erfc(abs(difference) / std / math.sqrt(2)))
+
+
+def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ...]:
+    """Return the changes with p-values adjusted by Holm's method."""
+    tested = sorted((row.p_value, i) for i, row in enumerate(rows) if row.p_value is not None)
+    found, largest = list(rows), 0.0
+    for rank, (p, i) in enumerate(tested):
+        largest = max(largest, min((len(tested) - rank) * p, 1.0))
+        found[i] = replace(rows[i], p_value=largest)
+    return tuple(found)

@@ -1,305 +1,253 @@
-"""The verb `diagnose`: whether record, controllers and model agree, axis by axis, and what to do if not."""
+"""The verb `diagnose`: what is wrong with a record, its loop and its joint, in the order in which it spoils the rest.
+
+The record's own questions come first: clock, torque, motion, controller. The joint is then identified once, and its
+loop, its log and itself are tested. Where no joint can be identified, the causes of that are searched for.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import FaultsError, JointidError, MethodError
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
-from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_driving_axes, find_follower
-from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
-from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
-from jointid.diagnostics.check_loop import list_laws, search_faults
-from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
-from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.faults.other_laws import OTHER_LAWS
+from jointid.common.parameters import Parameter
+from jointid.common.text import join, number
+from jointid.diagnostics.diagnose_axes import diagnose_joint, diagnose_robot
+from jointid.diagnostics.diagnosis import DIFFERS, Diagnosis, Symptom
+from jointid.diagnostics.find_causes import find_failure_causes
+from jointid.diagnostics.identify import identify
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
-from jointid.diagnostics.model_free import OF_LAW, LawOnPosition, compare_law, compare_robot_laws
-from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
-from jointid.diagnostics.search_state import LoopTests, SearchState
+from jointid.diagnostics.law_comparison import LawComparison, compare_laws
+from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
+from jointid.diagnostics.samples import find_plain_cause, find_standstill
 from jointid.estimation.identify import windows_of
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import IN_WINDOWS, EstimatedParameter
-from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
+from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.controllers.servo_base import require_one_each
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
+from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
-from jointid.simulation.controller_torque import SOURCE
-from jointid.simulation.robots import RobotLoop, add_feed_forward
-from jointid.uncertainty.position_dependent_error import cells, repeatable
-from jointid.uncertainty.residual_tests import Coupling, whiteness
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
+from jointid.uncertainty.verdict import POOR_FIT, Status, Subject
 
-_FEWER = 0.67  # times: what a feed-forward must leave of the controllers' rest to be named
-
-FeedForwardName = Literal["none", "gravity", "inverse-model", "logged"]
-
-OF_ROBOT = "The arguments controllers and feed_forward are for a robot; leave them out for a joint."
-
-Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
-"""The closed-loop problem of a joint, and its solution, (free,)."""
+_NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
+_UNREADABLE, _POOR_MOTION = "unreadable", "motion_poor"
+_ENOUGH = (_UNREADABLE, _POOR_MOTION, Agreement.SCALED, Agreement.LATE)
+"""Faults after which no joint is identified: none would be right."""
 
 
 @one_thread()
 def diagnose(
-    estimate: Estimate,
     record: Record | Sequence[Record],
+    model: ClosedLoop | DriveSide | Joint | Robot | RobotLoop | RobotDriveSide | Estimate,
+    method: Method | None = None,
     *,
-    tests: LoopTests | None = None,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
     shown: Sequence[DriveNumber] = (),
     controllers: Sequence[Controller | None] = (),
-    feed_forward: FeedForwardName = "none",
+    laws: bool = False,
+    progress: Progress = ignore_progress,
 ) -> Diagnosis:
-    """Test whether an estimate's loop and log are as declared, and name the faults.
+    """Find what is wrong with a record, and with the loop, the log and the joint that are identified from it.
 
-    Each axis' residual is tested for whiteness and for what it correlates with, each parameter for its significance,
-    and each controller by the torque that it makes of the logged position. Of a joint each possible fault of loop, log
-    and mechanics is tested by its effect on the torque. The share of a residual that follows a shape is compared with
-    chance by shifts in time (`residual_tests.coupling`). A residual that follows one shape may follow others that look
-    alike on this motion.
+    Clock, torque, motion and controller of the record are examined. Then of each axis the residual is tested for
+    whiteness and for what it correlates with, and each possible fault of loop, log and mechanics by its effect on the
+    torque.
 
     Args:
-        estimate: of a joint by DIDIM, of this record; of a robot by any method.
-        record: that it was identified from; of a robot the record of each joint.
-        tests: settings of the tests of a joint's loop, see `LoopTests`.
-        shown: how the drive shows the numbers of a joint's controller, as `File.declared_numbers` has it; without
-            it they are in percent of the declared values.
-        controllers: of each joint of a robot as declared, None where one is not known; those of the estimate's loop if
-            none are given.
-        feed_forward: kind of the injected signals of a robot's records; with "none", whether the controllers leave less
-            with a feed-forward is tested.
+        record: to examine; of a robot those of its joints.
+        model: the loop (joint and controller), or the joint alone, or a robot; see `jointid.identify`. An estimate from
+            this record, of a joint by DIDIM or of a robot, is diagnosed as it is, and the record not examined.
+        method: of the identification; see `jointid.identify`, as for the next two.
+        filtering: of the identification.
+        parameters: changes to the joint's parameters.
+        shown: how the drive shows the numbers of its controller, as `jointid.config.File.declared_numbers` has it;
+            without it they are given in SI.
+        controllers: of each joint of a robot as declared, None where one is not known; those of the loop if none are
+            given.
+        laws: whether to identify a joint with every law of its spring and its friction, too, and to judge each by how
+            well it predicts parts of the record that were kept from its fit.
+        progress: called with each step in a sentence.
 
     Raises:
-        MethodError: the estimate of a joint did not simulate a loop, is of another record, or has a parameter that is
-            not identifiable; or the record of a robot is so long that it is identified in windows.
-        RecordError: as of the identification of a robot.
+        MethodError: records and model do not fit; or the estimate did not simulate a loop, is of another record, or has
+            a parameter that is not identifiable.
 
     Example:
         >>> import jointid as ji
-        >>> axis = ji.twin(noise="white")
-        >>> record = axis.record.without("motor_position", "load_position")
-        >>> estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
-        >>> ji.diagnose(estimate, record).as_declared
-        True
+        >>> axis = ji.twin("L19", noise="white")
+        >>> found = ji.diagnose(axis.record, axis.loop)
+        >>> print(found.sentence)
+        Nothing is wrong with twin L19.
     """
-    if estimate.robot is None:
-        if isinstance(record, Sequence):
-            raise MethodError("The estimate of a joint is diagnosed on its own record; give that one alone.")
-        if controllers or feed_forward != "none":
-            raise MethodError(OF_ROBOT)
-        if estimate.settings.loop is None:
-            raise MethodError("Only DIDIM simulates the loop that is checked; identify with it and the controller.")
-        for p in estimate.params.rows:
-            if p.value is None:
-                raise MethodError(
-                    f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose "
-                    "parameters are identifiable from this record."
-                )
-        another = (
-            f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
-            "record it was identified from."
-        )
-        record = take_identified_torque(estimate, record)
-        return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another), tests, shown)[0]
-    if not isinstance(record, Sequence):
-        raise MethodError("The estimate of a robot is diagnosed on the record of each joint; give them in order.")
-    if tests is not None or shown:
-        raise MethodError("The arguments tests and shown are for a joint; leave them out for a robot.")
-    if windows_of(record, estimate.robot.setup, None):
-        raise MethodError(IN_WINDOWS)
-    return diagnose_robot(estimate, record, controllers, feed_forward)
-
-
-def diagnose_joint(
-    estimate: Estimate,
-    record: Record,
-    solved: Solved,
-    tests: LoopTests | None = None,
-    shown: Sequence[DriveNumber] = (),
-) -> tuple[Diagnosis, SearchState]:
-    """Diagnose the estimate of a joint; see `diagnose`.
-
-    Args:
-        estimate: by DIDIM, of this record.
-        record: that it was identified from.
-        solved: its problem; the parameters identified beside the joint are not tested.
-        tests: settings of the tests.
-        shown: how the drive shows the numbers of its controller.
-
-    Returns:
-        The diagnosis, and the problem with the faults that were found corrected.
-    """
-    problem, x = solved
-    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
-    law = compare_law(record, problem.loop)
-    faults, state = search_faults(problem, x, tests, std, record, shown, law)
-    torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
-    axis = _diagnose_axis(
-        "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit), estimate.params.rows,
-        law, faults, find_follower(torques),
-        None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
-        else found.significant,
-    )  # fmt: skip
-    return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
-
-
-def diagnose_robot(
-    estimate: Estimate,
-    records: Sequence[Record],
-    controllers: Sequence[Controller | None] = (),
-    feed_forward: FeedForwardName = "none",
-) -> Diagnosis:
-    """Diagnose the estimate of a robot by any method; see `diagnose`."""
-    part, parameters = estimate.require_robot(), estimate.params.rows
-    robot, torques = part.model, torques_of_robot(estimate, records)
-    if not controllers and isinstance(part.setup, RobotLoop):
-        controllers = part.setup.controllers
-    require_one_each(controllers, len(robot))
-    laws = compare_robot_laws(robot, records, controllers)
-    units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
-    own = [
-        list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
-        for link, joint in zip(robot.links, robot.joints, strict=True)
-    ]
-    faults, follows, explained = _find_faults(estimate, records, torques, units, own, laws)
-    axes = tuple(
-        _diagnose_axis(
-            name, k, torques, units[k], parameters, laws[k], faults[k], follows[k],
-            _repeats(torques, k) if _is_seen_through_law(record) else None,
-        )
-        for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
-    )  # fmt: skip
-    better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
-    cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
-    # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
-    if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
-        cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    if cause is not None and cause.explained > explained:
-        axes = tuple(map(_wait_for_cause, axes))
-    else:
-        cause = None
-    return Diagnosis(robot.name, estimate.settings.method, axes, torques, better, cause)
-
-
-def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
-    """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
-    laws = tuple(one for one in axis.faults.findings if one.test.fault in OTHER_LAWS)
-    return replace(axis, faults=replace(axis.faults, findings=laws, undecided=None), caused=True)
-
-
-def _find_faults(
-    estimate: Estimate,
-    records: Sequence[Record],
-    torques: AxisTorques,
-    units: Sequence[tuple[str, str]],
-    frictions: Sequence[tuple[str, ...]],
-    laws: Sequence[LawOnPosition | None],
-) -> tuple[Sequence[AxisFaults], Sequence[Follows], float]:
-    """Find the faults of each axis, as `find_axis_faults` returns them.
-
-    Where a reference goes another way than declared, the other faults are searched for beside that.
-    """
-    level, part = LoopTests().level, estimate.require_robot()
-    if not isinstance(part, SimulatedRobot) or not isinstance(part.setup, RobotLoop):
-        return find_axis_faults(torques, units, level, frictions)
-    parameters = part.parameters
-    values = part.values[: len(parameters.places)]
-    x, scales = parameters.to_search_variables(values), np.where(parameters.logarithmic, values, 1.0)
-    axes = list_axes(part, part.setup, records, estimate.settings.filtering, torques)
-    screened = screen_laws(axes, x, torques)
-    faults, follows, explained = find_axis_faults(screened, units, level, frictions)
-    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr}
-    known = {name: std[name] / size for name, size in zip(parameters.names, scales, strict=True) if name in std}
-    other = search_laws(axes, x, screened, faults, known, laws)
-    if any(other.found):
-        first = other.axes[0]
-        there = replace(part, setup=first.setup, values=np.append(parameters.values(other.x), part.values[x.size :]))
-        after = torques_of_robot(estimate, first.records, there)
-        faults, follows, explained = find_axis_faults(after, units, level, frictions)
-    symbols, of_parameters = {p.name: p.symbol for p in parameters.parameters}, parameter_units(part.model, parameters)
-    return [
-        replace(
-            one, findings=(*filter(None, [found]), *one.findings), undecided=undecided, symbols=symbols,
-            units={**one.units, **of_parameters},
-        )
-        for one, found, undecided in zip(faults, other.found, other.undecided, strict=True)
-    ], follows, explained  # fmt: skip
-
-
-def _is_seen_through_law(record: Record) -> bool:
-    """Test whether a torque is computed from the controller, at some frequencies at least: its noise is coloured."""
-    return record.torque is not None and record.torque.source.endswith(SOURCE)
-
-
-def _repeats(torques: AxisTorques, axis: int) -> bool | None:
-    """Test whether the residual of an axis repeats with its motion; None where too little was visited twice."""
-    inside = torques.seen[axis]
-    where = cells(torques.position[axis][inside], torques.velocity[axis][inside])
-    found = repeatable(torques.error[axis][inside], where)
-    return None if found.p_value is None else found.significant
-
-
-def _diagnose_axis(
-    name: str,
-    axis: int,
-    torques: AxisTorques,
-    units: tuple[str, str],
-    parameters: Sequence[EstimatedParameter],
-    law: LawOnPosition | None,
-    faults: AxisFaults,
-    follows: tuple[str, Coupling] | None,
-    repeats: bool | None = None,
-) -> AxisDiagnosis:
-    """Return the diagnosis of one axis; `units` are of its position and its torque."""
-    inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
-    return AxisDiagnosis(
-        name,
-        float(np.linalg.norm(torques.error[axis])) / whole,
-        whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
-        follows,
-        float(np.mean(inside)),
-        *units,
-        tuple(one for one in parameters if one.of_joint and one.axis == name),
-        law,
-        faults,
-        repeats,
+    if isinstance(record, Record) and controllers:
+        raise MethodError("The argument controllers is for a robot; leave it out for a joint.")
+    if laws and not isinstance(model, ClosedLoop):
+        raise MethodError("Laws are compared in the closed loop; declare the [controller].")
+    if isinstance(model, Estimate):
+        return _diagnose_estimate(model, record, shown, controllers)
+    axes = _list_axes(record, model)
+    _, first, loop = axes[0]
+    gear = getattr(getattr(model, "joint", model), "transmission", None)
+    symptoms = [Symptom("remark", _clause(one), spoils=False) for one in first.remarks]
+    if first.resampled is not None and (first.resampled.rms > 0.1 or first.resampled.gaps > 0):
+        symptoms.append(Symptom("clock_uneven", f"the clock is uneven: resampled {first.resampled}"))
+    symptoms += [replace(one, axis=axis) for axis, own, law in axes for one in _examine(own, law)]
+    found, compared = Diagnosis(first.name), list[LawComparison]()
+    if not any(one.code in _ENOUGH for one in symptoms):
+        try:
+            estimate = identify(
+                record, model, method, filtering=filtering, parameters=parameters, shown=shown, progress=progress
+            )
+        except JointidError as error:
+            symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, shown, progress))
+        else:
+            symptoms += _examine_estimate(estimate)
+            made = estimate.checks.diagnosis
+            found = made if isinstance(made, Diagnosis) else found
+            if found.axes and not isinstance(model, RobotLoop) and any(one is not None for one in controllers):
+                with contextlib.suppress(JointidError):  # the diagnosis that was made stands
+                    found = _diagnose_estimate(estimate, record, shown, controllers)
+    if laws and isinstance(record, Record) and loop is not None:
+        known = filtering, parameters, method if isinstance(method, DIDIM) else None, progress
+        kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
+        try:
+            compared += [compare_laws(record, loop, kind, *known) for kind in kinds[loop.joint.model == "rigid" :]]
+        except JointidError as error:
+            symptoms.append(Symptom("laws_not_compared", _clause(str(error)), spoils=False))
+    channels, period = ", ".join(first.channels).replace("_", " "), min(one.sample_time for _, one in first.items())
+    logged = f"{channels}, {first.duration:.6g} s, a sample every {1e3 * period:.6g} ms."
+    return replace(
+        found, name=first.name, symptoms=tuple(symptoms), logged=logged, laws=tuple(compared), transmission=gear
     )
 
 
-def _better_feed_forward(
-    robot: Robot,
-    records: Sequence[Record],
+def unreadable(error: FaultsError, record: str) -> Diagnosis:
+    """Return the diagnosis of a file from which no record could be made."""
+    return Diagnosis(record, symptoms=tuple(Symptom(_UNREADABLE, _clause(one)) for one in error.faults))
+
+
+def _diagnose_estimate(
+    estimate: Estimate,
+    record: Record | Sequence[Record],
+    shown: Sequence[DriveNumber],
     controllers: Sequence[Controller | None],
-    laws: Sequence[LawOnPosition | None],
-) -> str | None:
-    """Return the feed-forward with which the controllers leave clearly less of the torques; None if there is none."""
-    declared = [one for one in controllers if one is not None]
-    before = _residual_rms(laws)
-    if len(declared) < len(robot) or before is None or before < OF_LAW or not robot.has_masses:
-        return None
-    best, least = None, _FEWER * before
-    kinds: tuple[Literal["gravity", "inverse-model"], ...] = ("gravity", "inverse-model")
-    for kind in kinds:
+) -> Diagnosis:
+    """Return the diagnosis of an estimate on the record that it is from; see `diagnose`."""
+    if isinstance(record, Record) is not (estimate.robot is None):
+        raise MethodError(
+            "The estimate of a joint is diagnosed on its own record, one of a robot on those of its joints."
+        )
+    if not isinstance(record, Record):
+        if windows_of(record, estimate.require_robot().setup, None):
+            raise MethodError(IN_WINDOWS)
         try:
-            injected = add_feed_forward(RobotLoop(robot, tuple(declared)), records, kind)
-        except JointidError:
-            return None
-        left = _residual_rms(compare_robot_laws(robot, injected, controllers))
-        if left is not None and left < least:
-            best, least = kind, left
-    return best
+            return diagnose_robot(estimate, record, controllers)
+        except np.linalg.LinAlgError:
+            raise MethodError(
+                "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
+            ) from None
+    if estimate.settings.loop is None:
+        raise MethodError("Only DIDIM simulates the loop that is checked; identify with it and the controller.")
+    estimate.require_values()
+    another = f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque."
+    record = take_identified_torque(estimate, record)
+    return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another), shown=shown)[0]
 
 
-def _residual_rms(laws: Sequence[LawOnPosition | None]) -> float | None:
-    found = [one.left for one in laws if one is not None and math.isfinite(one.left)]
-    return float(np.sqrt(np.mean(np.square(found)))) if len(found) == len(laws) else None
+def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
+    """Return name, record and, where the controller is known, the loop of a joint, or of those of a robot.
+
+    Raises:
+        MethodError: it is another model, or there are not as many records as joints.
+    """
+    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        robot = model if isinstance(model, Robot) else model.robot
+        laws = model.controllers if isinstance(model, RobotLoop) else (None,) * len(robot)
+        if not isinstance(record, Sequence) or len(record) != len(robot):
+            raise MethodError(f"A robot of {len(robot)} joints is examined with as many records: give one a joint.")
+        loops = [
+            None if law is None else ClosedLoop(RigidJoint(link.kind), law)
+            for link, law in zip(robot.links, laws, strict=True)
+        ]
+        return list(zip(robot.names, record, loops, strict=True))
+    if not (isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | Joint)):
+        raise MethodError("A record is examined with the ClosedLoop or DriveSide of its joint, or with the joint.")
+    return [("", record, model if isinstance(model, ClosedLoop) else None)]
+
+
+def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
+    """Yield what is wrong with the channels, the torque, its limit, the motion and the controller of a joint."""
+    torque = record.torque
+    missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
+    if missing:
+        names = join(list(dict.fromkeys(missing)))
+        yield Symptom(_UNREADABLE, f"the record has no {names}, without which this joint is not identified; log it")
+    if torque is None:
+        return
+    still = [Symptom(_POOR_MOTION, _clause(one)) for one in still_faults(record)]
+    yield from still
+    if still:
+        return
+    coarse = find_record_warnings(replace(record, remarks=()), ("torque",))
+    yield from (Symptom("torque_coarse", _clause(one)) for one in coarse)
+    limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
+    if math.isfinite(limit):
+        yield from (Symptom("at_limit", _clause(one)) for one in limit_faults(record, limit))
+    if record.reference is not None:
+        plain = find_plain_cause(record) or (None if loop is None else find_standstill(record, loop))
+        if plain is not None:
+            yield Symptom(_POOR_MOTION, plain.words)
+    if loop is not None and (law := compare_law(record, loop)) is not None:
+        judged = judge_law(law, record)
+        if judged.code is not Agreement.HOLDS:
+            yield Symptom(str(judged.code), judged.words)
+
+
+def _explain(
+    error: JointidError, record: Record, loop: ClosedLoop | None, shown: Sequence[DriveNumber], progress: Progress
+) -> Symptom:
+    """Return the cause of a failed identification; its error if none is found."""
+    causes = find_failure_causes(record, loop, shown, progress=progress)
+    if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
+        return Symptom("not_identified", _clause(str(error)))
+    named = causes.explanations
+    return Symptom(named[0].fault.name if named else str(causes.message.code), causes.message.words)
+
+
+def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
+    """Yield what is wrong with the loop and the fit of an estimate, or cannot be told."""
+    loop, fit = loop_verdict(estimate), estimate.fit
+    if loop is not None and loop.status is not Status.PASSED:
+        values = loop.reasons[0].values
+        causes = values.get("causes")
+        code = str(causes[0]["cause"] if causes else values.get("suspect", loop.reasons[0].code))
+        spoils = loop.status is Status.FAILED and not estimate.answer.reliable
+        yield Symptom(code, "; ".join(one.words for one in loop.reasons[:2]), spoils=spoils)
+    for scale in (v for v in estimate.checks.verdicts if v.subject is Subject.SCALE):
+        if scale.status is not Status.PASSED:
+            yield Symptom(str(scale.reasons[0].code), scale.said, spoils=False)
+    for axis, error in (fit.axis_errors or {"": fit.filtered_error}).items():
+        if not error <= POOR_FIT:
+            left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the model"
+            yield Symptom(DIFFERS, left, axis)
+
+
+def _clause(sentence: str) -> str:
+    return sentence.removesuffix(".")

@@ -6,16 +6,15 @@ is identified again, and the causes are ranked by the residual: the right one ha
 
 The search assumes one mistake. A free number may absorb much of two: so the residual of a cause must be about that of
 free linear responses to the reference (`model_free`), which assume no drive. If that of the best cause is clearly
-larger, more than one thing is wrong, and the message says so. Two mistakes that one number absorbs completely are
-reported as that number.
+larger, something else is wrong, and the message says so. Two mistakes that one number absorbs completely are reported
+as that number.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -24,14 +23,6 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.record import (
-    explain_on_position,
-    find_lost_motion,
-    find_lost_samples,
-    find_plain_cause,
-    find_standstill,
-    find_torque_scale,
-)
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.hypothesis_fits import (
     ASTRAY,
@@ -45,6 +36,13 @@ from jointid.diagnostics.hypothesis_fits import (
     start_at,
 )
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
+from jointid.diagnostics.samples import (
+    explain_on_position,
+    find_lost_samples,
+    find_plain_cause,
+    find_standstill,
+    find_torque_scale,
+)
 from jointid.estimation.identify import WINDOW, windows_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -57,7 +55,6 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.verdict import POOR_FIT, Reason
 
-_EXPLAINS = 0.85  # of the declared error: largest residual of a nearest cause
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
@@ -71,10 +68,6 @@ _MUCH_LATER = 0.5  # periods
 _POOR_START = 0.05  # of the torque: a rigid joint that leaves more far below its resonance has a cause to be searched
 
 
-_Found: TypeAlias = tuple[Fault, float | None, float]
-"""A cause, its number, and the residual share of the torque with it corrected."""
-
-
 @dataclass(frozen=True, slots=True)
 class Causes:
     """Causes of a misfit between a record and the declared drive.
@@ -83,16 +76,14 @@ class Causes:
         declared_error: residual share of the filtered torque with the declared drive; infinite if its loop cannot be
             simulated.
         explanations: at most three causes that this record cannot distinguish, the likeliest first.
-        nearest: at most two causes that explain most, if more than one thing is wrong; else none.
+        nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
-        tried: every cause with its residual, the smallest first.
         plain: a cause visible in the samples, or a motor at rest; else None.
     """
 
     declared_error: float
-    explanations: tuple[Explanation, ...]
-    tried: tuple[Explanation, ...]
-    nearest: tuple[Explanation, ...] = ()
+    explanations: tuple[Explanation, ...] = ()
+    nearest: Explanation | None = None
     unexplained: float = 0.0
     plain: Message | None = None
 
@@ -117,37 +108,24 @@ class Causes:
             if math.isinf(self.declared_error)
             else f"as declared {number(100 * self.declared_error, 2)} % of the torque is not explained"
         )
-        if self.nearest:
-            first = self.nearest[0]
-            nearest = "the nearest is that" if len(self.nearest) == 1 else "the nearest are that"
-            clause = f"none of the usual causes alone explains it, so more than one thing may be wrong: {nearest} "
-            clause += ", and that ".join(one.words for one in self.nearest)
-            words = f"{clause}; the first still leaves {number(100 * first.error, 2)} % of the torque, of which "
-            words += f"{number(100 * self.unexplained, 2)} % is no response to the reference; {left}"
-            values = {"tried": self._names, "nearest": [one.fault.name for one in self.nearest], "error": first.error}
-            return Message(Reason.NO_CAUSE_FOUND, words, values, clause)
-        if not self.explanations:
-            clause = "the drive as declared does not fit, and none of the usual causes explains it"
-            words = f"{left}, and none of the usual causes explains it ("
-            words += f"{', '.join(one.fault.title for one in self.tried)})"
-            if self.unexplained > _NO_RESPONSE:
-                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
-                other += "which column is the torque, and of which axis; if a signal is injected, declare it (channel "
-                clause, words = f"{clause}{other}injected)", f"{words}{other}injected)"
-            return Message(Reason.NO_CAUSE_FOUND, words, {"tried": self._names}, clause)
-        best = self.explanations[0]
-        clause = ", or ".join(one.words for one in self.explanations)
-        clause += f", or {best.fault.doubt}" if best.fault.doubt else ""
-        words = f"{clause}: with this put right {number(100 * best.error, 2)} % of the torque is left; {left}"
-        values = {
-            "causes": [{"cause": one.fault.name, "value": one.value, "error": one.error} for one in self.explanations],
-            "declared_error": None if math.isinf(self.declared_error) else self.declared_error,
-        }
-        return Message(Reason.CAUSE_FOUND, words, values, clause)
-
-    @property
-    def _names(self) -> list[str]:
-        return [one.fault.name for one in self.tried]
+        if self.explanations:
+            best = self.explanations[0]
+            clause = ", or ".join((*(one.words for one in self.explanations), *filter(None, [best.fault.doubt])))
+            words = f"{clause}: with this put right {number(100 * best.error, 2)} % of the torque is left; {left}"
+            causes = [{"cause": one.fault.name, "value": one.value, "error": one.error} for one in self.explanations]
+            declared = None if math.isinf(self.declared_error) else self.declared_error
+            return Message(Reason.CAUSE_FOUND, words, {"causes": causes, "declared_error": declared}, clause)
+        clause = "the drive as declared does not fit, and none of the usual causes alone explains it"
+        values: dict[str, object] = {}
+        if self.nearest is not None:
+            values = {"nearest": self.nearest.fault.name, "error": self.nearest.error}
+            clause += (
+                f": the nearest is that {self.nearest.words}, which leaves {number(100 * self.nearest.error, 2)} %"
+            )
+        if self.unexplained > _NO_RESPONSE:
+            clause += f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
+            clause += "which column is the torque, and declare a signal that is injected (channel injected)"
+        return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
 
 
 def find_causes(
@@ -177,60 +155,38 @@ def find_causes(
     assert record.torque is not None
     if not np.any(record.torque.values):
         raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
+    declared = math.inf if estimate is None else estimate.fit.filtered_error
     plain = find_plain_cause(record) or find_standstill(record, loop) or find_torque_scale(record, loop)
     if plain is not None:
-        return Causes(math.inf if estimate is None else estimate.fit.filtered_error, (), (), plain=plain)
-    model = loop.joint.model
+        return Causes(declared, plain=plain)
     asked = Filtering() if estimate is None else estimate.settings.filtering
-    filtering = asked.resolve(record.torque.sample_time, model)
+    filtering = asked.resolve(record.torque.sample_time, loop.joint.model)
     tried = list_hypotheses(record, loop, filtering, free if estimate is None else _found_beside(estimate, loop))
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
     fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
-    found = _judge_faults(tried[0], fits, loop)
-    declared = min((f.error for f in fits if f.hypothesis.fault is None), default=math.inf)
-    if estimate is not None:
-        declared = min(declared, estimate.fit.filtered_error)
+    declared = min((declared, *(fit.error for fit in fits if fit.hypothesis.fault is None)))
     if fits and fits[0].hypothesis.fault is not None:  # its number counts, not that its search found the better end
         declared = min(declared, _declared_from(fits[0], tried[0]))
-    tellings = [explain(*one, loop, shown) for one in sorted(found, key=lambda one: one[2])]
-    once = {one.fault: one for tellings_of in reversed(tellings) for one in tellings_of[:1]}
-    tried_out = tuple(sorted(once.values(), key=lambda one: one.error))
+    numbers = {one.number: one for one in shown}
+    tellings = [
+        tuple(Explanation(cause, words, by, error) for cause, words, by in fault.explain(value, loop, numbers))
+        for fault, value, error in sorted(_judge_faults(tried[0], fits), key=lambda one: one[2])
+    ]
     explaining = _explaining(tellings, declared, loop, record.torque.sample_time)
-    left = _fit_free_responses(fits[0]) if fits else 0.0
+    left = _fit_free_responses(tried[0], fits)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     more = best and best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS)
     if (best is None or more) and (by_position := find_law_causes(record, loop, shown)) is not None:
         return by_position
-    if best is not None:
-        if more:
-            others = [one for one in tried_out if one.fault is not best.fault][:1]
-            nearest = (best, *(one for one in others if one.error <= _EXPLAINS * declared))
-            return Causes(declared, (), tried_out, nearest, left)
-        return Causes(declared, explaining, tried_out, unexplained=left)
-    if not left and (problem := pose(tried[0], loop)) is not None and record.reference is not None:
-        left = find_unexplained_share(problem, record.reference.values)
-    return Causes(declared, (), tried_out, unexplained=left, plain=find_lost_motion(record, loop, left))
+    return Causes(declared, () if more else explaining, best if more else None, left)
 
 
 def find_law_causes(record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber] = ()) -> Causes | None:
     """Return the number of the law that the motor position shows to be another one; None where it shows none."""
     left, told = explain_on_position(record, loop, {one.number: one for one in shown})
-    return Causes(left, told[:_NAMED], told) if told else None
-
-
-def _misfits_below_resonance(record: Record, loop: ClosedLoop, filtering: Filtering) -> bool:
-    """Test whether the declared drive with a rigid joint leaves much far below the resonance."""
-    assert isinstance(loop.joint, FlexibleJoint)
-    fits = fit_below_resonance([Hypothesis(None, record, (loop,), filtering)], loop.joint)
-    return min((fit.error for fit in fits), default=math.inf) >= _POOR_START
-
-
-def _found_beside(estimate: Estimate, loop: ClosedLoop) -> tuple[str, ...]:
-    """Return the names of the numbers of law and log that an estimate found beside the joint."""
-    names = {*numbers_of(loop.controller), *DRIVE_AND_LOG}
-    return tuple(row.name for row in estimate.params.rows if row.name in names and not row.of_joint)
+    return Causes(left, told[:_NAMED]) if told else None
 
 
 def list_hypotheses(
@@ -260,34 +216,63 @@ def _is_excluded(corrected: Hypothesis, record: Record, loop: ClosedLoop) -> boo
     return law is not None and not law.holds
 
 
-def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -> list[_Found]:
-    found: list[_Found] = []
-    for fit in fits:
-        fault = fit.hypothesis.fault
-        if fault is not None:
-            found.append((fault, fit.number, fit.error))
+def _found_beside(estimate: Estimate, loop: ClosedLoop) -> tuple[str, ...]:
+    """Return the names of the numbers of law and log that an estimate found beside the joint."""
+    names = {*numbers_of(loop.controller), *DRIVE_AND_LOG}
+    return tuple(row.name for row in estimate.params.rows if row.name in names and not row.of_joint)
+
+
+def _judge_faults(declared: Hypothesis, fits: Sequence[Fit]) -> list[tuple[Fault, float | None, float]]:
+    """Return the causes, each with its number and the residual share of the torque with it corrected."""
+    found = [(one.hypothesis.fault, one.number, one.error) for one in fits if one.hypothesis.fault is not None]
     for fault in FAULTS:
         least = min((error for _, _, error in found), default=math.inf)
         judged = None if fault.judge is None else fault.judge(declared, fits[0] if fits else None, least)
-        if judged is not None:
-            found.append((fault, *judged))
+        found += [] if judged is None else [(fault, *judged)]
     return found
 
 
-def explain(
-    fault: Fault, value: float | None, error: float, loop: ClosedLoop, shown: Iterable[DriveNumber] = ()
+def _declared_from(best: Fit, declared: Hypothesis) -> float:
+    """Return the residual of the declared drive from the solution of another one: its own start may have failed."""
+    problem = pose(declared, replace(declared.loops[0], joint=best.problem.joint))
+    if problem is None:
+        return math.inf
+    start = start_at(declared, problem, problem.vector(best.values))
+    end = descend(start, MORE) if start.error < ASTRAY else None
+    return math.inf if end is None else end.error
+
+
+def _explaining(
+    tellings: Sequence[tuple[Explanation, ...]], declared: float, loop: ClosedLoop, period: float
 ) -> tuple[Explanation, ...]:
-    """Return the causes that a corrected fault stands for, with numbers in the drive's form."""
-    meanings = fault.explain(value, loop, {one.number: one for one in shown})
-    return tuple(Explanation(cause, words, by, error) for cause, words, by in meanings)
+    """Return the causes with the smallest residuals; none if they explain too little.
+
+    Small changes of a number are attributed to an unmodelled friction or to noise.
+    """
+
+    def is_small(one: Explanation) -> bool:
+        return one.fault.negligible is not None and one.fault.negligible(one.value, loop, period)
+
+    if not tellings or is_small(tellings[0][0]):
+        return ()
+    least = tellings[0][0].error
+    if least > tellings[0][0].fault.must_leave * declared or least > max(_FITS, _CLEARLY * min(declared, 1.0)):
+        return ()
+    found: dict[Fault, Explanation] = {}
+    for one in (one for each in tellings if each[0].error <= _AS_GOOD * least for one in each):
+        if not is_small(one):
+            found.setdefault(one.fault, one)
+    return tuple(found.values())[:_NAMED]
 
 
-def _fit_free_responses(fit: Fit) -> float:
-    """Return the share of the torque that is no linear response to the reference under a hypothesis."""
-    assert fit.hypothesis.record.reference is not None
+def _fit_free_responses(declared: Hypothesis, fits: Sequence[Fit]) -> float:
+    """Return the share of the torque that is no linear response to the reference, under the best hypothesis."""
+    hypothesis = fits[0].hypothesis if fits else declared
+    problem = fits[0].problem if fits else pose(declared, declared.loops[0])
+    assert hypothesis.record.reference is not None
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-    memory = MEMORY * (max(fit.hypothesis.factor or 1.0, 1.0) if fit.hypothesis.free is None else 1.0)
-    return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values, memory)
+    memory = MEMORY * (max(hypothesis.factor or 1.0, 1.0) if hypothesis.free is None else 1.0)
+    return 0.0 if problem is None else find_unexplained_share(problem, hypothesis.record.reference.values, memory)
 
 
 def find_gross_cause(
@@ -299,19 +284,16 @@ def find_gross_cause(
     """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
 
     A spring may be refused for a cause that shows far below its resonance, however small the misfit is.
-
-    Args: see `find_causes`.
     """
-    loop = estimate.settings.loop
+    loop, filtering, left = estimate.settings.loop, estimate.settings.filtering, estimate.fit.filtered_error
     assert loop is not None
-    refused = any(p.value is None for p in estimate.params.rows)
     if (lost := find_lost_samples(record)) is not None:
-        return Causes(estimate.fit.filtered_error, (), (), plain=lost)
-    poor = estimate.fit.filtered_error > _SUSPICIOUS
-    refused = refused and isinstance(loop.joint, FlexibleJoint)
-    if not poor and not (refused and _misfits_below_resonance(record, loop, estimate.settings.filtering)):
-        return None
-    return find_causes(record, loop, estimate, shown=shown, progress=progress)
+        return Causes(left, plain=lost)
+    poor = left > _SUSPICIOUS
+    if not poor and isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows):
+        rigid = fit_below_resonance([Hypothesis(None, record, (loop,), filtering)], loop.joint)
+        poor = min((fit.error for fit in rigid), default=math.inf) >= _POOR_START
+    return find_causes(record, loop, estimate, shown=shown, progress=progress) if poor else None
 
 
 def explain_misfit(
@@ -325,54 +307,67 @@ def explain_misfit(
 ) -> Causes | None:
     """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
 
-    A large misfit without a cause is reported as well, so that no other test is blamed for it.
-
-    Args:
-        estimate: by DIDIM, of the record.
-        record: that it was identified from.
-        faults: that the loop check found; None if the loop could not be checked.
-        progress: called with each step.
-        shown: see `find_causes`.
-        left: residual share of the torque under the law that the loop check found for the controller, if it did.
-        known: causes that `find_gross_cause` found.
+    A large misfit without a cause is reported as well, so that no other test is blamed for it. `faults` are those of
+    the loop check, None if the loop could not be checked. `left` is the residual share of the torque under the law that
+    it found for the controller. `known` are the causes that `find_gross_cause` found. The others are as `find_causes`
+    has them.
     """
-    loop = estimate.settings.loop
+    loop, error = estimate.settings.loop, estimate.fit.filtered_error
     assert loop is not None
     if (still := find_standstill(record, loop)) is not None:
-        return Causes(estimate.fit.filtered_error, (), (), plain=still)
-    unchecked, faults = faults is None, faults or ()
-    poor = estimate.fit.filtered_error > _SUSPICIOUS
-    period = estimate.data.sample_time
-    gross = any(  # too large for a sensitivity to be a guide
-        abs(one.size) > _MUCH_LATER * period
-        if one.fault.measure is Measure.TIME
-        else abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
-        for one in faults
-    )
+        return Causes(error, plain=still)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     refused = any(p.value is None for p in estimate.params.rows)
     if refused and known is not None and known.explanations:
         return known
-    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
-    if not (poor or gross or ((unchecked or faults) and (strained or _is_doubtful(estimate, record, loop)))):
-        return None
-    if left is not None and not gross and left <= _MORE_OF_A_LAW * _response_residual(estimate, record, loop):
+    gross = any(_is_gross(one, estimate.data.sample_time) for one in faults or ())
+    if not (error > _SUSPICIOUS or gross):
+        strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
+        doubted = faults is None or len(faults) > 0
+        if not doubted or not (
+            strained or find_steps(record) or error > _FAR_MORE * _response_error(estimate, record) > 0
+        ):
+            return None
+    if left is not None and not gross and left <= _MORE_OF_A_LAW * _response_error(estimate, record):
         return None  # under that law nothing more is wrong
     causes = known or find_causes(record, loop, estimate, shown=shown, progress=progress)
-    return causes if causes.found or estimate.fit.filtered_error > POOR_FIT else None
+    return causes if causes.found or error > POOR_FIT else None
 
 
-def _is_doubtful(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
-    """Test for a residual far above that of free linear responses, or for steps of the torque."""
-    far = _FAR_MORE * _response_residual(estimate, record, loop)
-    return find_steps(record) is not None or estimate.fit.filtered_error > far > 0
+def _is_gross(one: FaultTest, period: float) -> bool:
+    """Return whether a fault is too large for a sensitivity to be a guide."""
+    if one.fault.measure is Measure.TIME:
+        return abs(one.size) > _MUCH_LATER * period
+    return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
 
 
-def _response_residual(estimate: Estimate, record: Record, loop: ClosedLoop) -> float:
-    """Return the residual share of free linear responses for the record of an estimate."""
-    assert record.reference is not None
+def _response_error(estimate: Estimate, record: Record) -> float:
+    """Return the residual share of free linear responses for the record of an estimate; 0 if that is too short."""
+    loop = estimate.settings.loop
+    assert loop is not None and record.reference is not None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     return find_unexplained_share(problem, record.reference.values)
+
+
+def find_failure_causes(
+    record: Record,
+    loop: ClosedLoop | None,
+    shown: Sequence[DriveNumber] = (),
+    free: Sequence[str] = (),
+    progress: Progress = ignore_progress,
+) -> Causes | None:
+    """Return the causes of a failed identification, of a long record by a part of it; see `find_causes`.
+
+    None without a loop, or where the search fails.
+    """
+    if loop is None or any(getattr(record, name) is None for name in loop.channels):
+        return None
+    try:
+        # As much of it as the memory holds.
+        part = record if windows_of(record, loop, None) is None else cut(record, 0, WINDOW)
+        return find_causes(part, loop, shown=shown, progress=progress, free=free)
+    except (JointidError, np.linalg.LinAlgError):  # the error of the identification counts
+        return None
 
 
 def explain_failure(
@@ -385,61 +380,15 @@ def explain_failure(
 ) -> JointidError:
     """Return the error of a failed identification, with its cause before it or in its place.
 
-    Args:
-        error: that was raised; it is returned if no cause is found, with the remarks on the record.
-        record: that cannot be identified.
-        loop: as declared; without one there is no search.
-        progress: called with each step.
-        shown: see `find_causes`.
-        free: see `find_causes`.
+    It is returned with the remarks on the record if no cause is found.
     """
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
-    if loop is None or any(getattr(record, name) is None for name in loop.channels):
-        return error
-    try:
-        # As much of it as the memory holds.
-        part = record if windows_of(record, loop, None) is None else cut(record, 0, WINDOW)
-        causes = find_causes(part, loop, shown=shown, progress=progress, free=free)
-    except (JointidError, np.linalg.LinAlgError):  # the first error counts
-        return error
-    if not causes.found:
+    causes = find_failure_causes(record, loop, shown, free, progress)
+    if causes is None or not causes.found:
         return error
     words = f"{causes.message.words}."
     if isinstance(error, FaultsError):  # of the record: each a thing of its own to put right
         return type(error)((f"{words} {error.faults[0]}", *error.faults[1:]))
     # How the search ended is an effect of the cause, and nothing to act on.
     return type(error)(words if causes.explanations or causes.plain else f"{words} {error}")
-
-
-def _explaining(
-    tellings: Sequence[tuple[Explanation, ...]], declared: float, loop: ClosedLoop, period: float
-) -> tuple[Explanation, ...]:
-    """Return the causes with the smallest residuals; none if they explain too little.
-
-    Small changes of a number are attributed to an unmodelled friction or to noise.
-    """
-    if not tellings or _is_small(tellings[0][0], loop, period):
-        return ()
-    least = tellings[0][0].error
-    if least > tellings[0][0].fault.must_leave * declared or least > max(_FITS, _CLEARLY * min(declared, 1.0)):
-        return ()
-    found: dict[Fault, Explanation] = {}
-    for one in (one for each in tellings if each[0].error <= _AS_GOOD * least for one in each):
-        if not _is_small(one, loop, period):
-            found.setdefault(one.fault, one)
-    return tuple(found.values())[:_NAMED]
-
-
-def _is_small(one: Explanation, loop: ClosedLoop, period: float) -> bool:
-    return one.fault.negligible is not None and one.fault.negligible(one.value, loop, period)
-
-
-def _declared_from(best: Fit, declared: Hypothesis) -> float:
-    """Return the residual of the declared drive from the solution of another one: its own start may have failed."""
-    problem = pose(declared, replace(declared.loops[0], joint=best.problem.joint))
-    if problem is None:
-        return math.inf
-    start = start_at(declared, problem, problem.vector(best.values))
-    end = descend(start, MORE) if start.error < ASTRAY else None
-    return math.inf if end is None else end.error

@@ -71,11 +71,8 @@ class Fit:
         return (factor or 1.0) * self.values[name] if name else factor
 
 
-def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0, least: float = math.inf) -> list[Fit]:
-    """Fit a rigid joint under each hypothesis; one that is worse by less than the share `loss` is not given up.
-
-    `least` is the least error of hypotheses fitted before.
-    """
+def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0) -> list[Fit]:
+    """Fit a rigid joint under each hypothesis; one that is worse by less than the share `loss` is not given up."""
 
     def begin(hypothesis: Hypothesis) -> list[Fit]:
         loops = [replace(loop, joint=joint) for loop in hypothesis.loops]
@@ -87,17 +84,17 @@ def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0, leas
             for late in _delays_to_try(p)
         )
 
-    return _race(in_threads(begin, tried), loss, least)
+    return _race(in_threads(begin, tried), loss)
 
 
-def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint, least: float = math.inf) -> list[Fit]:
+def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint) -> list[Fit]:
     """Fit a flexible joint as rigid, far below its resonance, under each hypothesis; see `fit_rigid`."""
     low = []
     for one in tried:
         assert one.record.torque is not None
         period = one.record.torque.sample_time
         low.append(replace(one, filtering=Filtering(cutoff=rigid_cutoff(one.record)).resolve(period)))
-    return fit_rigid(low, joint.rigid, _ROUGHLY, least)
+    return fit_rigid(low, joint.rigid, _ROUGHLY)
 
 
 def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
@@ -189,10 +186,10 @@ def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
     return free
 
 
-def _race(started: Sequence[list[Fit]], loss: float, least: float = math.inf) -> list[Fit]:
+def _race(started: Sequence[list[Fit]], loss: float) -> list[Fit]:
     """Return the solutions, the best first; a hypothesis far behind the best one is given up early."""
     first = [list(filter(None, in_threads(lambda fit: descend(fit, FIRST), starts))) for starts in started]
-    least = min((least, *(fit.error for fits in first for fit in fits)))
+    least = min((fit.error for fits in first for fit in fits), default=math.inf)
     bound = max(_BEHIND * least, least + loss)
     ends = []
     for fits in first:
@@ -203,13 +200,10 @@ def _race(started: Sequence[list[Fit]], loss: float, least: float = math.inf) ->
             best = min((descend(fit, MORE) or fit for fit in fits if fit.error <= bound), key=lambda fit: fit.error)
         ends.append(best)
     nearest = min((fit.error for fit in ends), default=0.0) * _NEAREST
-    return sorted((_end_of(fit) if fit.error <= nearest else fit for fit in ends), key=lambda fit: fit.error)
-
-
-def _end_of(fit: Fit) -> Fit:
-    """Continue a descent to its minimum, where its number can be stated."""
-    end = descend(fit, _TO_ITS_END)
-    return fit if end is None or end.error > fit.error else end
+    far = [fit for fit in ends if fit.error > nearest]
+    near = [fit for fit in ends if fit.error <= nearest]  # to their minima, where their numbers can be stated
+    further = [min(fit, descend(fit, _TO_ITS_END) or fit, key=lambda one: one.error) for fit in near]
+    return sorted((*further, *far), key=lambda fit: fit.error)
 
 
 def follow(problem: ClosedLoopProblem | DriveSideProblem, x: FloatArray, evaluations: int) -> Solution:

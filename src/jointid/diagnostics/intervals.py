@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -146,11 +146,12 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
     """Return the combination of parameters in a text such as ``a + b - c``."""
     weights = weights_of(quantity)
     free = {p.name: p for p in problem.free}
-    if not weights.keys() <= free.keys():
-        raise MethodError(_name_quantities(quantity, free))
-    units = {problem.units[name] for name in weights}
-    if len(units) > 1:
-        raise MethodError(f'"{quantity}" adds {" and ".join(sorted(units))}; only what has one unit can be added.')
+    units = {problem.units[name] for name in weights.keys() & free.keys()}
+    if not weights.keys() <= free.keys() or len(units) > 1:
+        raise MethodError(
+            f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(free)}), the compliance, '
+            "or a sum or difference of parameters in one unit."
+        )
     signed = [("- " if weight < 0 else "+ ") + free[name].symbol for name, weight in weights.items()]
     formula = " ".join(signed).removeprefix("+ ")
     return Combination(quantity, formula, units.pop(), weights)
@@ -162,11 +163,3 @@ def weights_of(quantity: str) -> dict[str, float]:
     signed = [("-" if first.strip().startswith("-") else "+", first.strip().removeprefix("-"))]
     signed += zip(others[::2], others[1::2], strict=True)
     return {name.strip(): -1.0 if sign == "-" else 1.0 for sign, name in signed}
-
-
-def _name_quantities(quantity: str, names: Collection[str]) -> str:
-    compliance = ", or compliance" if "stiffness" in names else ""
-    return (
-        f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(names)}), or a sum or '
-        f"difference of some{compliance}."
-    )

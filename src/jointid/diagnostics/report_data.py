@@ -10,27 +10,22 @@ logarithm of the response, so that it never passes 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias, TypeVar
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Detail, Progress, Work, ignore_progress
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.intervals import intervals
+from jointid.diagnostics.intervals import Intervals, intervals
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
-from jointid.models.position_forces import Motion
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import ProfileInterval
-
-MotionSource: TypeAlias = Literal["simulated", "measured", "commanded"]
-_Part = TypeVar("_Part")
 
 _PARTS = 8  # of the record, each as long as a window of the spectra; windows overlap by half
 _LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
@@ -99,12 +94,10 @@ class ReportData:
 
     Attributes:
         estimate: what is reported.
-        channels: of the record, by name.
-        motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
-        motion_source: of that motion.
-        validation: the direct test of a joint; None where there is none, as the next ones.
-        diagnosis: of loop, log and residual.
+        diagnosis: of loop, log and residual; None where there is none.
+        validation: the direct test of a joint; None where there is none, as the next one.
         response: of the joint.
+        channels: of the record, by name.
         profiles: of single quantities.
         checks: of the same estimate on other records.
         absent: reason why a part is missing, by its name, in a sentence.
@@ -113,13 +106,11 @@ class ReportData:
     estimate: Estimate
     diagnosis: Diagnosis | None
     validation: Validation | None = None
-    channels: Mapping[str, Channel] = field(default_factory=dict)
-    motion: Motion | None = None
-    motion_source: MotionSource = "measured"
     response: FrequencyResponse | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
     profiles: tuple[ProfileInterval, ...] = ()
     checks: tuple[Validation, ...] = ()
-    absent: dict[str, str] = field(default_factory=dict)
+    absent: Mapping[str, str] = field(default_factory=dict)
 
 
 def collect_report_data(
@@ -130,76 +121,25 @@ def collect_report_data(
     profiles: Sequence[str] | None = None,
     progress: Progress = ignore_progress,
 ) -> ReportData:
-    """Collect the results that a report on an estimate presents.
-
-    Args:
-        estimate: of the record.
-        record: that it was identified from.
-        checks: validations of it on other records.
-        profiles: quantities to profile, as `intervals` takes them; every free parameter of the joint, and the
-            compliance of a flexible one, where the criterion is no parabola, when None.
-        progress: called with each step.
-    """
-    absent: dict[str, str] = {}
-    work = Work(progress, "collecting the report", 3, "parts")
-
-    def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
-        progress(Detail(step))
+    """Collect the results that a report on an estimate presents; see `Report.of`."""
+    flexible = any(p.name == "stiffness" and p.free for p in estimate.params.rows)
+    asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
+    parts: dict[str, Callable[[], Any]] = {
+        "validation": lambda: validate(estimate, record),
+        "response": lambda: compute_response(estimate),
+        "profiles": lambda: intervals(estimate, record, asked, progress=progress),
+    }
+    found, absent = dict.fromkeys(parts), dict[str, str]()
+    for name, compute in follow(parts.items(), progress, "collecting the report", len(parts), "parts"):
         try:
-            return compute()
+            found[name] = compute()
         except JointidError as error:
             absent[name] = str(error)
-            return None
-        finally:
-            work.add()
-
-    validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
-    if validation is not None and not estimate.fit.measured.size:  # of an estimate from a file
-        (axis,) = validation.axes
-        fit = replace(estimate.fit, measured=axis.measured, predicted=axis.predicted)
-        estimate = replace(estimate, fit=fit)
-    motion, motion_source = _find_motion(estimate, record, validation)
-    response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
-    if profiles is None:
-        flexible = any(p.name == "stiffness" and p.free for p in estimate.params.rows)
-        profiles = ("stiffness", "compliance") if flexible else ()
-    followed = attempt(
-        "profiles", "profiling the criterion", lambda: intervals(estimate, record, profiles, progress=progress)
-    )
-    check = estimate.checks.diagnosis
+    check, followed = estimate.checks.diagnosis, found.pop("profiles") or Intervals(())
     return ReportData(
-        estimate=estimate,
-        channels=dict(record.items()),
-        motion=motion,
-        motion_source=motion_source,
-        validation=validation,
-        diagnosis=check if isinstance(check, Diagnosis) else None,
-        response=response,
-        profiles=() if followed is None else followed.profiles,
-        checks=tuple(checks),
-        absent=absent,
-    )
-
-
-def _find_motion(
-    estimate: Estimate, record: Record, validation: Validation | None
-) -> tuple[Motion | None, MotionSource]:
-    """Return the motor's motion at the samples of the torque, and its source."""
-    size = estimate.fit.measured.size
-    if validation is not None and validation.axes[0].motor.position.size >= size:
-        motor = validation.axes[0].motor
-        source: MotionSource = "simulated" if validation.method == "didim" else "measured"
-        return Motion(motor.position[:size], motor.velocity[:size], motor.acceleration[:size]), source
-    channel = record.motor_position or record.reference
-    if channel is None:
-        return None, "measured"
-    period, cutoff = estimate.data.sample_time, estimate.settings.filtering.position_cutoff
-    position: FloatArray = np.interp(period * np.arange(size), channel.time, channel.values)
-    if cutoff is not None and cutoff < 0.5 / period:
-        position = lowpass(position, cutoff, period)
-    velocity = differentiate(position, period)
-    found = Motion(position, velocity, differentiate(velocity, period))
-    return found, "measured" if record.motor_position is not None else "commanded"
+        estimate, check if isinstance(check, Diagnosis) else None, **found, channels=dict(record.items()),
+        profiles=followed.profiles, checks=tuple(checks), absent=absent,
+    )  # fmt: skip
 
 
 def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:

@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,7 @@ _LEAST = 0.5  # of the squares of one joint's residual: what a cause explains at
 _SIMPLER = 1.25  # times: so much more may be left by a cause with one free number less
 _BEST = 4  # causes whose numbers are searched, beside those that begin at what is declared:
 _FROM_DECLARED = ("base", "geometry")
-_STEPS, _STEP, _SHOWN = 4, 1e-4, 1e-3  # of a descent; of its largest slope, below which none is more than rounding
-_FAR = 0.5  # rad, m, or the logarithm of a factor: the longest step
+_STEPS = 8  # of a descent
 _TWO = 2  # joints: one alone has none of these causes
 _SAME = 1e-9  # of the travel
 _REST = 0.02  # of the largest speed: below, Coulomb friction is left out
@@ -42,8 +41,38 @@ _UNITS = (math.log(180 / math.pi), -math.log(180 / math.pi), math.log(1e3), -mat
 _COUPLED = (-1.0, -0.5, 0.5, 1.0)
 _GRAVITY = 9.81  # m/s2
 _OPPOSITE = 0.999  # of the cosine: of gravity that is said to be upside down
-_SIGN = "the torque of {} has the wrong sign: set torque.sign = -1 in joints.channels, or in record.channels"
 _LONGEST = 1.0  # m: a longer correction of a length is none
+_SIGN = "the torque of {joint} has the wrong sign: set torque.sign = -1 in joints.channels, or in record.channels"
+
+_OF_PAIRS = (
+    ("swapped_channels", False, True, "the torques of {} and {} are exchanged: exchange the columns"),
+    ("order", True, True, "the logs of {} and {} are exchanged: give each joint the columns of the other"),
+    ("swapped_positions", True, False, "the positions of {} and {} are exchanged: exchange the columns"),
+)
+"""Of two joints: the code, whether positions and torques are exchanged, and the words."""
+
+_OF_JOINTS: tuple[tuple[str, int, int, tuple[float, ...], str], ...] = (
+    ("torque_sign", 0, 1, (), _SIGN),
+    ("log_gain", 0, 1, _GEARS, "the logged torque of {joint} is {value} times what moves it: check its unit"),
+    (
+        "position_sign", 1, 0, (),
+        "the position of {joint} has the wrong sign: set motor_position.sign = -1 in its joints.channels",
+    ),
+    (
+        "joint_sign", 1, 1, (),
+        "position and torque of {joint} count the other way than the model's axis: set motor_position.sign and "
+        "torque.sign = -1 in its joints.channels",
+    ),
+    (
+        "gear_ratio", 1, -1, _GEARS,
+        "the gear of {joint} has {value} times the declared ratio: position and torque are off by it",
+    ),
+    (
+        "position_scale", 1, 0, (*_GEARS, *_UNITS),
+        "the position of {joint} is {value} times what moves the links: check its unit and its ratio",
+    ),
+)  # fmt: skip
+"""Of one joint: the code, powers of a factor on position and torque, its starts (-1 alone if none), and the words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +89,14 @@ class RobotCause:
     name: str
     joints: tuple[str, ...]
     words: str
-    value: float | None
-    explained: float
+    value: float | None = None
+    explained: float = math.inf
 
     def __str__(self) -> str:
         return self.words
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Case:
+class _Case(NamedTuple):
     """A model and a log: motion of the motors and their torques, (samples, n) each, and where they move."""
 
     robot: Robot
@@ -78,29 +106,9 @@ class _Case:
     torque: FloatArray
     moving: FloatArray
 
-    def scale(self, joint: int, position: float, torque: float) -> _Case:
-        """Return the case with position and torque of a joint times these factors."""
-        of_q, of_torque = np.ones((2, len(self.robot)))
-        of_q[joint], of_torque[joint] = position, torque
-        return replace(
-            self, q=self.q * of_q, v=self.v * of_q, a=self.a * of_q, torque=self.torque * of_torque
-        )  # fmt: skip
 
-    def arrange(self, positions: Sequence[int], torques: Sequence[int]) -> _Case:
-        """Return the case with the columns of the log in these orders."""
-        at, of = list(positions), list(torques)
-        return _Case(
-            self.robot, self.q[:, at], self.v[:, at], self.a[:, at], self.torque[:, of], self.moving[:, at]
-        )  # fmt: skip
-
-    def under(self, robot: Robot) -> _Case:
-        """Return the case of another model."""
-        return replace(self, robot=robot)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cause:
-    """A cause with its numbers: the starts of the search, and the case in which it is corrected."""
+class _Change(NamedTuple):
+    """A cause with its numbers: the case in which it is corrected, and the starts of their search."""
 
     name: str
     joints: tuple[int, ...]
@@ -109,45 +117,35 @@ class _Cause:
     starts: tuple[tuple[float, ...], ...] = ((),)
     value: Callable[[FloatArray], float | None] = lambda x: float(x[0]) if x.size else None
 
-    def count(self, x: FloatArray) -> int:
-        """Return the free numbers; none of a base, as a zero off by half a turn predicts what one upside down does."""
-        return 0 if self.name == "base" else x.size
+    def cost(self, left: float, x: FloatArray) -> float:
+        """Return the squares that are left, of more numbers as if they were more.
+
+        A base counts as none: a zero off by half a turn predicts what one upside down does.
+        """
+        return left * _SIMPLER ** (0 if self.name == "base" else x.size)
 
 
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> RobotCause | None:
-    """Return the cause that explains most of the residual of IDIM, or None.
-
-    It is None where no cause explains enough.
-
-    Args:
-        robot: as declared, of rigid joints.
-        records: of each joint, with torque and motor position.
-        filtering: of positions and rows, resolved.
-
-    Raises:
-        RecordError, MethodError: as of IDIM.
-    """
+    """Return the cause that explains most of the residual of IDIM of rigid joints; None where none explains enough."""
     if len(robot) < _TWO:
         return None
     declared = _thin(robot, records, filtering)
     solve = _Solver(declared)
-    n, ends = len(robot), list[tuple[float, FloatArray, _Cause]]()
-    for cause in _causes(declared):
-        starts = [np.array(one) for one in cause.starts]
-        left = [solve.left(cause.correct(one)) for one in starts]
-        best = int(np.argmin(left))
-        ends.append((left[best], starts[best], cause))
+    ends = list[tuple[float, FloatArray, _Change]]()
+    for change in _changes(declared):
+        tried = [(solve.left(change.correct(one)), one) for one in map(np.array, change.starts)]
+        ends.append((*min(tried, key=lambda one: one[0]), change))
     ends.sort(key=lambda one: one[0])
-    free = [one for one in ends if one[1].size][:_BEST]
-    free += [one for one in ends if one[2].name in _FROM_DECLARED and not any(one is other for other in free)]
+    free = [one for one in ends if one[1].size]
+    free = [*free[:_BEST], *(one for one in free[_BEST:] if one[2].name in _FROM_DECLARED)]
     found = [one for one in ends if not one[1].size]
-    found += [(*solve.descend(cause.correct, start), cause) for _, start, cause in free]
+    found += [(*solve.descend(change.correct, start), change) for _, start, change in free]
     found = [one for one in found if one[2].name != "geometry" or np.max(np.abs(one[1])) < _LONGEST]
-    least, x, cause = min(found, key=lambda one: one[0] * _SIMPLER ** one[2].count(one[1]))
-    if n - least < _LEAST:
+    least, x, change = min(found, key=lambda one: one[2].cost(one[0], one[1]))
+    if len(robot) - least < _LEAST:
         return None
-    joints = tuple(robot.names[k] for k in cause.joints)
-    return RobotCause(cause.name, joints, cause.words(x), cause.value(x), n - least)
+    joints = tuple(robot.names[k] for k in change.joints)
+    return RobotCause(change.name, joints, change.words(x), change.value(x), len(robot) - least)
 
 
 def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause | None:
@@ -160,18 +158,16 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause
             names += [name] if apart <= _SAME * travel and travel > 0.0 else []
     if not names:
         return None
-    words = (
-        f"the motor position of {join(names)} is its reference: log what the encoder measures, not what was asked for"
-    )
-    return RobotCause("reference_is_position", tuple(names), words, None, math.inf)
+    words = f"the motor position of {join(names)} is its reference: log what the encoder measures"
+    return RobotCause("reference_is_position", tuple(names), words)
 
 
 def find_wrong_sign(names: Sequence[str], driving: Sequence[int]) -> RobotCause | None:
-    """Return the first of the joints that their friction drives, whose torque has the wrong sign; None without any."""
+    """Return the joint that its friction drives most, whose torque has the wrong sign; None without any."""
     if not driving:
         return None
     name = names[driving[0]]
-    return RobotCause("torque_sign", (name,), _SIGN.format(name), None, math.inf)
+    return RobotCause("torque_sign", (name,), _SIGN.format(joint=name))
 
 
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:
@@ -181,8 +177,7 @@ def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Cas
     torque = lowpass(motion.torque, motion.filtering.position_cutoff, motion.sample_time)
     rows = np.arange(len(torque))[motion.inside]
     rows = rows[:: max(rows.size // _INSTANTS, 1)]
-    coupling = robot.coupling.T
-    q, v, a = (one[rows] @ coupling for one in (motion.q, motion.v, motion.a))
+    q, v, a = (one[rows] @ robot.coupling.T for one in (motion.q, motion.v, motion.a))
     moving = motion.moving[rows] * (np.abs(v) > _REST * np.max(np.abs(v), axis=0))
     return _Case(robot, q, v, a, torque[rows], moving)
 
@@ -217,119 +212,117 @@ class _Solver:
         return float(np.sum(self.error(case) ** 2))
 
     def descend(self, correct: Callable[[FloatArray], _Case], x: FloatArray) -> tuple[float, FloatArray]:
-        """Return the least squares from a start, by the steps of Gauss and Newton, and its numbers."""
-        error = self.error(correct(x))
-        for _ in range(_STEPS):
-            ahead = [self.error(correct(x + step)) for step in _STEP * np.eye(x.size)]
-            slopes = (np.array(ahead) - error).T / _STEP
-            move, before = -np.linalg.lstsq(slopes, error, rcond=_SHOWN)[0], float(error @ error)
-            for half in (1.0, 0.5, 0.25):
-                tried = self.error(correct(x + half * np.clip(move, -_FAR, _FAR)))
-                if float(tried @ tried) < before:
-                    x, error = x + half * np.clip(move, -_FAR, _FAR), tried
-                    break
-            if float(error @ error) > 0.999 * before:
-                break
-        return float(error @ error), x
+        """Return the least squares from a start, by a few steps, and its numbers."""
+        from scipy.optimize import least_squares
+
+        def error(x: FloatArray) -> FloatArray:
+            return self.error(correct(x))
+
+        found = least_squares(error, x, max_nfev=_STEPS)
+        return 2.0 * float(found.cost), found.x
 
 
-def _causes(declared: _Case) -> Iterator[_Cause]:
-    """Yield all causes."""
-    robot, n = declared.robot, len(declared.robot)
-    names, own = robot.names, tuple(range(n))
-    for i, j in itertools.combinations(range(n), 2):
-        other = tuple(j if k == i else i if k == j else k for k in own)
-        both = f"{names[i]} and {names[j]} are exchanged"
-        yield _Cause(
-            "swapped_channels", (i, j), partial(_arrange, declared, own, other),
-            partial(_say, f"the torques of {both}: exchange the columns"),
-        )  # fmt: skip
-        yield _Cause(
-            "order", (i, j), partial(_arrange, declared, other, other),
-            partial(_say, f"the logs of {both}: give each joint the columns of the other"),
-        )  # fmt: skip
-        yield _Cause(
-            "swapped_positions", (i, j), partial(_arrange, declared, other, own),
-            partial(_say, f"the positions of {both}: exchange the columns"),
-        )  # fmt: skip
-    for order in _orders(names):
+def _changes(declared: _Case) -> Iterator[_Change]:
+    """Yield all causes: of the log, of one joint after the other, and of the model."""
+    names, own = declared.robot.names, [*range(len(declared.robot))]
+    for i, j in itertools.combinations(own, 2):
+        other = [j if k == i else i if k == j else k for k in own]
+        for code, positions, torques, words in _OF_PAIRS:
+            yield _arrange(
+                declared, code, (i, j), other if positions else own, other if torques else own,
+                words.format(names[i], names[j]),
+            )  # fmt: skip
+    first = sorted(own, key=names.__getitem__)
+    orders = {tuple(own[::-1]), tuple(map(first.index, own)), *((*own[by:], *own[:by]) for by in own[1:])}
+    for order in sorted(one for one in orders if sum(k != at for k, at in enumerate(one)) > _TWO):
         said = f"the columns of {join([names[k] for k in order])} are of {join(names)}"
-        yield _Cause(
-            "order", own, partial(_arrange, declared, order, order),
-            partial(_say, f"the log has the joints in another order: {said}"),
-        )  # fmt: skip
+        words = f"the log has the joints in another order: {said}"
+        yield _arrange(declared, "order", tuple(own), order, order, words)
     for k in own:
-        yield from _causes_of_joint(declared, k)
-    yield from _causes_of_model(declared)
+        for row in _OF_JOINTS:
+            yield _scale(declared, k, *row)
+        yield from _changes_of_link(declared, k)
+    yield _hang(declared)
+    follows = np.linalg.inv(declared.robot.coupling)
+    for i, j in itertools.permutations(own, 2):
+        # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
+        if abs(i - j) == 1 and not declared.robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
+            yield _couple(declared, i, j)
 
 
-def _arrange(declared: _Case, positions: Sequence[int], torques: Sequence[int], _: FloatArray) -> _Case:
-    return declared.arrange(positions, torques)
+def _arrange(
+    declared: _Case, name: str, joints: tuple[int, ...], positions: Sequence[int], torques: Sequence[int], words: str
+) -> _Change:
+    """Return the change of a log whose columns are in other orders."""
+    at, (robot, q, v, a, torque, moving) = list(positions), declared
+    case = _Case(robot, q[:, at], v[:, at], a[:, at], torque[:, list(torques)], moving[:, at])
+
+    def correct(_: FloatArray) -> _Case:
+        return case
+
+    def say(_: FloatArray) -> str:
+        return words
+
+    return _Change(name, joints, correct, say)
 
 
-def _say(words: str, _: FloatArray) -> str:
-    return words
+def _scale(
+    declared: _Case, k: int, name: str, position: int, torque: int, starts: tuple[float, ...], words: str
+) -> _Change:
+    """Return the change of a log whose position and torque of a joint are off by powers of a factor."""
+
+    def correct(x: FloatArray) -> _Case:
+        factor, by = math.exp(x[0]) if x.size else -1.0, np.ones((2, len(declared.robot)))
+        by[:, k] = factor**position, factor**torque
+        robot, q, v, a, tau, moving = declared
+        return _Case(robot, q * by[0], v * by[0], a * by[0], tau * by[1], moving)
+
+    def value(x: FloatArray) -> float | None:
+        return math.exp(-x[0]) if x.size else None
+
+    def say(x: FloatArray) -> str:
+        return words.format(joint=declared.robot.names[k], value=number(value(x), 3))
+
+    return _Change(name, (k,), correct, say, tuple((one,) for one in starts) or ((),), value)
 
 
-def _orders(names: Sequence[str]) -> Iterator[tuple[int, ...]]:
-    """Yield the orders of a log's columns that are tried: reversed, rotated, alphabetical."""
-    n = len(names)
-    found = {tuple(range(n))[::-1]} | {tuple((k + by) % n for k in range(n)) for by in range(1, n)}
-    first = sorted(range(n), key=names.__getitem__)
-    found.add(tuple(first.index(k) for k in range(n)))
-    yield from sorted(order for order in found if sum(k != at for k, at in enumerate(order)) > 2)
+def _changes_of_link(declared: _Case, k: int) -> Iterator[_Change]:
+    """Yield the zero of a joint's encoder, and the place of its link on the one before it."""
+    robot, name, at = declared.robot, declared.robot.names[k], declared.robot.links[k].origin
 
+    def wrap(x: FloatArray) -> float:
+        return float((x[0] + math.pi) % (2 * math.pi) - math.pi)
 
-def _causes_of_joint(declared: _Case, k: int) -> Iterator[_Cause]:
-    robot, name = declared.robot, declared.robot.names[k]
-    yield _Cause("torque_sign", (k,), lambda x: declared.scale(k, 1.0, -1.0), partial(_say, _SIGN.format(name)))
-    yield _Cause(
-        "log_gain", (k,), lambda x: declared.scale(k, 1.0, math.exp(x[0])),
-        lambda x: f"the logged torque of {name} is {number(math.exp(-x[0]), 3)} times what moves it: check its unit",
-        tuple((one,) for one in _GEARS), lambda x: math.exp(-x[0]),
-    )  # fmt: skip
-    yield _Cause(
-        "position_sign", (k,), lambda x: declared.scale(k, -1.0, 1.0),
-        lambda x: f"the position of {name} has the wrong sign: set motor_position.sign = -1 in its joints.channels",
-    )  # fmt: skip
-    yield _Cause(
-        "joint_sign", (k,), lambda x: declared.scale(k, -1.0, -1.0),
-        lambda x: f"position and torque of {name} count the other way than the model's axis: set "
-        "motor_position.sign and torque.sign = -1 in its joints.channels",
-    )  # fmt: skip
-    yield _Cause(
-        "gear_ratio", (k,), lambda x: declared.scale(k, math.exp(x[0]), math.exp(-x[0])),
-        lambda x: f"the gear of {name} has {number(math.exp(-x[0]), 3)} times the declared ratio: position and torque "
-        "are off by it",
-        tuple((one,) for one in _GEARS), lambda x: math.exp(-x[0]),
-    )  # fmt: skip
-    yield _Cause(
-        "position_scale", (k,), lambda x: declared.scale(k, math.exp(x[0]), 1.0),
-        lambda x: f"the position of {name} is {number(math.exp(-x[0]), 3)} times what moves the links: check its unit "
-        "and its ratio",
-        tuple((one,) for one in (*_GEARS, *_UNITS)), lambda x: math.exp(-x[0]),
-    )  # fmt: skip
     if robot.links[k].kind == "revolute":
-        yield _Cause(
-            "zero", (k,), lambda x: declared.under(robot.turn(x[0] * np.eye(len(robot))[k])),
-            lambda x: f"the encoder of {name} reads 0 where the joint of the model is near {number(_wrap(x[0]), 2)} "
-            "rad: check it, and give its zero in its table",
-            tuple((one,) for one in _ZEROS), lambda x: _wrap(x[0]),
+        yield _Change(
+            "zero", (k,), lambda x: declared._replace(robot=robot.turn(x[0] * np.eye(len(robot))[k])),
+            lambda x: f"the encoder of {name} reads 0 where the joint of the model is near {number(wrap(x), 2)} "
+            "rad: check it, and give its zero in its table", tuple((one,) for one in _ZEROS), wrap,
         )  # fmt: skip
 
+    def lengthen(x: FloatArray) -> _Case:
+        links = list(robot.links)
+        links[k] = replace(links[k], origin=at + x)
+        return declared._replace(robot=replace(robot, links=tuple(links)))
 
-def _wrap(angle: float) -> float:
-    return float((angle + math.pi) % (2 * math.pi) - math.pi)
+    def say(x: FloatArray) -> str:
+        before, after = (", ".join(f"{float(one):.3f}" for one in place) for place in (at, at + x))
+        said = f"{name} stands at {before} m on the link before it, and the torques fit {after} m"
+        return f"the geometry of the model is not that of the robot: {said}: check the model's lengths"
+
+    if k:
+        yield _Change("geometry", (k,), lengthen, say, ((0.0, 0.0, 0.0),), lambda x: float(np.linalg.norm(x)))
 
 
-def _causes_of_model(declared: _Case) -> Iterator[_Cause]:
-    robot, n, known = declared.robot, len(declared.robot), float(np.linalg.norm(declared.robot.gravity))
+def _hang(declared: _Case) -> _Change:
+    """Return the change of the base, or the gravity that a model has not."""
+    robot, known = declared.robot, float(np.linalg.norm(declared.robot.gravity))
     size = known or _GRAVITY
 
     def hang(x: FloatArray) -> _Case:
-        return declared.under(replace(robot, gravity=size * x / np.linalg.norm(x)))
+        return declared._replace(robot=replace(robot, gravity=size * x / np.linalg.norm(x)))
 
-    def say_base(x: FloatArray) -> str:
+    def say(x: FloatArray) -> str:
         x, y, z = hang(x).robot.gravity
         if not known:
             return f"the links weigh something, and the model has no gravity: give it {x:.2f}, {y:.2f}, {z:.2f} m/s2"
@@ -342,45 +335,21 @@ def _causes_of_model(declared: _Case) -> Iterator[_Cause]:
         cosine = float(hang(x).robot.gravity @ robot.gravity) / size**2
         return math.acos(min(max(cosine, -1.0), 1.0)) if known else size
 
-    yield _Cause(
-        "base" if known else "gravity", (), hang, say_base, tuple(map(tuple, (*np.eye(3), *-np.eye(3)))), turned
-    )  # fmt: skip
-    follows = np.linalg.inv(robot.coupling)
-    for i, j in itertools.permutations(range(n), 2):
-        # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
-        if abs(i - j) == 1 and not robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
-            yield _Cause(
-                "coupled", (i, j), partial(_couple, declared, i, j),
-                partial(_describe_coupling, robot.names[i], robot.names[j]), tuple((one,) for one in _COUPLED),
-            )  # fmt: skip
-    for k in range(1, n):
-        yield _Cause(
-            "geometry", (k,), partial(_lengthen, declared, k), partial(_describe_length, robot, k),
-            ((0.0, 0.0, 0.0),), lambda x: float(np.linalg.norm(x)),
-        )  # fmt: skip
+    starts = tuple(map(tuple, (*np.eye(3), *-np.eye(3))))
+    return _Change("base" if known else "gravity", (), hang, say, starts, turned)
 
 
-def _couple(declared: _Case, motor: int, joint: int, x: FloatArray) -> _Case:
-    joints = list(declared.robot.joints)
-    joints[motor] = replace(joints[motor], coupling={declared.robot.names[joint]: float(x[0])})
-    return declared.under(replace(declared.robot, joints=tuple(joints)))
+def _couple(declared: _Case, motor: int, joint: int) -> _Change:
+    """Return the change of a motor that turns with another joint."""
+    robot, (one, other) = declared.robot, (declared.robot.names[k] for k in (motor, joint))
 
+    def couple(x: FloatArray) -> _Case:
+        joints = list(robot.joints)
+        joints[motor] = replace(joints[motor], coupling={other: float(x[0])})
+        return declared._replace(robot=replace(robot, joints=tuple(joints)))
 
-def _describe_coupling(motor: str, joint: str, x: FloatArray) -> str:
-    declare = f"coupling = {{ {joint} = {number(x[0], 3)} }}"
-    return f"the motor of {motor} turns with {joint}: declare {declare} for {motor}"
+    def say(x: FloatArray) -> str:
+        declare = f"coupling = {{ {other} = {number(x[0], 3)} }}"
+        return f"the motor of {one} turns with {other}: declare {declare} for {one}"
 
-
-def _lengthen(declared: _Case, link: int, x: FloatArray) -> _Case:
-    links = list(declared.robot.links)
-    links[link] = replace(links[link], origin=links[link].origin + x)
-    return declared.under(replace(declared.robot, links=tuple(links)))
-
-
-def _describe_length(robot: Robot, link: int, x: FloatArray) -> str:
-    at = robot.links[link].origin
-    before, after = (", ".join(f"{float(one):.3f}" for one in place) for place in (at, at + x))
-    return (
-        f"the geometry of the model is not that of the robot: {robot.names[link]} stands at {before} m on the link "
-        f"before it, and the torques fit {after} m: check the model's lengths"
-    )
+    return _Change("coupled", (motor, joint), couple, say, tuple((x,) for x in _COUPLED))

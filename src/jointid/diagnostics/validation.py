@@ -10,10 +10,10 @@ compared with its nominal masses, rotors and springs, with friction fitted to th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -34,9 +34,6 @@ from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.verdict import POOR_FIT, scale_verdict
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
@@ -73,7 +70,7 @@ class ValidatedAxis:
         nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
     """
 
-    in_json = "prediction autocorrelation white_band outside_band -motor"
+    in_json = "prediction autocorrelation white_band -motor"
     name: str
     unit: str
     position_unit: str
@@ -95,11 +92,6 @@ class ValidatedAxis:
         return float(2 / np.sqrt(self.rows))
 
     @property
-    def outside_band(self) -> float:
-        """Share of the lags above 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
-        return float(np.mean(np.abs(self.autocorrelation[1:]) > self.white_band))
-
-    @property
     def prediction(self) -> Prediction:
         """Whether the estimate predicts this axis of another record within its noise."""
         left, least = self.filtered_error, self.attainable_error
@@ -107,9 +99,8 @@ class ValidatedAxis:
             return Prediction.NOT_AS_DECLARED
         if least is None:
             return Prediction.NOT_COMPARED
-        if _adds_little(left, least):
-            return Prediction.PREDICTED
-        return Prediction.ANOTHER_JOINT
+        within = math.sqrt(max(left**2 - least**2, 0.0)) <= max(least, _NEGLIGIBLE)
+        return Prediction.PREDICTED if within else Prediction.ANOTHER_JOINT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,34 +159,27 @@ class Validation(Documented):
     @property
     def answer(self) -> Message:
         """Whether the estimate predicts every axis of the record within its noise, and the remedy if not."""
-        code = Prediction.OWN_RECORD if self.test == "direct" else min(
-            (axis.prediction for axis in self.axes), key=list(Prediction).index
-        )  # fmt: skip
+        own, worst = self.test == "direct", min(self.axes, key=lambda axis: list(Prediction).index(axis.prediction))
+        code = Prediction.OWN_RECORD if own else worst.prediction
         bad = code not in (Prediction.OWN_RECORD, Prediction.PREDICTED)
-        there = [axis for axis in self.axes if axis.prediction is code] if bad else list(self.axes)
+        there = [axis for axis in self.axes if axis.prediction is code or not bad]
         left, least = _rms([a.filtered_error for a in there]), _rms_of_all([a.attainable_error for a in there])
-        who = "robot" if self.axes[0].name else "joint"
-        of = "its filtered torque"
-        if bad and self.axes[0].name:
-            of = f"the filtered torque of {join([axis.name for axis in there])}"
-        share = f"leaves {_format_share(left)} of {of}"
-        allowed = "" if least is None else f", and one identified from it {_format_share(least)}"
-        again = "identify it from this record, too, and"
-        if code is Prediction.OWN_RECORD:
-            words = f"The {who} was identified from {self.record} and {share}; validate it on another record"
-        elif code is Prediction.NOT_AS_DECLARED:
-            wrong = "controller, channels or scales are" if self.method == "didim" else "channels or scales are"
-            words = f"The {who} does not predict {self.record}: it {share}{allowed}; {wrong} not as declared there"
-            words += f": {again} see what is said of the fit"
-        elif code is Prediction.NOT_COMPARED:
-            words = f"The {who} {share} on {self.record}; how little a {who} can leave there could not be found"
-        elif code is Prediction.PREDICTED:
-            words = f"The {who} predicts {self.record}: it {share}{allowed}"
-        else:
-            other = "load, friction or controller" if self.method == "didim" else "load or friction"
-            words = f"The {who} does not predict {self.record} within its noise: it {share}{allowed}; its {other} "
-            words += f"differs there: {again} compare both estimates"
-        return Message(code, words, {"filtered_error": left, "attainable_error": least})
+        who = "robot" if worst.name else "joint"
+        of = f" of {join([axis.name for axis in there])}" if bad and worst.name else ""
+        share = f"it leaves {_format_share(left)} of the filtered torque{of}"
+        share += "" if least is None else f", and one identified from it {_format_share(least)}"
+        part = "controller, " * (self.method == "didim")
+        said = {
+            Prediction.OWN_RECORD: f"was identified from {self.record}: {share}; validate it on another record",
+            Prediction.PREDICTED: f"predicts {self.record}: {share}",
+            Prediction.NOT_COMPARED: f"predicts {self.record} as well as is said: {share}; how little a {who} can "
+            "leave there could not be found",
+            Prediction.NOT_AS_DECLARED: f"does not predict {self.record}: {share}; {part}channels or scales are not as "
+            "declared there: identify it from this record, too, and see what is said of the fit",
+            Prediction.ANOTHER_JOINT: f"does not predict {self.record} within its noise: {share}; its {part}load or "
+            "friction differs there: identify it from this record, too, and compare both estimates",
+        }[code]
+        return Message(code, f"The {who} {said}", {"filtered_error": left, "attainable_error": least})
 
     @property
     def sentence(self) -> str:
@@ -215,14 +199,8 @@ class Validation(Documented):
             said += "; the nominal model is unstable under these controllers: give each joint's rotor_inertia."
         return Paragraph(said, tone="good" if useful else "bad")
 
-    def plot(self) -> Figure:
-        """Return measured and predicted signal and their error over time; see `jointid.figures.torque`."""
-        import jointid
-
-        return jointid.figures.torque(self)
-
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the answer, errors and whiteness as a document; there are no further details."""
+        """Return the answer and the errors as a document; there are no further details."""
         del details
         first, what = self.axes[0], "robot" if self.axes[0].name else "joint"
         how = {
@@ -232,40 +210,25 @@ class Validation(Documented):
         test = f"{self.test} test on {self.record}, of the {what} identified from {self.identified_from}"
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
         error = f"{100 * self.relative_error:.4f} % raw ({left_out}), {100 * self.filtered_error:.4f} % filtered"
-        facts = [
-            ("test", f"{test}; torque {how}"),
-            *common_facts(self.resampled, first.transmission),
-            ("torque error", error),
-        ]
-        said = (
-            f"{100 * np.mean([axis.outside_band for axis in self.axes]):.0f} % of {first.autocorrelation.size - 1} "
-            f"autocorrelations of the filtered error outside ±{first.white_band:.3f} (5 % if it were white)"
-        )
-        facts += [("whiteness", said), *(("warning", warning) for warning in self.warnings)]
+        facts = (
+            ("test", f"{test}; torque {how}"), *common_facts(self.resampled, first.transmission),
+            ("torque error", error), *(("warning", warning) for warning in self.warnings),
+        )  # fmt: skip
         blocks: list[Block] = [] if self.comparison is None else [self.comparison]
-        return Document(self.sentence, (*blocks, Facts(tuple(facts)), *([axes_table([self])] if first.name else [])))
-
-
-_COLUMNS: Mapping[str, Callable[[ValidatedAxis], float | None]] = {
-    "raw, %": lambda axis: axis.relative_error,
-    "filtered, %": lambda axis: axis.filtered_error,
-    "attainable, %": lambda axis: axis.attainable_error,
-    "nominal, %": lambda axis: axis.nominal_error,
-    "not white, % of lags": lambda axis: axis.outside_band,
-}
-"""The columns of a table of axes, each left out where no axis has it."""
-
-
-def axes_table(checks: Sequence[Validation]) -> Table:
-    """Return the errors of every axis of some validations; a column that none has is left out."""
-    rows = [(check, axis) for check in checks for axis in check.axes]
-    shown = {name: [get(axis) for _, axis in rows] for name, get in _COLUMNS.items()}
-    shown = {name: values for name, values in shown.items() if any(value is not None for value in values)}
-    named = [axis.name if len(checks) == 1 and axis.name else f"{c.test}, {c.record} {axis.name}" for c, axis in rows]
-    cells = zip(*([_format_cell(value) for value in values] for values in shown.values()), strict=True)
-    header = ("joint" if checks[0].axes[0].name else "test", *shown)
-    title = "Error of the prediction, as a share of the measured signal"
-    return Table(header, tuple((name.strip(), *row) for name, row in zip(named, cells, strict=True)), title)
+        blocks.append(Facts(facts))
+        if first.name:
+            rows = tuple(
+                (
+                    one.name,
+                    *map(
+                        _format_cell, (one.relative_error, one.filtered_error, one.attainable_error, one.nominal_error)
+                    ),
+                )
+                for one in self.axes
+            )
+            header = ("joint", "raw, %", "filtered, %", "attainable, %", "nominal, %")
+            blocks.append(Table(header, rows, "Error of the prediction, as a share of the measured signal"))
+        return Document(self.sentence, tuple(blocks))
 
 
 def _format_cell(share: float | None) -> str:
@@ -276,11 +239,6 @@ def _format_cell(share: float | None) -> str:
 
 def _format_share(share: float) -> str:
     return f"{number(100 * share, 3)} %"
-
-
-def _adds_little(left: float, least: float) -> bool:
-    """Whether an estimate adds less to the error of an axis than noise allows."""
-    return math.sqrt(max(left**2 - least**2, 0.0)) <= max(least, _NEGLIGIBLE)
 
 
 def _rms(shares: Sequence[float] | FloatArray) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.diagnostics.axis_faults import _explained
-from jointid.diagnostics.diagnose import _wait_for_cause, diagnose_robot
+from jointid.diagnostics.diagnose_axes import _wait_for_cause, diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import Finding
@@ -60,11 +60,11 @@ def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> N
     found = diagnosed(robot, records)
     assert found.cause is not None and found.cause.name == cause and not found.explained
     assert not any(axis.faults.findings for axis in found.axes)
-    assert found.answer.startswith(found.sentences[0]) and "check geometry" not in " ".join(found.sentences)
+    assert found.sentence == found.sentences[0] and "check geometry" not in " ".join(found.sentences)
     if cause == "gear_ratio":
         assert found.cause.joints == ("joint2",) and found.cause.value == pytest.approx(1.25, rel=1e-2)
     if cause == "base":
-        assert "upside down" in found.answer
+        assert "upside down" in found.sentence
 
 
 @pytest.mark.parametrize("joint", [pytest.param(0, marks=pytest.mark.slow), 1])

@@ -137,7 +137,7 @@ def test_an_estimate_is_held_beside_the_nominal_model() -> None:
         with pytest.raises(MethodError):
             validate(estimate, asked[0] if len(asked) == 1 else asked)
     with pytest.raises(MethodError):
-        diagnose(estimate, one)
+        diagnose(one, estimate)
     assert held_out.better and held_out.answer.code is Prediction.PREDICTED
     for axis in held_out.axes[:3]:
         assert axis.nominal_error is not None and axis.filtered_error < axis.nominal_error

@@ -76,7 +76,7 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
     "use",
     [
         ji.tune,
-        lambda found: ji.diagnose(found, logged()[1][0]),
+        lambda found: ji.diagnose(logged()[1][0], found),
         lambda found: ji.validate(found, logged()[1][0]),
         lambda found: found.report(logged()[1][0]),
         lambda found: found.plot.response(),
@@ -92,12 +92,12 @@ def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[
     "use",
     [
         ji.validate,
-        ji.diagnose,
+        lambda found, logs: ji.diagnose(logs, found),
         lambda found, logs: found.report(logs),
         lambda found, logs: ji.identify((*logs[0], logs[1]), found.robot.setup),
         lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.setup),
         lambda found, logs: ji.identify(logs, ji.twin().loop),
-        lambda found, logs: ji.diagnose(found, logs[0], controllers=found.robot.setup.controllers[:1]),
+        lambda found, logs: ji.diagnose(logs[0], found, controllers=found.robot.setup.controllers[:1]),
         lambda found, logs: ji.identify_payload(ji.twin().loop, *logs),  # type: ignore[arg-type]
     ],
 )

@@ -193,7 +193,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert held.better
     assert held.answer.code is Prediction.PREDICTED
     assert all(axis.filtered_error < 0.03 for axis in held.axes)
-    told = ji.diagnose(estimate, logged(twin))
+    told = ji.diagnose(logged(twin), estimate)
     assert told.explained
     assert "log_delay" not in {one.name for joint in told.axes for one in joint.parameters}
     assert told.method == "drive_side"

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any
 
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready
 from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
-    from jointid import Record
     from jointid.config import File
-    from jointid.diagnostics.examine_record import Examination
-    from jointid.diagnostics.law_comparison import LawComparison
+    from jointid.diagnostics.diagnosis import Diagnosis
 
 FAULTY = 3
 """Exit code where something is wrong with the record, or something is found."""
@@ -37,8 +34,6 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     file = options.load(joint)
     if file.robot is None and file.loop is not None:
         file = options.load(joint, method="didim")
-    if laws and file.axis.loop is None:
-        raise MethodError("Laws are compared in the closed loop; declare the [controller].")
     several = options.record is None and file.only_lists
     paths = file.listed if several else [Path(file.record_path(options.record))]
     if len(paths) > 1 and options.json is not None:
@@ -50,10 +45,10 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     return 0 if nothing else FAULTY
 
 
-def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Examination:
+def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Diagnosis:
     """Diagnose one record, print what is found, and write it."""
-    from jointid import examine
-    from jointid.diagnostics.examine_record import unreadable
+    from jointid.diagnostics.diagnose import diagnose as run
+    from jointid.diagnostics.diagnose import unreadable
 
     try:
         record = file.record(path)
@@ -66,22 +61,10 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Ex
     ready(options.progress)
     declared: dict[str, Any] = {"shown": file.declared_numbers}
     if file.robot is not None:
-        declared = {"controllers": file.controllers, "feed_forward": file.feed_forward}
-    found = examine(
-        record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters,
+        declared = {"controllers": file.controllers}
+    found = run(
+        record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters, laws=laws,
         progress=options.progress, **declared,
     )  # fmt: skip
-    try:
-        found = replace(found, laws=_compare_laws(file, record, options)) if laws else found
-    finally:
-        deliver(found, options.json)
+    deliver(found, options.json)
     return found
-
-
-def _compare_laws(file: File, record: Record, options: Options) -> tuple[LawComparison, ...]:
-    """Compare the laws of friction, and of a flexible joint those of its spring before."""
-    from jointid.diagnostics.law_comparison import compare_laws
-
-    loop, *known = cast("Any", (file.loop, file.filtering, file.parameters, file.method, options.progress))
-    kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
-    return tuple(compare_laws(record, loop, kind, *known) for kind in kinds[file.joint.model == "rigid" :])

@@ -60,7 +60,7 @@ def report(
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
-        controllers=file.controllers, feed_forward=file.feed_forward, repetition=again, progress=options.progress,
+        controllers=file.controllers, repetition=again, progress=options.progress,
     )  # fmt: skip
     tuned = None if no_tuning else tune_to_limit(found, file.declared_numbers)
     if isinstance(tuned, str):

@@ -22,7 +22,6 @@ from jointid.diagnostics.report_data import estimate_spectra
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
-from jointid.models.position_forces import Motion
 from jointid.records.record import instants
 
 if TYPE_CHECKING:
@@ -79,18 +78,17 @@ class AxisSignals:
     computed: str = ""
 
     @classmethod
-    def of(cls, estimate: Estimate, motion: Motion | None = None) -> AxisSignals:
-        """Return the signals of an estimate, whose record has the motion."""
+    def of(cls, estimate: Estimate) -> AxisSignals:
+        """Return the signals of an estimate, which keeps no motion."""
         fit, settings, size = estimate.fit, estimate.settings, estimate.fit.measured.size
         if estimate.data.windows is not None:
             raise MethodError(IN_WINDOWS)
         compared = np.zeros(size, dtype=np.bool_)
         compared[fit.borders[0] : size - fit.borders[1]] = True
-        position, velocity = (None, None) if motion is None else (motion.position[:size], motion.velocity[:size])
         return cls(
             "", estimate.data.torque_unit, POSITION_UNIT[settings.joint.kind], settings.method,
             settings.joint.transmission, instants(size, estimate.data.sample_time), fit.measured, fit.predicted,
-            compared, fit.relative_error, position, velocity, estimate.signal.removeprefix("torque"),
+            compared, fit.relative_error, computed=estimate.signal.removeprefix("torque"),
         )  # fmt: skip
 
     @classmethod
@@ -110,6 +108,7 @@ class AxisSignals:
     def of_robot(cls, found: Diagnosis) -> list[AxisSignals]:
         """Return the filtered signals of each joint of a robot."""
         torques = found.torques
+        assert torques is not None
         return [
             cls(
                 axis.name, axis.torque_unit, axis.position_unit, found.method, None, torques.time, torques.measured[k],

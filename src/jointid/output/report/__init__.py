@@ -14,7 +14,7 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.fields import dumps, plain
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.diagnose import FeedForwardName, diagnose
+from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -60,7 +60,6 @@ class Report:
         profiles: Sequence[str] | None = None,
         tuned: Tuned | None = None,
         controllers: Sequence[Controller | None] = (),
-        feed_forward: FeedForwardName = "none",
         repetition: Repetition | None = None,
         progress: Progress = ignore_progress,
     ) -> Report:
@@ -71,11 +70,10 @@ class Report:
             record: that it was identified from; of a robot the record of each joint.
             checks: validations of it on other records, from `validate`.
             name: of the joint, for the title.
-            profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None, a
-                free stiffness and its compliance. Of DIDIM only.
+            profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None,
+                the stiffness and the compliance of a flexible joint. Of DIDIM only.
             tuned: margins and gains of the drive from `tune`, which then have a section.
             controllers: of each joint of a robot, see `diagnose`.
-            feed_forward: of a robot's records, see `diagnose`.
             repetition: what it takes to do it again, where the files are known.
             progress: receives each step.
 
@@ -97,7 +95,7 @@ class Report:
         if not isinstance(record, Record):
             if tuned is not None or profiles:
                 raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
-            found = diagnose(estimate, record, controllers=controllers, feed_forward=feed_forward)
+            found = diagnose(record, estimate, controllers=controllers)
             return cls(ReportData(estimate, found, checks=tuple(checks)), name, again)
         estimate.require_joint()
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)

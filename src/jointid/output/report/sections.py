@@ -131,7 +131,8 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
         assert given.diagnosis is not None
         axes = charts.AxisSignals.of_robot(given.diagnosis)
     else:
-        axes = [charts.AxisSignals.of(estimate, given.motion)]
+        direct = given.validation
+        axes = [charts.AxisSignals.of(estimate)] if direct is None else charts.AxisSignals.of_validation(direct)
     every: dict[str, Callable[[], Figure]] = {
         "torque": lambda: charts.torque_figure(axes),
         "residual": lambda: charts.residual_figure(axes, given.validation),
@@ -152,8 +153,7 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
 
 
 def _picture(given: ReportData, figures: Mapping[str, Figure], name: str) -> Picture:
-    by_robot = "measured" if given.diagnosis is not None and given.diagnosis.method == "idim" else "simulated"
-    motion = given.motion_source if given.estimate.robot is None else by_robot
+    motion = "simulated" if given.estimate.settings.method == "didim" else "measured"
     words = _PICTURES[name][1].format(motion=motion)
     return Picture(f"{name}.svg", partial(svg, figures[name], name), words, wide=name != "correlation")
 
@@ -163,7 +163,7 @@ def _result(given: ReportData) -> Iterator[Block]:
     estimate = given.estimate
     yield Paragraph(str(estimate.answer), tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
     if given.diagnosis is not None:
-        yield Paragraph(given.diagnosis.answer)
+        yield Paragraph(given.diagnosis.sentence)
     for check in given.checks:
         yield Paragraph(check.sentence)
     if not given.checks:

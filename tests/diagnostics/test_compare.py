@@ -33,14 +33,6 @@ def of_rigid(seed: int, folder: Path, inertia: float = 0.04) -> Path:
     return told(identified(seed, inertia), folder, f"run{seed}-{inertia}")
 
 
-@pytest.mark.slow
-def test_a_page_and_its_answer_hold_the_same_estimate(tmp_path: Path) -> None:
-    page = reports.rigid().save(tmp_path / "page.html")
-    answer = told(reports.rigid().estimate, tmp_path, "answer")
-    assert read_report(page) == read_report(answer)
-    assert read_report(page)["data"]["record"] == reports.EVIL
-
-
 def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     path = of_rigid(1, tmp_path)
     found = ji.compare(read_report(path), read_report(path))
@@ -88,12 +80,6 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
     assert rows["inertia"].p_value is rows["viscous"].p_value is None
 
 
-def test_an_answer_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
-    path = tmp_path / "x.json"
-    path.write_text(dumps(to_dict(reports.rigid().estimate)), encoding="utf-8-sig")
-    assert read_report(path)["data"]["record"] == reports.EVIL
-
-
 def test_the_command_writes_the_answer(tmp_path: Path) -> None:
     out = tmp_path / "drift.json"
     assert run("compare", of_rigid(1, tmp_path), of_rigid(2, tmp_path, inertia=0.05), "--json", out) == 0
@@ -102,13 +88,6 @@ def test_the_command_writes_the_answer(tmp_path: Path) -> None:
     changed = {one["name"] for one in answer["changed"]}
     assert "inertia" in changed and "viscous" not in changed
     assert run("compare", out, out) == 2
-
-
-@pytest.mark.slow
-def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
-    files = [read_report(of_rigid(seed, tmp_path)) for seed in range(40)]
-    alarms = [bool(ji.compare(files[i], files[i + 1]).changed) for i in range(0, 40, 2)]
-    assert sum(alarms) <= 4  # of 20 at 5 %: more happens three times in a thousand
 
 
 @pytest.mark.slow
@@ -150,8 +129,8 @@ def test_what_cannot_be_compared_is_refused(place: tuple[str, ...], value: Any, 
         ji.compare(one, other)
     with pytest.raises(ji.MethodError):
         ji.compare(one, one, level=0.0)
-    with pytest.raises(ji.MethodError):
-        ji.compare(one, identified(1, 0.04))  # type: ignore[call-overload]
+    with pytest.raises(ji.RecordError):
+        ji.compare(one, identified(1, 0.04))  # type: ignore[arg-type]
 
 
 def test_a_damaged_answer_is_refused(tmp_path: Path) -> None:

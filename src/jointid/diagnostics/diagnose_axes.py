@@ -1,0 +1,200 @@
+"""Diagnosis of the axes of an estimate: of each its residual, its controller and its faults.
+
+Each axis' residual is tested for whiteness and for what it correlates with, and each controller by the torque that it
+makes of the logged position. The share of a residual that follows a shape is compared with chance by shifts in time
+(`residual_tests.coupling`). A residual that follows one shape may follow others that look alike on this motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.parameters import POSITION_UNIT
+from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_driving_axes, find_follower
+from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
+from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
+from jointid.diagnostics.check_loop import list_laws, search_faults
+from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
+from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults.other_laws import OTHER_LAWS
+from jointid.diagnostics.model_free import LawOnPosition, compare_law, compare_robot_laws
+from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
+from jointid.diagnostics.search_state import LoopTests, SearchState
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
+from jointid.models.controllers import Controller
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.controllers.servo_base import require_one_each
+from jointid.models.joints import FlexibleJoint
+from jointid.records.record import Record
+from jointid.simulation.controller_torque import SOURCE
+from jointid.simulation.robots import RobotLoop
+from jointid.uncertainty.position_dependent_error import cells, repeatable
+from jointid.uncertainty.residual_tests import Coupling, whiteness
+
+Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
+"""The closed-loop problem of a joint, and its solution, (free,)."""
+
+
+def diagnose_joint(
+    estimate: Estimate,
+    record: Record,
+    solved: Solved,
+    tests: LoopTests | None = None,
+    shown: Sequence[DriveNumber] = (),
+) -> tuple[Diagnosis, SearchState]:
+    """Diagnose the estimate of a joint by DIDIM.
+
+    Args:
+        estimate: by DIDIM, of this record.
+        record: that it was identified from.
+        solved: its problem; the parameters identified beside the joint are not tested.
+        tests: settings of the tests.
+        shown: how the drive shows the numbers of its controller.
+
+    Returns:
+        The diagnosis, and the problem with the faults that were found corrected.
+    """
+    problem, x = solved
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
+    law = compare_law(record, problem.loop)
+    faults, state = search_faults(problem, x, tests, std, record, shown, law)
+    torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
+    axis = _diagnose_axis(
+        "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit),
+        law, faults, find_follower(torques),
+        None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
+        else found.significant,
+    )  # fmt: skip
+    return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
+
+
+def diagnose_robot(
+    estimate: Estimate,
+    records: Sequence[Record],
+    controllers: Sequence[Controller | None] = (),
+) -> Diagnosis:
+    """Diagnose the estimate of a robot by any method.
+
+    Args:
+        estimate: of these records.
+        records: of each joint.
+        controllers: of each joint as declared, None where one is not known; those of the estimate's loop if none are
+            given.
+    """
+    part = estimate.require_robot()
+    robot, torques = part.model, torques_of_robot(estimate, records)
+    if not controllers and isinstance(part.setup, RobotLoop):
+        controllers = part.setup.controllers
+    require_one_each(controllers, len(robot))
+    laws = compare_robot_laws(robot, records, controllers)
+    units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
+    own = [
+        list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
+        for link, joint in zip(robot.links, robot.joints, strict=True)
+    ]
+    faults, follows, explained = _find_faults(estimate, records, torques, units, own, laws)
+    axes = tuple(
+        _diagnose_axis(
+            name, k, torques, units[k], laws[k], faults[k], follows[k],
+            _repeats(torques, k) if _is_seen_through_law(record) else None,
+        )
+        for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
+    )  # fmt: skip
+    cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
+    # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
+    if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
+        cause = find_robot_cause(robot, records, estimate.settings.filtering)
+    if cause is not None and cause.explained > explained:
+        axes = tuple(map(_wait_for_cause, axes))
+    else:
+        cause = None
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques, cause)
+
+
+def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
+    """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
+    laws = tuple(one for one in axis.faults.findings if one.test.fault in OTHER_LAWS)
+    return replace(axis, faults=replace(axis.faults, findings=laws, undecided=None), caused=True)
+
+
+def _find_faults(
+    estimate: Estimate,
+    records: Sequence[Record],
+    torques: AxisTorques,
+    units: Sequence[tuple[str, str]],
+    frictions: Sequence[tuple[str, ...]],
+    laws: Sequence[LawOnPosition | None],
+) -> tuple[Sequence[AxisFaults], Sequence[Follows], float]:
+    """Find the faults of each axis, as `find_axis_faults` returns them.
+
+    Where a reference goes another way than declared, the other faults are searched for beside that.
+    """
+    level, part = LoopTests().level, estimate.require_robot()
+    if not isinstance(part, SimulatedRobot) or not isinstance(part.setup, RobotLoop):
+        return find_axis_faults(torques, units, level, frictions)
+    parameters = part.parameters
+    values = part.values[: len(parameters.places)]
+    x, scales = parameters.to_search_variables(values), np.where(parameters.logarithmic, values, 1.0)
+    axes = list_axes(part, part.setup, records, estimate.settings.filtering, torques)
+    screened = screen_laws(axes, x, torques)
+    faults, follows, explained = find_axis_faults(screened, units, level, frictions)
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr}
+    known = {name: std[name] / size for name, size in zip(parameters.names, scales, strict=True) if name in std}
+    other = search_laws(axes, x, screened, faults, known, laws)
+    if any(other.found):
+        first = other.axes[0]
+        there = replace(part, setup=first.setup, values=np.append(parameters.values(other.x), part.values[x.size :]))
+        after = torques_of_robot(estimate, first.records, there)
+        faults, follows, explained = find_axis_faults(after, units, level, frictions)
+    symbols, of_parameters = {p.name: p.symbol for p in parameters.parameters}, parameter_units(part.model, parameters)
+    return [
+        replace(
+            one, findings=(*filter(None, [found]), *one.findings), undecided=undecided, symbols=symbols,
+            units={**one.units, **of_parameters},
+        )
+        for one, found, undecided in zip(faults, other.found, other.undecided, strict=True)
+    ], follows, explained  # fmt: skip
+
+
+def _is_seen_through_law(record: Record) -> bool:
+    """Test whether a torque is computed from the controller, at some frequencies at least: its noise is coloured."""
+    return record.torque is not None and record.torque.source.endswith(SOURCE)
+
+
+def _repeats(torques: AxisTorques, axis: int) -> bool | None:
+    """Test whether the residual of an axis repeats with its motion; None where too little was visited twice."""
+    inside = torques.seen[axis]
+    where = cells(torques.position[axis][inside], torques.velocity[axis][inside])
+    found = repeatable(torques.error[axis][inside], where)
+    return None if found.p_value is None else found.significant
+
+
+def _diagnose_axis(
+    name: str,
+    axis: int,
+    torques: AxisTorques,
+    units: tuple[str, str],
+    law: LawOnPosition | None,
+    faults: AxisFaults,
+    follows: tuple[str, Coupling] | None,
+    repeats: bool | None = None,
+) -> AxisDiagnosis:
+    """Return the diagnosis of one axis; `units` are of its position and its torque."""
+    inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
+    return AxisDiagnosis(
+        name,
+        float(np.linalg.norm(torques.error[axis])) / whole,
+        whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
+        follows,
+        *units,
+        law,
+        faults,
+        repeats,
+    )

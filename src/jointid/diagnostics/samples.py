@@ -1,0 +1,222 @@
+"""Causes that the samples of a record show by themselves: too little motion, samples that are missing, another scale.
+
+A record that is too short, or moves in one direction only, fits many drives: Coulomb friction and offset are one number
+then. The controller of a motor at rest sees the whole reference as an error. That torque is simulated with an immovable
+mass: a record with this torque is of an axis at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jointid.common.errors import JointidError
+from jointid.common.messages import Message
+from jointid.common.text import join, number
+from jointid.diagnostics.faults.fault import Explanation, Shown
+from jointid.diagnostics.faults.forces import find_steps
+from jointid.diagnostics.faults.loop_gain import TORQUE_SCALE, say_times
+from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
+from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_law_changes
+from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.records.checks import find_encoder_step
+from jointid.records.record import Channel, Record
+from jointid.simulation.closed_loop import simulate
+from jointid.simulation.loop_input import prepare
+from jointid.uncertainty.verdict import Reason
+
+_IMMOVABLE = 1e20  # kg or kg m2
+_FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them
+_AS_AT_REST = 0.15  # of the torque's scatter: so little is left where it is that of an axis at rest
+_SAME_SIZE = 0.25  # so near to 1 is then its size
+_GAINS = ("position_gain", "velocity_gain", "derivative_gain")
+_FILTERS = (1e-3, 2e-3, 4e-3, 8e-3)  # s
+_EXPLAINED, _MOST_LEFT, _ALIKE = 0.7, 0.15, 1.1  # of what the law leaves; of the torque; times the least
+_SURE, _FAR_OFF = 4.0, 0.1  # deviations; of a number: a position between two samples pretends less
+_BY_LAW, _OFF = 0.1, 1.5  # of the torque; times: a factor that the law and the position show
+_LEAST = 1.0  # s of motion: a shorter record is not relied on
+_FEWEST_STEPS = 10  # of a motion
+_ROUGH = 0.15  # of a step: by so much the next one may differ
+_SLOW, _COUNTS = 0.1, 8.0  # of a fast step, and times the smallest: a smaller step tells nothing
+_MOST_PLACES = 20  # more are how the reference is made
+_SAID = 3  # places
+_BACK = 0.05  # of all the way: who goes back less moves one way only
+
+
+def find_plain_cause(record: Record) -> Message | None:
+    """Return a cause visible in the samples of torque and reference; None without one."""
+    if record.injected is not None:  # that moves the joint, too
+        return None
+    return _check_length(record, SHORTEST, "to tell what is wrong") or find_lost_samples(record) or find_steps(record)
+
+
+def find_too_short(record: Record) -> Message | None:
+    """Return the message of a record that is too short for reliable values; None if it is long enough.
+
+    Without a reversal a constant force replaces the Coulomb friction, and a short motion has few rows for many
+    parameters.
+    """
+    return None if record.injected is not None else _check_length(record, _LEAST, "to rely on")
+
+
+def _check_length(record: Record, needed: float, what_for: str) -> Message | None:
+    reference = record.reference
+    if reference is None:
+        return None
+    change = np.diff(reference.values)
+    (moving,) = np.nonzero(change)
+    seconds = reference.sample_time * (change.size + 1 - moving[0]) if moving.size else 0.0
+    there, back = float(np.sum(change[change > 0])), float(-np.sum(change[change < 0]))
+    both_ways = min(there, back) > _BACK * max(there, back)
+    if both_ways and seconds >= needed:
+        return None
+    lasts = f"it has {number(seconds, 2)} s of motion{'' if both_ways else ', one way only'}"
+    clause = f"the record is too short {what_for}: {lasts}; {SHORTEST:g} s or more, both ways, would do"
+    return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": SHORTEST}, clause)
+
+
+def find_lost_samples(record: Record) -> Message | None:
+    """Return the message of samples that are missing in a record without stamps; None where the motion shows none.
+
+    There a smooth motion goes a whole number of its steps at once.
+    """
+    channel = record.reference or record.motor_position
+    if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
+        return None
+    if record.torque is not None and _roughness(channel) > _roughness(record.torque):
+        return None  # which is no motion
+    steps = np.diff(channel.values)
+    before, here, after = steps[1:-3], steps[2:-2], steps[3:-1]
+    with np.errstate(all="ignore"):
+        times = 2.0 * here / (before + after)
+        smooth = _ROUGH * np.minimum(np.abs(before), np.abs(after))
+        even = (np.abs(before - steps[:-4]) < smooth) & (np.abs(after - steps[4:]) < smooth)
+        lost = np.round(times) - 1.0
+        # Between the samples that are missing the steps change as on either side.
+        near = np.abs(times - lost - 1.0) < _ROUGH * (1.0 + lost)
+        # Slow steps of a rounded position are few counts, and any of them may be twice the one before.
+        sizes = np.sort(np.abs(steps[steps != 0.0]))
+        least = max(_SLOW * float(sizes[int(0.9 * sizes.size)]), _COUNTS * float(sizes[0])) if sizes.size else 0.0
+        alike = np.abs(after - before) < _ROUGH * (2.0 + lost) * np.abs(before)
+        jumps = (np.abs(before) > least) & even & near & (lost >= 1.0) & alike
+    (places,) = np.nonzero(jumps)
+    if not 0 < places.size <= _MOST_PLACES:
+        return None
+    said = [f"about {lost[k]:.0f} at {number(channel.sample_time * (k + 2), 3)} s" for k in places[:_SAID]]
+    more = f" and at {places.size - _SAID} more" if places.size > _SAID else ""
+    clause = f"samples are missing in the record: {join(said)}{more}"
+    clause += "; cut it there (record.start, record.stop), or log time stamps"
+    cause = {"cause": "lost_samples", "value": float(lost[places].sum()), "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+
+
+def _roughness(channel: Channel) -> float:
+    """Return the usual change of a signal's steps over its usual step."""
+    steps = np.diff(channel.values)
+    moving = steps[steps != 0.0]
+    size = float(np.median(np.abs(moving))) if moving.size else 0.0
+    return float(np.median(np.abs(np.diff(moving)))) / size if size and moving.size > 1 else 0.0
+
+
+def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:
+    """Return the message of an axis that hardly moves, by its motor's position or its torque; else None."""
+    if record.injected is not None:  # that moves the joint, too
+        return None
+    said = _see_motor_rest(record) or _see_torque_at_rest(record, loop)
+    if said is None:
+        return None
+    assert record.reference is not None
+    asked = f"{number(float(np.ptp(record.reference.values)), 2)} {record.reference.unit}"
+    clause = f"the axis hardly moves: {said} where {asked} are asked; record a larger or faster motion"
+    return Message(Reason.HARDLY_MOVES, clause, {}, clause)
+
+
+def _see_motor_rest(record: Record) -> str | None:
+    """Return by how little the logged motor moves; None where it moves."""
+    motor = record.motor_position
+    if motor is None:
+        return None
+    # Beside the reference its travel would say nothing: that may be in other units, or another channel.
+    moved, step = float(np.ptp(motor.values)), find_encoder_step(motor)
+    steps = moved / step if step else 0.0
+    if steps > _FEW_STEPS or (moved and not step):
+        return None
+    return f"the motor moves by {number(moved, 2)} {motor.unit}, {steps:.0f} steps of its encoder,"
+
+
+def _see_torque_at_rest(record: Record, loop: ClosedLoop) -> str | None:
+    """Return that the torque is the one of a motor at rest; None where it is not, or where that is not simulated."""
+    joint = loop.joint.rigid if isinstance(loop.joint, FlexibleJoint) else loop.joint
+    still = ClosedLoop(joint, loop.controller)
+    values = dict.fromkeys((p.name for p in joint.parameters), 0.0) | {"inertia": _IMMOVABLE}
+    try:
+        with np.errstate(all="ignore"):
+            at_rest = simulate(still, prepare(still, record), values).torque
+    except JointidError:
+        return None
+    assert record.torque is not None
+    count = min(at_rest.size, record.torque.values.size)
+    torque, at_rest = record.torque.values[:count], at_rest[:count]
+    if not (np.all(np.isfinite(at_rest)) and np.ptp(torque) and np.ptp(at_rest)):
+        return None
+    # Where the motor stands is not known, and an integral sums that up.
+    columns = np.column_stack([at_rest, np.ones(count), np.linspace(0.0, 1.0, count)])
+    share = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    left = float(np.linalg.norm(torque - columns @ share)) / float(np.linalg.norm(torque - torque.mean()))
+    if left >= _AS_AT_REST or abs(share[0] - 1.0) >= _SAME_SIZE:
+        return None
+    return f"with the motor at rest the controller would make all of this torque but {number(100 * left, 2)} %,"
+
+
+def find_torque_scale(record: Record, loop: ClosedLoop) -> Message | None:
+    """Return the factor of a torque beside that of the law for the motor's position; None near 1, or without both.
+
+    The mechanics have no part in it, and a signal that is added to the torque keeps its own scale.
+    """
+    law = compare_law(record, loop)
+    if law is None or law.left_in_time > _BY_LAW or not law.gain > 0 or max(law.gain, 1 / law.gain) < _OFF:
+        return None
+    size = "large" if law.gain > 1 else "small"
+    clause = f"the torque is {say_times(law.gain)} too {size} for the declared law and the logged motor position"
+    words = f"{clause}: check its unit, its torque constant and its side of the gear, and the gains of the law"
+    cause = {"cause": TORQUE_SCALE.name, "value": law.gain, "error": law.left_in_time}
+    return Message(Reason.CAUSE_FOUND, words, {"causes": [cause], "declared_error": None}, clause)
+
+
+def explain_on_position(record: Record, loop: ClosedLoop, shown: Shown) -> tuple[float, tuple[Explanation, ...]]:
+    """Compare the logged torque with that of the law along the motor position.
+
+    Return the residual of the declared law, and the changes that leave far less. The mechanics have no part in it.
+    Small changes may be those of a position that is unknown between two samples.
+    """
+    law: Any = loop.controller
+    declared = fit_law_changes(record, loop, ())
+    if not declared or declared[0].left < OF_LAW:
+        return 0.0, ()
+    gains = {name: value for name, value in numbers_of(law).items() if name in _GAINS and value}
+    times = _FILTERS if getattr(law, "velocity_filter", None) == (1.0,) else ()
+    others = [with_numbers(law, {name: 2.0 * value}) for name, value in gains.items()]
+    others += [replace(law, velocity_filter=FirstOrder(time)) for time in times]
+    fits = fit_law_changes(record, loop, others)
+    if not fits:  # the record does not show another law
+        return declared[0].left, ()
+    none, scale, *changes = fits
+    found = [(TORQUE_SCALE, 1.0 + scale.size, scale)]
+    found += [(number_fault(name), v * (1 + c.size), c) for (name, v), c in zip(gains.items(), changes, strict=False)]
+    filters = [(time, one) for time, one in zip(times, changes[len(gains) :], strict=True) if one.size > 0.0]
+    if filters:  # that of a time whose size is as given
+        time, one = min(filters, key=lambda pair: pair[1].left)
+        found.append((VELOCITY_FILTER, time * one.size, one))
+    least = min(one.left for _, _, one in found)
+    if least > min(_EXPLAINED * none.left, _MOST_LEFT):
+        return none.left, ()
+    said = (
+        Explanation(cause, words, number, one.left)
+        for fault, value, one in sorted(found, key=lambda each: each[2].left)
+        if one.left < _ALIKE * least and value > 0 and abs(one.size) > max(_SURE * one.std, _FAR_OFF)
+        for cause, words, number in fault.explain(value, loop, shown)
+    )
+    return none.left, tuple(said)

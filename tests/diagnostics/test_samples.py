@@ -1,0 +1,159 @@
+"""What the samples of a record show: steps, too little motion, lost samples, an axis that hardly moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.diagnostics.faults.forces import find_steps
+from jointid.diagnostics.samples import find_lost_samples, find_plain_cause, find_standstill
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Channel, Record
+from jointid.uncertainty.verdict import Reason
+from studies.mechanics import lose
+from tests.mistakes import Axis, AxisName, axis, mistakes_of, run, tell, without_positions
+
+T = 1e-3
+REFERENCE = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, T, rest=0.5, duration=8.0)
+MOVES = np.abs(np.gradient(REFERENCE)) > 1e-2 * np.max(np.abs(np.gradient(REFERENCE)))
+
+
+def logged(torque: FloatArray, reference: FloatArray = REFERENCE) -> Record:
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(torque.size)
+    return Record(torque=Channel(torque + noise, "N m", T), reference=Channel(reference, "rad", T))
+
+
+def switched(*, while_it_moves: bool) -> FloatArray:
+    """A torque that is switched on and off every 20 to 60 samples, at any time or only while the axis moves."""
+    at = np.cumsum(np.random.default_rng(1).integers(20, 60, 150))
+    on = np.zeros(REFERENCE.size)
+    on[[i for i in at if i < on.size and (MOVES[i] or not while_it_moves)]] = 1.0
+    return np.cumsum(on) % 2
+
+
+def test_a_signal_that_is_switched_while_the_axis_rests_too_is_an_injected_one() -> None:
+    assert 0.1 < np.mean(MOVES) < 0.9
+    message = find_plain_cause(logged(switched(while_it_moves=False)))
+    assert message is not None and message.code is Reason.CAUSE_FOUND
+    assert message.values["causes"][0]["cause"] == "injected"
+    assert message.values["causes"][0]["value"] == 150
+
+
+def test_steps_of_a_torque_that_rests_with_the_reference_are_the_drive_s_own() -> None:
+    assert find_steps(logged(switched(while_it_moves=True))) is None
+
+
+def test_steps_of_a_coarse_log_are_its_rounding() -> None:
+    slow = np.cumsum(np.random.default_rng(3).standard_normal(REFERENCE.size)) / 100
+    record = logged(slow)
+    assert record.torque is not None
+    step = float(np.std(slow)) / 8
+    coarse = Channel(np.round(record.torque.values / step) * step, "N m", T)
+    assert find_steps(record.with_channels({"torque": coarse})) is None
+
+
+@pytest.mark.parametrize(("seconds", "found"), [(1.5, True), (3.5, False)])
+def test_only_the_time_since_the_first_motion_counts(seconds: float, found: bool) -> None:
+    still, moving = np.zeros(4000), REFERENCE[np.argmax(MOVES) :][: round(seconds / T)]
+    reference = np.concatenate([still, moving - moving[0]])
+    message = find_plain_cause(logged(np.sin(np.arange(reference.size) / 300), reference))
+    assert (message is not None) is found
+    if message is not None:
+        assert message.code is Reason.RECORD_TOO_SHORT
+        assert message.values["seconds"] == pytest.approx(seconds, abs=0.01)
+
+
+LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
+TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+
+
+def moved(reference: FloatArray) -> ji.Record:
+    return ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3).without("motor_position")
+
+
+def short_moves() -> FloatArray:
+    return ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+
+
+def without(record: ji.Record, first: int, count: int) -> ji.Record:
+    rows = np.arange(first, first + count)
+    return record.with_channels({n: replace(c, values=np.delete(c.values, rows)) for n, c in record.items()})
+
+
+@pytest.mark.parametrize("count", [1, 4, 12])
+def test_an_identification_names_the_place_and_the_number(count: int) -> None:
+    whole = moved(short_moves())
+    assert whole.reference is not None
+    speed = np.abs(np.diff(whole.reference.values))
+    first = int(np.flatnonzero(speed > 0.9 * speed.max())[20])  # at full speed
+    found = ji.identify(without(whole, first, count), LOOP)
+    assert f"samples are missing in the record: about {count} at {1e-3 * first:.3g}"[:-1] in found.answer.trust.words
+    assert "samples are missing" not in str(ji.identify(whole, LOOP).answer)
+
+
+def test_a_reference_that_is_held_coarse_or_stepped_lacks_no_samples() -> None:
+    reference = short_moves()
+    held = np.repeat(reference[::4], 4)[: reference.size]
+    coarse = 1e-5 * np.round(reference / 1e-5)
+    stepped = 0.01 * np.sign(np.sin(2 * np.pi * 0.7e-3 * np.arange(4000)))
+    noisy = reference + 2e-6 * np.random.default_rng(1).standard_normal(reference.size)
+    for one in (reference, held, coarse, stepped, noisy):
+        assert find_lost_samples(moved(one)) is None
+
+
+def test_most_losses_of_a_motion_are_found() -> None:
+    whole = moved(short_moves())
+    assert sum(find_lost_samples(lose(whole, seed)) is not None for seed in range(20)) >= 16
+
+
+def smaller(name: AxisName, share: float, noise: float = 1.0) -> tuple[Axis, Record, ClosedLoop]:
+    """An axis that is asked for so much of its motion only, with so much of its noise."""
+    made = axis(name)
+    reference = made.reference[0] + share * (made.reference - made.reference[0])
+    made = replace(made, reference=reference, noise=noise * made.noise, log_noise=noise * made.log_noise)
+    return made, run(made, made.controller), ClosedLoop(made.joint, made.controller)
+
+
+@pytest.mark.parametrize(("name", "share"), [("direct", 4e-4), ("flexible", 2e-5)])
+def test_an_axis_that_its_friction_holds_is_told_so_from_its_torque(name: AxisName, share: float) -> None:
+    _, record, loop = smaller(name, share, noise=0.03)
+    assert np.ptp(record.motor_position.values) == 0  # type: ignore[union-attr]
+    for seen in (record, without_positions(record)):
+        message = find_standstill(seen, loop)
+        assert message is not None and message.code is Reason.HARDLY_MOVES
+
+
+@pytest.mark.slow
+def test_that_is_what_an_identification_says_then() -> None:
+    _, record, loop = smaller("flexible", 2e-5, noise=0.03)
+    assert "the axis hardly moves" in tell(without_positions(record), loop)[1]
+
+
+def test_a_few_steps_of_an_encoder_are_hardly_a_motion() -> None:
+    _, record, loop = smaller("direct", 0.01)
+    motor = record.motor_position
+    assert motor is not None
+    step = np.ptp(motor.values) / 6
+    coarse = record.with_channels({"motor_position": replace(motor, values=step * np.round(motor.values / step))})
+    message = find_standstill(coarse, loop)
+    assert message is not None
+    assert "6 steps of its encoder" in str(message)
+    assert find_standstill(record, loop) is None
+
+
+@pytest.mark.parametrize("name", ["rigid", "direct", "flexible", "lift"])
+def test_no_other_axis_hardly_moves(name: AxisName) -> None:
+    """None at all of a healthy one, nor of one with another mistake; a record that is refused is told why."""
+    _, record, loop = smaller(name, 1.0)
+    made, found = axis(name), [find_standstill(record, loop)]
+    for mistake in mistakes_of(made)[:: 4 if name == "rigid" else 7]:
+        try:
+            found.append(find_standstill(*mistake.make(made, 1)))
+        except JointidError:
+            continue
+    assert found == [None] * len(found)
