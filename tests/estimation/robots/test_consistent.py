@@ -110,25 +110,6 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
         consistent_robot(hidden)
 
 
-@pytest.mark.parametrize("from_torques", [False, True])
-def test_a_prior_that_declares_another_friction_gives_its_masses_alone(from_torques: bool) -> None:
-    twin = two()
-    first, second = twin.robot.joints
-    declared = replace(twin.robot, joints=(replace(first, viscous_backwards=2.0 * first.viscous), second))
-    loop = replace(twin.loop(), robot=declared)
-    records, _ = recorded(loop, twin.records(6.0), 0.01)
-    estimate = identified(loop, records) if from_torques else identified(declared, records)
-    rising = replace(second, stribeck_force=0.9, stribeck_speed=0.1)
-    mine = consistent_robot(estimate).robot
-    for prior in (twin.robot, replace(twin.robot, joints=(first, rising))):
-        found = consistent_robot(estimate, prior).robot
-        for one, other in zip(found.joints, mine.joints, strict=True):
-            own, others = (each.law.directions(each.motor) for each in (one, other))
-            assert own == pytest.approx(others, rel=1e-3) and one.stribeck_force == 0.0
-    with pytest.raises(MethodError, match="The prior has 6 joints and the robot that was identified 2"):
-        consistent_robot(estimate, ARM)
-
-
 def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None:
     twin = two((10.0, 14.0))
     records, _ = recorded(twin.loop(), twin.records(8.0), 0.01)

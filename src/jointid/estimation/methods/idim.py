@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 
 _VARIANTS = {
     "ols": "IDIM by ordinary least squares",
-    "weighted": "IDIM by weighted least squares, each equation by the size of its error",
+    "weighted": "IDIM by weighted least squares, each joint by the size of its error",
     "iv": "IDIM by instrumental variables from the simulated loop",
 }
 _SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
@@ -93,7 +93,7 @@ class IDIM(Method):
 
     estimator: Estimator | None = setting(
         None,
-        "ols, ordinary least squares; weighted, each equation of a flexible joint or a robot by the size of its error; "
+        "ols, ordinary least squares; weighted, each joint of a robot by the size of its error; "
         "iv, instruments from the simulated loop, for which the controller is needed; without it ols for a joint, "
         "weighted for a robot",
     )

@@ -1,12 +1,8 @@
 """The estimators of ``Y = W x``: ordinary and weighted least squares, and instrumental variables.
 
-A flexible joint has two equations, one row after the other at every instant. Their errors differ in size, that of the
-motor's by the noise of the torque, that of the load's by what filters and friction laws leave; weighting makes them
-alike. But the load's equation is homogeneous, all its unknowns stand on one side. Weighted by its own residual r it
-would pull them towards 0, by the share ``n var`` for n rows and the relative variance `var` with which the motor's
-equation knows their common scale: on the paper's axis by 3 to 11 %. So its size is taken large enough for the pull to
-stay below a tenth of the deviation, ``s^2 >= 10 ||r||^2 s1 / ||u||``, where u is the torque that this scale explains
-alone and s1 its error.
+A robot has an equation for each joint, one row after the other at every instant. Their errors differ in size, and
+weighting makes them alike. A flexible joint's load has an equation without a torque, and is not weighted: by its own
+residual it would pull its unknowns towards 0.
 
 The instruments of IDIM-IV come from the closed loop simulated at the estimate itself [Janot, Vandanjon, Gautier 2014].
 The simulated motion is driven by the reference and the known signal alone, so noise and disturbances of the record do
@@ -19,7 +15,6 @@ bound.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
@@ -34,7 +29,6 @@ from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import Covariance, Influence
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
-_PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
 _SETTLED = 1e-8  # relative change of the values that ends a reweighting
 _REWEIGHTINGS = 100
 _TINY = 1e-12  # of the torque: a size that no error falls below
@@ -127,7 +121,7 @@ def solve_rows(
 
     Args:
         rows: of all parameters.
-        estimator: its name; one equation needs no weights.
+        estimator: its name.
         known: values and bounds by name; of others there are none.
         instruments: of "iv" alone.
 
@@ -185,11 +179,17 @@ def _solve_free(
 
 
 def least_squares_of(rows: Rows, estimator: Estimator = "ols") -> Solution:
-    """Return ordinary least squares, or "weighted": each equation divided by its error's size, until that settles."""
+    """Return ordinary least squares, or "weighted": each equation divided by its error's size, until that settles.
+
+    Raises:
+        MethodError: the rows do not determine the parameters, or one of the weighted equations has no torque.
+    """
     scale = np.ones(rows.Y.size)
     values, steps, settled = _solve_for(rows, scale), 0, False
     if estimator == "ols" or rows.equations == 1:
         return _conclude(rows, values, scale)
+    if rows.equations > rows.driven:
+        raise MethodError('The estimator "weighted" is for a robot; received a flexible joint: use "ols" or "iv".')
     while steps < _REWEIGHTINGS and not settled:
         scale = rows.spread_out(_sizes(rows, values))
         before, values = values, _solve_for(rows, scale)
@@ -258,21 +258,11 @@ def _conclude(rows: Rows, values: FloatArray, scale: FloatArray, instruments: Fl
 
 
 def _sizes(rows: Rows, values: FloatArray) -> FloatArray:
-    """Return the size of each equation's error, (equations,), a homogeneous one's held back (see the module)."""
-    error, torque = rows.by_equation(rows.Y - rows.W @ values), rows.by_equation(rows.Y)
-    least = _TINY * _rms(rows.Y)
+    """Return the size of each equation's error, (equations,); 1 where the equations of a joint are not weighted."""
+    if rows.equations > rows.driven:
+        return np.ones(rows.equations)
+    least = _TINY * float(np.sqrt(np.mean(rows.Y**2)))
+    error = rows.by_equation(rows.Y - rows.W @ values)
     stated = rows.by_equation(np.any(rows.W != 0, axis=1))  # a joint that rests leaves rows of zeros
-    sizes = np.array([max(_rms(equation[seen]), least) for equation, seen in zip(error, stated, strict=True)])
-    for number in np.flatnonzero(~np.any(torque, axis=1)):
-        of_it = np.arange(rows.equations).repeat(torque.shape[1]) == number
-        inside = np.any(rows.W[of_it] != 0, axis=0)
-        scale, others = rows.W[~of_it][:, inside] @ values[inside], rows.W[~of_it][:, ~inside]
-        alone = np.linalg.norm(scale - others @ np.linalg.lstsq(others, scale, rcond=None)[0])
-        rest = float(np.delete(sizes, number).max())
-        pull = _PULL * float(error[number] @ error[number]) * rest / max(float(alone), least)
-        sizes[number] = max(sizes[number], math.sqrt(pull))
-    return sizes
-
-
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
+    squares = [float(np.mean(one[seen] ** 2)) for one, seen in zip(error, stated, strict=True)]
+    return np.maximum(np.sqrt(squares), least)

@@ -12,7 +12,7 @@ decides; where it says nothing, the model stays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,21 +54,20 @@ class ConsistentRobot:
     least_inertia: float
 
 
-def consistent_robot(estimate: Estimate, prior: Robot | None = None) -> ConsistentRobot:
-    """Return the robot nearest to a prior whose parameters are those of an estimate, as far as bodies can.
+def consistent_robot(estimate: Estimate) -> ConsistentRobot:
+    """Return the robot nearest to the model of an estimate whose parameters are the estimate's, as far as bodies can.
 
     Args:
         estimate: of a robot, by any method.
-        prior: the same tree with masses on all links; without it the model that the estimate began with.
 
     Raises:
-        MethodError: a link of the prior has no mass, so that there is nothing to be near; or the record does not show
+        MethodError: a link of the model has no mass, so that there is nothing to be near; or the record does not show
             a spring, so that it does not part its rotor from its link.
     """
     from scipy.optimize import least_squares
 
     found_robot = estimate.require_robot()
-    prior = found_robot.model if prior is None else _declared_as(found_robot.model, prior)
+    prior = found_robot.model
     n, stated = len(prior), found_robot.sums(prior)
     theta0, scales = _prior_bodies(prior)
     rotors0 = prior.of_joints("rotor_inertia")
@@ -126,16 +125,6 @@ def consistent_robot(estimate: Estimate, prior: Robot | None = None) -> Consiste
     off = np.abs(sums @ np.concatenate([standard, x[11 * n :]]) - stated.values) / _positive(stated.covariance.std)
     worst = tuple(found_robot.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
     return ConsistentRobot(robot, misfit, worst, least_inertia(robot))
-
-
-def _declared_as(robot: Robot, prior: Robot) -> Robot:
-    """Return the prior with the friction and springs of the identified robot."""
-    if len(prior) != len(robot):
-        raise MethodError(
-            f"The prior has {len(prior)} joints and the robot that was identified {len(robot)}; expected the same tree."
-        )
-    pairs = zip(robot.joints, prior.joints, strict=True)
-    return replace(prior, joints=tuple(replace(own, rotor_inertia=other.rotor_inertia) for own, other in pairs))
 
 
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
