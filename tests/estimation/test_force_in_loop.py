@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.messages import ignore_progress
-from jointid.estimation.descent import History, least_squares
+from jointid.estimation.descent import History
 from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -19,6 +19,7 @@ from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -35,7 +36,7 @@ def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
     problem = problem.keeping({"initial_velocity": 0.0})
     found = ji.identify(axis.record, axis.loop, checks=False)
     start = problem.vector({row.name: row.value or 0.0 for row in found.params.rows})
-    return problem, solve(problem, least_squares(problem, 1e-7), start)
+    return problem, solve(problem, LevenbergMarquardt(1e-7), start)
 
 
 @pytest.mark.parametrize("seed", RESTING)

@@ -8,11 +8,11 @@ from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.estimation.descent import least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.model_tests import second_solution, widened_to_second
@@ -88,7 +88,7 @@ def test_a_right_model_leaves_a_step_of_the_size_that_noise_makes(kind: str) -> 
         record = simulated_record(loop, reference, truth, sample_time=1e-3, **{kind: 0.05 * noise / noise.std()})
         problem = torque_problem(record, loop, Filtering(), loop.joint.parameters)
         start = problem.vector(truth | {"initial_position": 0.0, "initial_velocity": 10.0, "initial_torque": 0.0})
-        end = solve(problem, least_squares(problem, 1e-8), start)
+        end = solve(problem, LevenbergMarquardt(1e-8), start)
         J, W = -end.jacobian, problem.filter(problem.regressor(problem.simulate(end.x)))
         step, deviation = second_solution(np.hstack([W, J[:, 4:]]), Influence(J, end.residual))
         steps.append((step / deviation.std)[:4])

@@ -282,7 +282,7 @@ def judge(
             return replace(found, kept=simple[0].kept), simple[1]
     initial = {name: values[name] for name in INITIAL if name in values}
     started = problem.keeping(initial)  # only the first part shows it
-    solver = least_squares(started, _ROUGHLY, _EVALUATIONS)
+    solver = least_squares(_ROUGHLY, _EVALUATIONS)
 
     def predict(time: int) -> FloatArray:
         kept = parts % TIMES == time
@@ -459,7 +459,7 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, h
         own.append(p if any(known[name].free for name in sides) else p.fix(sums[p.name]))
     beside = problem.parameters[len(flexible.parameters) :]
     rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
-    return history.solve(rigid, least_squares(rigid, tolerance), rigid.vector(values | sums))
+    return history.solve(rigid, least_squares(tolerance), rigid.vector(values | sums))
 
 
 def _search(
@@ -497,4 +497,4 @@ def _search_lines(
         for name, weight in joint.friction.constant(side).items():
             start[name] += 2 * weight * values["offset"]
         start["offset"] = 0.0
-    return history.solve(problem, least_squares(problem, tolerance), problem.vector(start))
+    return history.solve(problem, least_squares(tolerance), problem.vector(start))

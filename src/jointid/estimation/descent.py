@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +13,25 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Step, Tally, solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
-_ROUGHLY, _FEW, _GLANCES = 1e-5, 30, 8  # tolerance and evaluations of a rough descent; of a look
+_WORTH = 1e-2  # of the tolerance: a step of a closed loop that promises less is not made
+
+
+def least_squares(tolerance: float, evaluations: int = 60) -> LevenbergMarquardt:
+    """Return the solver of a closed loop."""
+    return LevenbergMarquardt(tolerance, evaluations, worth=_WORTH * tolerance)
+
+
+ROUGH = least_squares(1e-5, 30)
+"""The solver of a rough descent."""
+
+GLANCE = least_squares(1e-5, 8)
+"""The solver of a first look, which only tells good starts from bad ones."""
+
 _CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
 _FIRST, _OUT = 10, 5.0  # rows; times the median size, which one in a hundred of ten rows of noise exceeds
 _SURELY = 2.0  # ... and robust standard deviations of that velocity
@@ -69,7 +82,7 @@ class History:
             self._last = Counted(problem, self.tally)
         return self._last
 
-    def solve(self, problem: ClosedLoopProblem, solver: TrustRegion, start: FloatArray) -> Solved:
+    def solve(self, problem: ClosedLoopProblem, solver: LevenbergMarquardt, start: FloatArray) -> Solved:
         """Descend from a start, and report the steps."""
         size = problem.size or 1.0
         self._starts += 1
@@ -85,35 +98,12 @@ class History:
 
     def finish(self, rough: Solved, tolerance: float) -> Solved:
         """Descend from the end of a rough descent to the full tolerance."""
-        return self.solve(rough.problem, least_squares(rough.problem, tolerance), rough.x)
+        return self.solve(rough.problem, least_squares(tolerance), rough.x)
 
 
 def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
     """Descend by least squares, neither reported nor counted."""
-    return solve(problem, least_squares(problem, tolerance), start)
-
-
-class Sized(Protocol):
-    """A problem with the norm of what it is to reproduce."""
-
-    @property
-    def size(self) -> float:
-        """Norm of the torque."""
-
-
-def least_squares(problem: Sized, tolerance: float, evaluations: int = 60) -> TrustRegion:
-    """Return the solver of a closed loop."""
-    return TrustRegion(tolerance, problem.size, evaluations)
-
-
-def roughly(problem: Sized) -> TrustRegion:
-    """Return the solver of a rough descent."""
-    return least_squares(problem, _ROUGHLY, _FEW)
-
-
-def glancing(problem: Sized) -> TrustRegion:
-    """Return the solver of a first look, which only tells good starts from bad ones."""
-    return least_squares(problem, _ROUGHLY, _GLANCES)
+    return solve(problem, least_squares(tolerance), start)
 
 
 def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history: History) -> Solved:
@@ -130,7 +120,7 @@ def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history:
             "identify from two records with a known mass between them."
         )
     wider = solved.problem.freeing(*names)
-    return history.solve(wider, least_squares(wider, tolerance), wider.vector(solved.values))
+    return history.solve(wider, least_squares(tolerance), wider.vector(solved.values))
 
 
 def begins_badly(solved: Solved) -> bool:
@@ -155,7 +145,7 @@ def or_moving(
         tolerance: of the descent.
         history: of the search.
     """
-    moving = history.solve(problem, least_squares(problem, tolerance), problem.vector(values))
+    moving = history.solve(problem, least_squares(tolerance), problem.vector(values))
     if not is_significant(resting, moving, history):
         return resting
     return moving.with_starts(resting.solution.starts)

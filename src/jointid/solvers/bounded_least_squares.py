@@ -1,24 +1,15 @@
-"""Bounded least squares: Levenberg-Marquardt, and for closed loops SciPy's trust region (Branch, Coleman, Li 1999).
-
-Each Levenberg-Marquardt step minimises the damped linear problem within the bounds. A trust region stays off them:
-where a bound takes the effect of other parameters away, as of a slider without stiffness, the other's steps would end
-there.
-"""
+"""Bounded least squares by Levenberg-Marquardt: each step minimises the damped linear problem within the bounds."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Bounds
 from jointid.solvers.solve import Counted, Problem, Solution, Status, Step, Watch
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
 
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
@@ -28,9 +19,7 @@ _RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide:
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
-_NONE = 1e-150  # a start so near to 0 is at its bound, and no unit
 _THERE = 1e-2  # of a tolerance
-_ENDS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP}  # of SciPy's search
 _CHANGED = {Status.STEP: "the parameters", Status.COST: "the criterion"}
 
 
@@ -139,64 +128,6 @@ def damped_step(
     target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
     found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
     return room.clip(found.x / norms)
-
-
-@dataclass(frozen=True, slots=True)
-class TrustRegion:
-    """Settings of bounded least squares by a trust region, the same in any units.
-
-    Attributes:
-        tolerance: relative, on the criterion and the parameters.
-        size: of what the residual is left of.
-        evaluations: at most, each with the derivatives.
-    """
-
-    tolerance: float
-    size: float
-    evaluations: int = 60
-
-    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Run one descent within the bounds from an evaluable start."""
-        from scipy.optimize import least_squares
-
-        counted, bounds, trace, size = Counted.of(problem), Bounds.of(problem.free), list[Step](), self.size
-        before = counted.evaluations
-        error, J = counted.linearise(start)
-        status = None if J.any() else Status.NOT_EVALUABLE
-        if status is None and _at_minimum(bounds, start, error, J, self.tolerance):
-            status = Status.COST
-        if status is not None:
-            message = explain(status, 1, self.tolerance)
-            return Solution(start, error, J, status, message, (), counted.evaluations - before)
-        norms = np.linalg.norm(J, axis=0)
-        sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
-        unit = np.where(np.abs(start) > _NONE, np.abs(start), np.where(sizes > 0, sizes, 1.0))
-
-        def step(intermediate_result: OptimizeResult) -> None:
-            at = np.asarray(intermediate_result.x * unit)
-            norm = size * math.sqrt(2 * float(intermediate_result.cost))
-            trace.append(Step(at, norm, counted.evaluations))
-            watch(trace[-1])
-            if _at_minimum(bounds, at, *counted.linearise(at), self.tolerance):
-                raise StopIteration
-
-        def residual(y: FloatArray) -> FloatArray:
-            return counted.linearise(y * unit)[0] / size
-
-        def jacobian(y: FloatArray) -> FloatArray:
-            return counted.linearise(y * unit)[1] * (unit / size)
-
-        scaled = Bounds(bounds.lower / unit, bounds.upper / unit)
-        # Of a loop that runs away the derivatives are so large that their squares are infinite: no step comes of it.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found = least_squares(
-                residual, start / unit, jacobian, (scaled.lower, scaled.upper), x_scale="jac", xtol=self.tolerance,
-                ftol=self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,
-            )  # fmt: skip
-        x, error, J = (np.asarray(part) for part in (found.x * unit, found.fun * size, found.jac * (size / unit)))
-        status = _ENDS.get(int(found.status), Status.EVALUATION_LIMIT)
-        message = explain(status, int(found.nfev), self.tolerance)
-        return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
 
 def _at_minimum(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:

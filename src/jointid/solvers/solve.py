@@ -13,7 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds, Parameter
 
 if TYPE_CHECKING:
-    from jointid.solvers.bounded_least_squares import LevenbergMarquardt, TrustRegion
+    from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 
 _SAME = 1e-4  # of the criterion: two ends so near are one
 
@@ -145,9 +145,7 @@ class Counted:
         self._last = (x.copy(), (residual, derivatives))
 
 
-def solve(
-    problem: Problem, solver: LevenbergMarquardt | TrustRegion, start: FloatArray, watch: Watch = lambda _: None
-) -> Solution:
+def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:
     """Solve a problem from a start, or from several, and return the best end.
 
     Args:

@@ -74,7 +74,7 @@ def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) ->
 def _search(problem: ClosedLoopProblem, x: FloatArray, trial: Trial) -> FaultFit | None:
     """Identify the joint with a fault by a short search from a trial; None if it fails."""
     other = _with_joint(problem, trial.joint)
-    rough = least_squares(other, _ROUGHLY, _FEW)
+    rough = least_squares(_ROUGHLY, _FEW)
     try:
         end = History(ignore_progress).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
         run = require_success(other.simulate(end.x))

@@ -36,7 +36,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import History, Solved, free_more, glancing
+from jointid.estimation.descent import GLANCE, History, Solved, free_more
 from jointid.estimation.methods.force_in_loop import (
     allow_for_force,
     uncertainty_of_least_error,
@@ -174,7 +174,7 @@ class DIDIM(Method):
         for start in rigid_starts(problem, ignore_progress):
             with contextlib.suppress(MethodError):
                 x = first_positions(resting, start, history)[0]
-                ends.append(history.solve(wider, glancing(wider), wider.vector(resting.values(x))))
+                ends.append(history.solve(wider, GLANCE, wider.vector(resting.values(x))))
         if not ends:
             raise unstable(resting, resting.vector({}))
         return min(ends, key=lambda end: end.norm)

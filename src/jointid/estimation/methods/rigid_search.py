@@ -46,7 +46,7 @@ def search_rigid_joint(
         MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
     """
     resting, ends, failures = problem.keeping(RESTING), list[Solved](), list[MethodError]()
-    solver = least_squares(resting, tolerance)
+    solver = least_squares(tolerance)
     for count, start in enumerate(starts):
         try:
             started = first_positions(resting, start, history)

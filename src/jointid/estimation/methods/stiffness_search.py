@@ -28,7 +28,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
-from jointid.estimation.descent import History, Solved, glancing, is_significant, least_squares, or_moving, roughly
+from jointid.estimation.descent import GLANCE, ROUGH, History, Solved, is_significant, least_squares, or_moving
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.rigid_search import search_rigid_joint
 from jointid.estimation.problems.base import INITIAL_STATE
@@ -150,7 +150,7 @@ class StiffnessSearch:
         ends = []
         for candidate in explore(wide, values, self.frequency, self.history)[:_GLANCED]:
             on = self._on_band(candidate.frequency).freeing(*names)
-            end = self.history.solve(on, glancing(on), on.vector(candidate.values))
+            end = self.history.solve(on, GLANCE, on.vector(candidate.values))
             left = wide.freeing(*names).residual(end.x)
             ends.append(end._replace(solution=replace(end.solution, residual=left)))
         return min(ends, key=lambda end: end.norm)
@@ -208,7 +208,7 @@ class StiffnessSearch:
 
     def _refine(self, candidates: Sequence[Candidate]) -> Solved:
         """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
-        wide, rough, history = self._on_band(math.inf), roughly(self.problem), self.history
+        wide, rough, history = self._on_band(math.inf), ROUGH, self.history
         ends, together = list[tuple[float, float, FloatArray, bool]](), 0
         for candidate in candidates[: 2 * _REFINED]:
             on = self._on_band(candidate.frequency)
@@ -226,7 +226,7 @@ class StiffnessSearch:
         divided = divide_coulomb_friction(on, x, history) if together > 1 else None
         if divided is not None:
             x, together = divided, 1
-        found = history.solve(on, rough if together < 2 else least_squares(on, self.tolerance), x)
+        found = history.solve(on, rough if together < 2 else least_squares(self.tolerance), x)
         # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
         followed = frequency_of(found.values) <= FASTEST / on.experiment.sample_time
         for _ in range(_BESIDE if together < 2 and followed else 0):
@@ -365,7 +365,7 @@ def _from_beside(found: Solved, history: History) -> Solution:
     moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
     aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
-    return solve(history.count_evaluations(problem), roughly(problem), problem.vector(values | aside))
+    return solve(history.count_evaluations(problem), ROUGH, problem.vector(values | aside))
 
 
 def _or_moving(resting: Solved, rigid: Solved, tolerance: float, history: History) -> Solved:

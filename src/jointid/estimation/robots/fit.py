@@ -13,7 +13,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import join
-from jointid.estimation.descent import roughly
+from jointid.estimation.descent import ROUGH
 from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.result.robot import SpringVerdict
@@ -311,7 +311,7 @@ class Descents:
         Marquardt would end there.
         """
         x, counted = problem.parameters.to_search_variables(values), Counted(problem)
-        found = solve(counted, roughly(problem), x, self._watch)
+        found = solve(counted, ROUGH, x, self._watch)
         self.made += found.evaluations
         return End(problem, found, reach)
 

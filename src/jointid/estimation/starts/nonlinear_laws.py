@@ -19,7 +19,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import join, pluralise
-from jointid.estimation.descent import History, Solved, roughly
+from jointid.estimation.descent import ROUGH, History, Solved
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, Friction, MotionSize
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -74,7 +74,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     given = {p.name: p.start for p in own if p.start is not None}
     starts = law_starts(joint, linear.joint, values, JointMotion.of(run), given)
     history.progress(f"looking for a {name_laws(joint)}, from {pluralise(len(starts), 'start')}")
-    ends = [history.solve(problem, roughly(problem), divide_friction(problem, start, history)) for start in starts]
+    ends = [history.solve(problem, ROUGH, divide_friction(problem, start, history)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     return history.finish(best, tolerance).with_starts(found.solution.starts)
 
