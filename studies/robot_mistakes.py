@@ -237,7 +237,7 @@ MISTAKES = (
     Mistake("sign", _at(2, "torque_sign"), _logged(lambda q, u: (q, _scaled(u, 2, -1.0)))),
     Mistake("swap", _at(1, "swapped_channels"), _logged(lambda q, u: (q, _exchanged(u, 1, 2)))),
     Mistake("scale", _at(1, "log_gain"), _logged(lambda q, u: (q, _scaled(u, 1, 0.7)))),
-    Mistake("unit", _any("degrees"), _logged(lambda q, u: (np.degrees(q), u))),
+    Mistake("unit", _any("unit"), _logged(lambda q, u: (np.degrees(q), u))),
     Mistake("zero", _at(2, "zero"), _logged(lambda q, u: (_moved(q, 2, 0.5), u))),
     Mistake("order of joints", _any("order"), _logged(lambda q, u: (q[:, ::-1], u[:, ::-1]))),
     Mistake("base", _any("base"), _upside_down),
@@ -271,7 +271,7 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
     try:
         found = ji.identify(records, truth.model, ji.IDIM())
     except JointidError as error:
-        return [("degrees" if "degrees" in str(error) else f"refused: {error}", 0)]
+        return [("unit" if "check its unit" in str(error) else f"refused: {error}", 0)]
     said = [
         ("sample_time", names.index(one.split(":")[0]) + 1) for one in found.checks.warnings if "sample_time" in one
     ]

@@ -93,7 +93,10 @@ def find_axis_faults(
     while np.any(residual) and _has_enough_rows(residual, own, open_ones):
         keys = {_key_of(one): (one.axis, one.fault) for one in open_ones}
         signatures = [FaultSignature(_key_of(one), one.column, one.shape) for one in open_ones]
-        tested = score(residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed), blocks=rows)
+        tested = score(
+            residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed), blocks=rows,
+            along_measured_motion=torques.along_measured_motion,
+        )  # fmt: skip
         tests = [_of_axis(one, keys) for one in tested]
         first = [*first, *tests] if len(first) < n else first
         rest = residual - basis @ (basis.T @ residual)

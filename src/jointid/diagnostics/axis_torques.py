@@ -60,6 +60,7 @@ class AxisTorques:
         shapes: what each fault adds to the torque of each axis along its motion, (rows,) each.
         springs: (n, shares, n, rows) what a spring in each joint adds to all torques, per unit of its compliance, for
             each share of `ROTORS`, where the predicted torque is a sum of columns; else None.
+        along_measured_motion: whether the positions are those of the log.
     """
 
     names: tuple[str, ...]
@@ -75,6 +76,7 @@ class AxisTorques:
     friction: FloatArray | None
     shapes: tuple[tuple[FaultSignature, ...], ...]
     springs: FloatArray | None = None
+    along_measured_motion: bool = False
 
     @property
     def error(self) -> FloatArray:
@@ -243,5 +245,5 @@ def _torques(
     measured, predicted = torques
     return AxisTorques(
         tuple(axes), np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
-        seen, path[:, :, 0], path[:, :, 1], own, friction, shapes,
+        seen, path[:, :, 0], path[:, :, 1], own, friction, shapes, along_measured_motion=raw is not None,
     )  # fmt: skip

@@ -74,6 +74,7 @@ def score(
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
     widened: float = _WIDENED,
     blocks: Sequence[slice] = (slice(None),),
+    along_measured_motion: bool = False,
 ) -> tuple[FaultTest, ...]:
     """Test each fault alone, the strongest first of those that are significant.
 
@@ -87,6 +88,8 @@ def score(
             only where a test is significant.
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
         blocks: rows of each axis, where each column of a fault is 0 in all of them but one.
+        along_measured_motion: whether the columns contain the answer of the loop to a force; deviations are widened for
+            the bias that this may be, as those of the estimate are (`Influence.widen_for_motion`).
     """
     common, rest = _find_common_basis(own, signatures, blocks), residual.copy()
     for rows, part in common:
@@ -111,7 +114,17 @@ def score(
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
     families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
     tests = (
-        _test_group(group, left, taken, shapes[fault] * family, declared[fault], where, simulate_forces, widened)
+        _test_group(
+            group,
+            left,
+            taken,
+            shapes[fault] * family,
+            declared[fault],
+            where,
+            simulate_forces,
+            widened,
+            along_measured_motion,
+        )
         for group, family in zip(groups, families, strict=True)
         for fault in [group[0].signature.fault]
     )
@@ -218,6 +231,7 @@ def _test_group(
     where: Callable[[], Cells],
     simulate_forces: Callable[[], FloatArray],
     widened: float,
+    along_measured_motion: bool,
 ) -> FaultTest:
     """Return the test of a fault, its p-value adjusted for so many tests.
 
@@ -244,7 +258,10 @@ def _test_group(
     test = judge(float(covariance.std[0]))
     if test.p_value > widened:
         return test
-    test = judge(float(widen(covariance, influence, where())[0].std[0]))
+    covariance = widen(covariance, influence, where())[0]
+    if along_measured_motion:
+        covariance = Influence(alone, left - step.size * step.alone).widen_for_motion(covariance)
+    test = judge(float(covariance.std[0]))
     if test.p_value > _WIDENED or not simulate_forces().size:
         return test
     shown = simulate_forces() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
