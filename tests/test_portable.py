@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 AWAY = """
 import asyncio, concurrent.futures.process, ctypes, multiprocessing.connection, os, signal, subprocess, sys, tempfile
-import llvmlite.binding, matplotlib.pyplot, numba, numpy, scipy.signal, scipy.optimize
+import llvmlite.binding, matplotlib.pyplot, numba, numpy, scipy.signal, scipy.optimize, threadpoolctl
 
 for name in ("fcntl", "resource", "pwd", "grp", "termios"):
     sys.modules[name] = None
@@ -24,6 +24,7 @@ for name in ("SIGALRM", "SIGHUP", "SIGIO", "SIGXCPU", "pthread_sigmask", "setiti
     delattr(signal, name)
 for name in ("fork", "sched_getaffinity", "getuid", "geteuid", "mkfifo", "O_CLOEXEC", "statvfs"):
     delattr(os, name)
+threadpoolctl.ThreadpoolController._find_libraries_with_enum_process_module_ex = lambda self: None  # by Windows
 sys.platform = "win32"
 from jointid.apps.cli import main
 
