@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.samples import find_lost_samples, find_plain_cause, find_standstill
+from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
 from jointid.uncertainty.verdict import Reason
@@ -157,3 +157,25 @@ def test_no_other_axis_hardly_moves(name: AxisName) -> None:
         except JointidError:
             continue
     assert found == [None] * len(found)
+
+
+def test_parts_in_which_the_drive_is_off_are_named_with_their_times() -> None:
+    loop = ji.ClosedLoop(
+        ji.RigidJoint("revolute", gravity=ji.Gravity("link")), ji.controller.PD(position_gain=60.0, derivative_gain=1.2)
+    )
+    truth = {"inertia": 0.02, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0, "gravity_cos": 1.5, "gravity_sin": 0.0}
+    reference = 0.8 * np.sin(4.0 * np.arange(8000) * T) * np.sin(0.9 * np.arange(8000) * T + 0.1)
+    record = ji.simulated_record(loop, reference, truth, sample_time=T)
+    assert record.torque is not None and record.motor_position is not None
+    assert find_parts_off(record) is None
+    torque, position = record.torque.values.copy(), record.motor_position.values.copy()
+    count = 1500
+    torque[:count], position[:count] = 0.0, position[count]
+    off = record.with_channels({
+        "torque": replace(record.torque, values=torque),
+        "motor_position": replace(record.motor_position, values=position),
+    })  # fmt: skip
+    message = find_parts_off(off)
+    assert message is not None and message.values["causes"][0]["cause"] == "drive_off"
+    ((begin, end),) = message.values["parts"]
+    assert begin == 0.0 and abs(end - count * record.torque.sample_time) <= 0.25

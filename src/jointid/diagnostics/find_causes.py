@@ -13,6 +13,7 @@ as that number.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -39,6 +40,7 @@ from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_u
 from jointid.diagnostics.samples import (
     explain_on_position,
     find_lost_samples,
+    find_parts_off,
     find_plain_cause,
     find_standstill,
     find_torque_scale,
@@ -55,6 +57,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.verdict import POOR_FIT, Reason
 
+_SECONDS = 20.0  # of the processor, for the search
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
@@ -79,6 +82,7 @@ class Causes:
         nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
         plain: a cause visible in the samples, or a motor at rest; else None.
+        missed: titles of the faults that the time did not last for.
     """
 
     declared_error: float
@@ -86,6 +90,7 @@ class Causes:
     nearest: Explanation | None = None
     unexplained: float = 0.0
     plain: Message | None = None
+    missed: tuple[str, ...] = ()
 
     @property
     def found(self) -> bool:
@@ -108,6 +113,8 @@ class Causes:
             if math.isinf(self.declared_error)
             else f"as declared {number(100 * self.declared_error, 2)} % of the torque is not explained"
         )
+        if self.missed:
+            left += f"; in {_SECONDS:g} s of processor these were not tried: {', '.join(self.missed)}"
         if self.explanations:
             best = self.explanations[0]
             clause = ", or ".join((*(one.words for one in self.explanations), *filter(None, [best.fault.doubt])))
@@ -164,7 +171,12 @@ def find_causes(
     tried = list_hypotheses(record, loop, filtering, free if estimate is None else _found_beside(estimate, loop))
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
+    until = time.process_time() + _SECONDS
+    flexible = isinstance(loop.joint, FlexibleJoint)
+    fits = fit_flexible(tried, loop, until) if flexible else fit_rigid(tried, loop.joint, until=until)
+    begun = {fit.hypothesis.fault for fit in fits}
+    missed = [one.fault.title for one in tried if one.fault not in begun and one.fault is not None]
+    missed = list(dict.fromkeys(missed)) if time.process_time() > until else []
     declared = min((declared, *(fit.error for fit in fits if fit.hypothesis.fault is None)))
     if fits and fits[0].hypothesis.fault is not None:  # its number counts, not that its search found the better end
         declared = min(declared, _declared_from(fits[0], tried[0]))
@@ -180,7 +192,7 @@ def find_causes(
     more = best and best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS)
     if (best is None or more) and (by_position := find_law_causes(record, loop, shown)) is not None:
         return by_position
-    return Causes(declared, () if more else explaining, best if more else None, left)
+    return Causes(declared, () if more else explaining, best if more else None, left, missed=tuple(missed))
 
 
 def find_law_causes(record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber] = ()) -> Causes | None:
@@ -205,7 +217,8 @@ def list_hypotheses(
     law = compare_law(record, loop)
     if law is not None and law.holds:
         possible = (one for one in possible if not _is_excluded(one, record, loop))
-    return (declared, *(one for one in possible if one.free not in declared.beside))
+    wanted = [one for one in possible if one.free not in declared.beside]
+    return (declared, *sorted(wanted, key=lambda one: len(one.loops)))  # the cheapest first
 
 
 def _is_excluded(corrected: Hypothesis, record: Record, loop: ClosedLoop) -> bool:
@@ -287,8 +300,8 @@ def find_gross_cause(
     """
     loop, filtering, left = estimate.settings.loop, estimate.settings.filtering, estimate.fit.filtered_error
     assert loop is not None
-    if (lost := find_lost_samples(record)) is not None:
-        return Causes(left, plain=lost)
+    if (plain := find_lost_samples(record) or find_parts_off(record)) is not None:
+        return Causes(left, plain=plain)
     poor = left > _SUSPICIOUS
     if not poor and isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows):
         rigid = fit_below_resonance([Hypothesis(None, record, (loop,), filtering)], loop.joint)

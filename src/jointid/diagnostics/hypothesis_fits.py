@@ -8,8 +8,10 @@ size; only the remaining hypotheses are fitted to the whole band.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -71,43 +73,45 @@ class Fit:
         return (factor or 1.0) * self.values[name] if name else factor
 
 
-def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0) -> list[Fit]:
-    """Fit a rigid joint under each hypothesis; one that is worse by less than the share `loss` is not given up."""
+def fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0, until: float = math.inf) -> list[Fit]:
+    """Fit a rigid joint under each hypothesis; one that is worse by less than the share `loss` is not given up.
+
+    What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
+    """
 
     def begin(hypothesis: Hypothesis) -> list[Fit]:
         loops = [replace(loop, joint=joint) for loop in hypothesis.loops]
         problems = [p for loop in loops if (p := pose(hypothesis, loop)) is not None]
-        return _choose_best(
+        starts = (
             start_at(hypothesis, p, p.vector({**values, **late}))
             for p in problems
             for values in _rigid_starts(p)
             for late in _delays_to_try(p)
         )
+        return _choose_best(starts, until)
 
-    return _race(in_threads(begin, tried), loss)
+    return _race(in_threads(begin, tried), loss, until)
 
 
-def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint) -> list[Fit]:
+def fit_below_resonance(tried: Sequence[Hypothesis], joint: FlexibleJoint, until: float = math.inf) -> list[Fit]:
     """Fit a flexible joint as rigid, far below its resonance, under each hypothesis; see `fit_rigid`."""
     low = []
     for one in tried:
         assert one.record.torque is not None
         period = one.record.torque.sample_time
         low.append(replace(one, filtering=Filtering(cutoff=rigid_cutoff(one.record)).resolve(period)))
-    return fit_rigid(low, joint.rigid, _ROUGHLY)
+    return fit_rigid(low, joint.rigid, _ROUGHLY, until)
 
 
-def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
+def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, until: float = math.inf) -> list[Fit]:
     """Fit a flexible joint under the hypotheses that a rigid one does not exclude far below the resonance."""
     assert isinstance(loop.joint, FlexibleJoint)
     wide = {(one.fault, one.factor, one.free): one for one in tried}
-    fits = fit_below_resonance(tried, loop.joint)
+    fits = fit_below_resonance(tried, loop.joint, until)
     possible = [(fit, wide[fit.hypothesis.fault, fit.hypothesis.factor, fit.hypothesis.free]) for fit in fits]
     least = min((fit.error for fit, _ in possible), default=math.inf)
 
-    def begin(pair: tuple[Fit, Hypothesis]) -> list[Fit]:
-        rigid, hypothesis = pair
-        starts = []
+    def list_starts(rigid: Fit, hypothesis: Hypothesis) -> Iterator[Fit]:
         for problem in (pose(hypothesis, one) for one in _loops_near(hypothesis, rigid)):
             if problem is None:
                 continue
@@ -116,11 +120,10 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
                 for share in _SHARES:
                     start = start_with_mode(problem, rigid.values, hertz, share)
                     for late in _delays_to_try(problem):
-                        starts.append(start_at(hypothesis, problem, problem.vector({**start, **late})))
-        return _choose_best(starts)
+                        yield start_at(hypothesis, problem, problem.vector({**start, **late}))
 
     left = [pair for pair in possible if pair[0].error <= max(_BEHIND * least, least + _ROUGHLY)]
-    return _race(in_threads(begin, left), 0.0)
+    return _race(in_threads(lambda pair: _choose_best(list_starts(*pair), until), left), 0.0, until)
 
 
 def _loops_near(hypothesis: Hypothesis, rigid: Fit) -> tuple[ClosedLoop, ...]:
@@ -171,9 +174,10 @@ def start_at(hypothesis: Hypothesis, problem: ClosedLoopProblem, x: FloatArray) 
     return Fit(hypothesis, problem, x, left if math.isfinite(left) else math.inf)
 
 
-def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
+def _choose_best(starts: Iterable[Fit], until: float) -> list[Fit]:
     """Return the few best starts of a hypothesis, with its number free."""
-    best = sorted((one for one in starts if one.error < ASTRAY), key=lambda one: one.error)[:_STARTS]
+    in_time = takewhile(lambda _: time.process_time() < until, starts)
+    best = sorted((one for one in in_time if one.error < ASTRAY), key=lambda one: one.error)[:_STARTS]
     free = []
     for fit in best:
         name = fit.hypothesis.free
@@ -186,9 +190,13 @@ def _choose_best(starts: Iterable[Fit]) -> list[Fit]:
     return free
 
 
-def _race(started: Sequence[list[Fit]], loss: float) -> list[Fit]:
+def _race(started: Sequence[list[Fit]], loss: float, until: float) -> list[Fit]:
     """Return the solutions, the best first; a hypothesis far behind the best one is given up early."""
-    first = [list(filter(None, in_threads(lambda fit: descend(fit, FIRST), starts))) for starts in started]
+
+    def go_on(fit: Fit, evaluations: int) -> Fit | None:
+        return descend(fit, evaluations) if time.process_time() < until else fit
+
+    first = [list(filter(None, in_threads(lambda fit: go_on(fit, FIRST), starts))) for starts in started]
     least = min((fit.error for fits in first for fit in fits), default=math.inf)
     bound = max(_BEHIND * least, least + loss)
     ends = []
@@ -197,12 +205,12 @@ def _race(started: Sequence[list[Fit]], loss: float) -> list[Fit]:
             continue
         best = min(fits, key=lambda fit: fit.error)
         if best.error <= bound:
-            best = min((descend(fit, MORE) or fit for fit in fits if fit.error <= bound), key=lambda fit: fit.error)
+            best = min((go_on(fit, MORE) or fit for fit in fits if fit.error <= bound), key=lambda fit: fit.error)
         ends.append(best)
     nearest = min((fit.error for fit in ends), default=0.0) * _NEAREST
     far = [fit for fit in ends if fit.error > nearest]
     near = [fit for fit in ends if fit.error <= nearest]  # to their minima, where their numbers can be stated
-    further = [min(fit, descend(fit, _TO_ITS_END) or fit, key=lambda one: one.error) for fit in near]
+    further = [min(fit, go_on(fit, _TO_ITS_END) or fit, key=lambda one: one.error) for fit in near]
     return sorted((*further, *far), key=lambda fit: fit.error)
 
 

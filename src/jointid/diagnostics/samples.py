@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import join, number
@@ -43,6 +44,9 @@ _ROUGH = 0.15  # of a step: by so much the next one may differ
 _SLOW, _COUNTS = 0.1, 8.0  # of a fast step, and times the smallest: a smaller step tells nothing
 _MOST_PLACES = 20  # more are how the reference is made
 _SAID = 3  # places
+_OFF_FOR, _NOTHING = 0.25, 0.03  # s; of the torque's scatter: without a torque for so long, the drive is off
+_RESTS, _NEAR_BY = 2e-3, 0.05  # of the largest speed and travel; of the travel
+_MEAN, _VARIES = 21, 0.5  # samples; of the root mean square of an acceleration that is not one and the same
 _BACK = 0.05  # of all the way: who goes back less moves one way only
 
 
@@ -50,7 +54,8 @@ def find_plain_cause(record: Record) -> Message | None:
     """Return a cause visible in the samples of torque and reference; None without one."""
     if record.injected is not None:  # that moves the joint, too
         return None
-    return _check_length(record, SHORTEST, "to tell what is wrong") or find_lost_samples(record) or find_steps(record)
+    short = _check_length(record, SHORTEST, "to tell what is wrong")
+    return short or find_lost_samples(record) or find_parts_off(record) or find_steps(record)
 
 
 def find_too_short(record: Record) -> Message | None:
@@ -111,6 +116,48 @@ def find_lost_samples(record: Record) -> Message | None:
     clause += "; cut it there (record.start, record.stop), or log time stamps"
     cause = {"cause": "lost_samples", "value": float(lost[places].sum()), "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+
+
+def find_parts_off(record: Record) -> Message | None:
+    """Return the message of parts in which the drive is off: without torque, the axis stands where a load pulls.
+
+    The pull is told by motion past that place, both ways. Friction could hold it if it were larger.
+    """
+    torque, motor = record.torque, record.motor_position
+    if torque is None or motor is None or torque.values.shape != motor.values.shape:
+        return None
+    u, T, size = torque.values, torque.sample_time, max(round(_OFF_FOR / torque.sample_time), 1)
+    q = np.convolve(motor.values, np.ones(_MEAN) / _MEAN, "same")
+    v = np.gradient(q, T)
+    a, travel = np.gradient(v, T), float(np.ptp(motor.values))
+    off = list[list[float]]()
+    for first in range(0, u.size - size + 1, size):
+        part = slice(first, first + size)
+        rests = np.ptp(motor.values[part]) < _RESTS * travel
+        if rests and np.sqrt(np.mean(u[part] ** 2)) < _NOTHING * np.std(u):
+            near = (np.abs(q - np.mean(motor.values[part])) < _NEAR_BY * travel) & (
+                np.abs(v) > _RESTS * np.max(np.abs(v))
+            )
+            if _pulls(u[near], np.sign(v[near]), a[near], 0.1 * float(np.std(u))):
+                joins = bool(off) and abs(off[-1][1] - first * T) < T
+                off = [*off[:-1], [off[-1][0], part.stop * T]] if joins else [*off, [first * T, part.stop * T]]
+    if not off:
+        return None
+    parts = join([f"from {number(begin, 3)} to {number(end, 3)} s" for begin, end in off[:_SAID]])
+    clause = f"the drive is off {parts}: the axis stands there without a torque where a load pulls at it; "
+    clause += "identify a part without them (record.start, record.stop)"
+    cause = {"cause": "drive_off", "value": sum(end - begin for begin, end in off), "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], "parts": off}, clause)
+
+
+def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least: float) -> bool:
+    """Test whether a torque past a place has a part, above the least and the friction, that neither way makes."""
+    known = acceleration.size and np.std(acceleration) > _VARIES * np.sqrt(np.mean(acceleration**2))
+    if not known or min(np.sum(way > 0.0), np.sum(way < 0.0)) < _MEAN:
+        return False  # at an end of the travel the inertia looks like a load
+    columns = np.column_stack([np.ones(way.size), way, acceleration])
+    pull, friction, _ = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    return bool(abs(pull) > max(abs(friction), least))
 
 
 def _roughness(channel: Channel) -> float:
