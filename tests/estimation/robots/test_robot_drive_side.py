@@ -202,5 +202,17 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert [one.travel for one in told.axes] == pytest.approx(travel, rel=0.05)
 
 
+@pytest.mark.slow
+def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
+    """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
+    twin = two((12.0, 18.0))
+    begun = logged(twin, duration=8.0, first=1500)
+    estimate = ji.identify(begun, ji.robots.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
+    assert np.all(axis_errors(estimate) < 0.015)
+    assert np.all(estimate.require_robot().nominal_errors < 1.1 * axis_errors(estimate))
+    held = ji.validate(estimate, logged(twin, duration=7.0, seed=4, first=1500))
+    assert all(axis.filtered_error < 0.02 for axis in held.axes)
+
+
 def hertz(twin: Twin) -> Mapping[str, float]:
     return dict(zip(twin.robot.names, (14.0, 20.0), strict=True))
