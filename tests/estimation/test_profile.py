@@ -12,9 +12,10 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, single
-from jointid.uncertainty.profile import ByCompliance, Profiling, profile
+from jointid.uncertainty.profile import ByCompliance, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 
 ROWS = 60
@@ -203,13 +204,13 @@ def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_know
     stiff = [p.name for p in by.free].index("compliance")
     residual, J = by.linearise(there)
     known = Influence(J, residual).robust()
-    found = profile(by, there, single(by.free[stiff], "m/N"), known, Profiling(tolerance=1e-6))
+    found = profile(by, there, single(by.free[stiff], "m/N"), known, LevenbergMarquardt(1e-6, 30))
     assert found.bounded
     assert found.interval[0] is not None
     assert found.interval[1] is not None
     assert found.interval[0] < 1 / axis.truth["stiffness"] < found.interval[1]
     assert found.interval[1] - found.interval[0] < 0.04 * there[stiff]
     total = Combination("total viscous", "Fv1 + Fv2", "N s/m", {"motor_viscous": 1.0, "load_viscous": 1.0})
-    both = profile(by, there, total, known, Profiling(tolerance=1e-6))
+    both = profile(by, there, total, known, LevenbergMarquardt(1e-6, 30))
     std = known.std_of(total.vector(by.free))
     assert both.interval == pytest.approx((both.estimate - 2 * std, both.estimate + 2 * std), abs=0.4 * std)

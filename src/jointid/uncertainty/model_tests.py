@@ -152,24 +152,32 @@ def _draw_statistics(
 
 
 @dataclass(frozen=True, slots=True)
-class ChiSquareTest:
-    """A statistical test.
+class EndogeneityTest:
+    """Test of Durbin, Wu and Hausman.
 
     Attributes:
-        statistic: its value; degrees: of freedom of its chi-square distribution.
-        p_value: how likely so large a statistic is if nothing is wrong.
-        rejected: True if the hypothesis that nothing is wrong is rejected, at 5 %.
+        p_value: how likely so large a difference from instruments is if nothing is wrong with least squares.
     """
 
-    name: str
-    statistic: float
-    degrees: int
+    in_json = "rejected"
     p_value: float
-    rejected: bool
-    sentence: str
+
+    @property
+    def rejected(self) -> bool:
+        """True if columns are correlated with the error, at 5 %."""
+        return self.p_value < _LEVEL
+
+    def __str__(self) -> str:
+        """Return the verdict in a sentence."""
+        if self.rejected:
+            return (
+                f"IDIM's regressors are correlated with its errors (p = {self.p_value:.2g}): its least-squares values "
+                "are biased; use IV or DIDIM"
+            )
+        return f"nothing speaks against least squares (p = {self.p_value:.2g}): its values agree with instruments"
 
 
-def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: int = 1) -> ChiSquareTest:
+def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: int = 1) -> EndogeneityTest:
     """Test whether columns are correlated with the error (see the module).
 
     Args:
@@ -183,20 +191,12 @@ def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: in
     W, Z = W / column_norms(W), Z / column_norms(Z)
     sizes = np.linalg.svd(W - Z @ np.linalg.lstsq(Z, W, rcond=None)[0], compute_uv=False)
     degrees = int(np.sum(sizes > max(_RANK * sizes[0], _SAME)))
-    statistic, p = 0.0, 1.0
-    if degrees:
-        least = Influence(W, Y - W @ np.linalg.lstsq(W, Y, rcond=None)[0], equations=equations)
-        shift, noise = second_solution(Z, least)
-        spread = noise.matrix + _MATTERS**2 * least.by_time().matrix
-        statistic = float(shift @ np.linalg.pinv(spread, hermitian=True) @ shift)
-        p = float(chdtrc(degrees, statistic))
-    sentence = f"nothing speaks against least squares (p = {p:.2g}): its values agree with those by instruments"
-    if p < _LEVEL:
-        sentence = (
-            f"IDIM's regressors are correlated with its errors (p = {p:.2g}): its least-squares values are biased; use "
-            "IV or DIDIM"
-        )
-    return ChiSquareTest("Durbin-Wu-Hausman", statistic, degrees, p, p < _LEVEL, sentence)
+    if degrees == 0:
+        return EndogeneityTest(1.0)
+    least = Influence(W, Y - W @ np.linalg.lstsq(W, Y, rcond=None)[0], equations=equations)
+    shift, noise = second_solution(Z, least)
+    spread = noise.matrix + _MATTERS**2 * least.by_time().matrix
+    return EndogeneityTest(float(chdtrc(degrees, shift @ np.linalg.pinv(spread, hermitian=True) @ shift)))
 
 
 def second_solution(Z: FloatArray, least: Influence) -> tuple[FloatArray, Covariance]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,19 +40,8 @@ _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that
 _LEAST = 1e-4  # of the compliance: a smaller one is negligible
 
 
-@dataclass(frozen=True, slots=True)
-class Profiling:
-    """Settings of a profile.
-
-    Attributes:
-        points: at most, on each side.
-        evaluations: at most, of one fit.
-        tolerance: relative, of a fit, on the sum of squares and on the parameters.
-    """
-
-    points: int = 14
-    evaluations: int = 30
-    tolerance: float = 1e-8
+_SOLVER = LevenbergMarquardt(1e-8, 30)  # of a fit with the quantity held
+_POINTS = 14  # at most, on each side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,15 +164,19 @@ class _Held:
         return np.append(residual, row), np.vstack([J, self.stiffness * self.weights])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Point:
+class _Point(NamedTuple):
     value: float
     cost: float
     x: FloatArray
 
 
 def profile(
-    problem: Problem, x: FloatArray, combination: Combination, covariance: Covariance, settings: Profiling | None = None
+    problem: Problem,
+    x: FloatArray,
+    combination: Combination,
+    covariance: Covariance,
+    solver: LevenbergMarquardt = _SOLVER,
+    points: int = _POINTS,
 ) -> ProfileInterval:
     """Profile a parameter or a weighted sum about an estimate.
 
@@ -191,20 +185,24 @@ def profile(
         x: (free,) the estimate.
         combination: the quantity.
         covariance: of the free parameters.
-        settings: see `Profiling`.
+        solver: of the fits with the quantity held.
+        points: at most, on each side.
     """
-    settings, counted = settings or Profiling(), Counted(problem)
+    from scipy.special import stdtrit
+
+    counted = Counted(problem)
     weights, bounds = combination.vector(problem.free), Bounds.of(problem.free)
     residual, J = counted.linearise(x)
     direction, flat = _least_rise(J, weights)
-    half = _quantile(residual.size - x.size) * covariance.std_of(weights)
+    quantile = float(stdtrit(max(residual.size - x.size, 1), 0.5 + 0.5 * _LEVEL))
+    half = quantile * covariance.std_of(weights)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
     found, threshold = [centre], half**2 / flat if flat else 0.0
     interval: tuple[float | None, float | None] = (None, None)
     if flat and threshold == 0.0:  # it is known without error
         interval = centre.value, centre.value
     elif flat:
-        solver, stiffness = LevenbergMarquardt(settings.tolerance, settings.evaluations), _HELD / math.sqrt(flat)
+        stiffness = _HELD / math.sqrt(flat)
 
         def fit(value: float, start: FloatArray) -> _Point:
             end = solve(_Held(counted, weights, stiffness, value), solver, start)
@@ -214,7 +212,7 @@ def profile(
         for sign in (-1.0, 1.0):
             furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)[weights != 0]
             limit = float(np.sum(weights[weights != 0] * furthest))
-            found += _follow(fit, centre, direction, sign * half, limit, threshold, settings.points)
+            found += _follow(fit, centre, direction, sign * half, limit, threshold, points)
     found.sort(key=lambda point: point.value)
     lowest = min(found, key=lambda point: point.cost)
     values, best = np.array([point.value for point in found]), found.index(lowest)
@@ -226,13 +224,6 @@ def profile(
         combination.name, combination.formula, combination.unit, centre.value, values, rise, threshold,
         interval, centre.cost - lowest.cost > _IMPROVED * threshold, counted.evaluations,
     )  # fmt: skip
-
-
-def _quantile(degrees: int) -> float:
-    """Return that of Student's distribution of so many degrees of freedom, of a two-sided interval."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(max(degrees, 1), 0.5 + 0.5 * _LEVEL))
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
@@ -305,7 +296,8 @@ def profile_compliance(
     x: FloatArray,
     covariance: Covariance,
     unit: Callable[[Parameter], str],
-    settings: Profiling | None = None,
+    solver: LevenbergMarquardt = _SOLVER,
+    points: int = _POINTS,
 ) -> ProfileInterval:
     """Profile 1/K12, in which a stiff joint is nearly linear.
 
@@ -314,11 +306,12 @@ def profile_compliance(
         x: (free,) the estimate.
         covariance: of the free parameters.
         unit: returns that of a parameter; a joint's `unit`.
-        settings: see `Profiling`.
+        solver: of the fits with the compliance held.
+        points: at most, on each side.
     """
     at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
     turn = np.eye(x.size)
     turn[at, at] = -1.0 / float(x[at]) ** 2  # of 1/K by K
     by = ByCompliance(problem, _LEAST / float(x[at]))
     wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
-    return profile(by, by.exchange(x), wanted, covariance_of(turn @ covariance.matrix @ turn.T), settings)
+    return profile(by, by.exchange(x), wanted, covariance_of(turn @ covariance.matrix @ turn.T), solver, points)

@@ -27,7 +27,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import Covariance, Influence
-from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
+from jointid.uncertainty.model_tests import EndogeneityTest, durbin_wu_hausman
 
 _SETTLED = 1e-8  # relative change of the values that ends a reweighting
 _REWEIGHTINGS = 100
@@ -109,7 +109,7 @@ class Solution:
     converged: bool = True
     simulations: int = 0
     held: Mapping[str, float] = field(default_factory=dict)
-    test: ChiSquareTest | None = None
+    test: EndogeneityTest | None = None
 
 
 def solve_rows(

@@ -22,7 +22,7 @@ from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.identifiability import Identifiability
-from jointid.uncertainty.model_tests import ChiSquareTest
+from jointid.uncertainty.model_tests import EndogeneityTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 from jointid.uncertainty.verdict import StiffnessBound, Verdict
@@ -234,7 +234,7 @@ class Checks:
     in_json = "-diagnosis"
     verdicts: tuple[Verdict, ...] = ()
     known: Identifiability | None = None
-    tests: tuple[ChiSquareTest, ...] = ()
+    tests: tuple[EndogeneityTest, ...] = ()
     bounds: tuple[StiffnessBound, ...] = ()
     repeatable: Repeatable | None = None
     agreement: Agreement | None = None

@@ -54,7 +54,7 @@ from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, Kind, Known, find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.profile import Profiling, profile_compliance
+from jointid.uncertainty.profile import profile_compliance
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
@@ -69,7 +69,7 @@ _TEST_SHARES = (0.1, 0.33, 0.6)
 _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
 _TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
-_BOUNDED = Profiling(points=5, evaluations=15, tolerance=1e-4)  # asks whether there is an end, not where it is
+_BOUNDED, _POINTS = LevenbergMarquardt(1e-4, 15), 5  # of a profile that asks whether there is an end, not where it is
 _LITTLE = 0.3  # of the rigid joint's sum of squares: a spring that explains less may be another one
 _SAME = 0.2  # of a stiffness: springs that the profile, on a band of its own, does not tell apart
 _APART = 3.0  # deviations: stiffnesses that are not the same
@@ -313,7 +313,7 @@ def _follow_compliance(problem: ClosedLoopProblem, x: FloatArray, known: Uncerta
     at = names.index("stiffness")
     if 2 * float(known.covariance.std[at]) <= _TIGHT * float(x[at]):
         return 0, []
-    found = profile_compliance(problem, x, known.covariance, problem.joint.unit, _BOUNDED)
+    found = profile_compliance(problem, x, known.covariance, problem.joint.unit, _BOUNDED, _POINTS)
     side = "stiff" if found.interval[0] is None else "soft"
     wrong = [] if found.bounded else [f"the profile of the compliance has no end on its {side} side ({found})"]
     return found.evaluations, wrong

@@ -104,7 +104,7 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     if windows is not None and checks.repeatable is not None:
         yield "residual", str(checks.repeatable)
     if details:
-        yield from (("test", f"{test.name}: {test.sentence}") for test in checks.tests)
+        yield from (("test", str(test)) for test in checks.tests)
         passes = f", {fit.passes} times over the whole" if fit.passes else ""
         yield "effort", f"{fit.simulations} simulations{passes}"
     if estimate.robot is not None and not details:
