@@ -135,7 +135,30 @@ class DIDIM(Method):
             RecordError: a channel is missing.
             MethodError: the record does not determine the parameters, or the loop cannot be simulated at any start.
         """
-        return self._identify_rigid(task) if task.joint.model == "rigid" else self._identify_flexible(task)
+        history = History(task.progress)
+        at_delay, near = self._near_delay(task, history)
+        solved = self.solve(at_delay, history, near)
+        starts = solved.solution.starts
+        solved = self._free_more(solved, task, history)
+        problem, x = solved.problem, solved.x
+        error, J = history.count_evaluations(problem).linearise(x)
+        run, end = problem.simulate(x), (solved.solution.message, solved.solution.converged)
+        history.tally.evaluations += 1
+        if task.joint.model == "rigid":
+            joint = problem.free_joint
+            refuse_idle(J[:, : len(joint)], tuple(p.name for p in joint))
+            known = uncertainty_of_least_error(problem, x, run, error, -J, history)
+            return build_closed_loop_result(task.record, problem, x, run, end, known, -J, history.tally.evaluations)
+        if np.linalg.norm(error) > NOTHING * problem.size:
+            end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
+        known = uncertainty(Influence(J, error), problem.cells(run), problem.torque_unit)
+        spring = visible(problem, x, J, known, starts, task.progress)
+        history.tally.evaluations += spring.simulations
+        if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
+            force = allow_for_force(problem, x, -J, known.covariance.std, history)
+            known = widened_for_force(known, problem, x, force)
+        runs = history.tally.evaluations
+        return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
 
     def _near_delay(self, task: Task, history: History) -> tuple[Task, list[Start]]:
         """Return the task at the best of several delays, and a start, where the delay is free and none is declared.
@@ -201,20 +224,6 @@ class DIDIM(Method):
             return self._solve_flexible(task, history)
         return self._solve_rigid(task, history, near)
 
-    def _identify_rigid(self, task: Task) -> Estimate:
-        history = History(task.progress)
-        at_delay, near = self._near_delay(task, history)
-        solved = self._free_more(self.solve(at_delay, history, near), task, history)
-        problem, x, end = solved.problem, solved.x, solved.solution
-        run, error, J = problem.simulate(x), end.residual, -end.jacobian
-        history.tally.evaluations += 1
-        joint = len(problem.free_joint)
-        refuse_idle(J[:, :joint], tuple(p.name for p in problem.free_joint))
-        known = uncertainty_of_least_error(problem, x, run, error, J, history)
-        return build_closed_loop_result(
-            task.record, problem, x, run, (end.message, end.converged), known, J, history.tally.evaluations
-        )
-
     def _solve_rigid(self, task: Task, history: History, near: Sequence[Start]) -> Solved:
         assert task.loop is not None
         tolerance = self.stopping_tolerance("rigid")
@@ -232,29 +241,6 @@ class DIDIM(Method):
             return solved
         tolerance = self.stopping_tolerance(task.joint.model)
         return self._declared(free_more(solved, self.free, tolerance, history), task)
-
-    def _identify_flexible(self, task: Task) -> Estimate:
-        progress = task.progress
-        history = History(progress)
-        solved = self._solve_flexible(self._near_delay(task, history)[0], history)
-        starts = solved.solution.starts
-        solved = self._free_more(solved, task, history)
-        problem, x = solved.problem, solved.x
-        error, J = history.count_evaluations(problem).linearise(x)
-        run = problem.simulate(x)
-        history.tally.evaluations += 1
-        stop, converged = solved.solution.message, solved.solution.converged
-        if np.linalg.norm(error) > NOTHING * problem.size:
-            stop = f"no answer: the search ended where the model explains little of the torque ({stop})"
-            converged = False
-        known = uncertainty(Influence(J, error), problem.cells(run), problem.torque_unit)
-        spring = visible(problem, x, J, known, starts, progress)
-        history.tally.evaluations += spring.simulations
-        if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
-            force = allow_for_force(problem, x, -J, known.covariance.std, history)
-            known = widened_for_force(known, problem, x, force)
-        end, runs = (stop, converged), history.tally.evaluations
-        return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
 
     def _solve_flexible(self, task: Task, history: History) -> Solved:
         loop, tolerance = task.loop, self.stopping_tolerance("flexible")

@@ -300,11 +300,7 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
 
 
 def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
-    """Require values and bounds of friction or of a constant torque, without a start for a search.
-
-    Raises:
-        MethodError: one is of something else, or has a start.
-    """
+    """Refuse what is stated of another parameter than friction or a constant torque, and a start for a search."""
     if not stated:
         return
     own = robot_parameters(robot)
@@ -315,21 +311,15 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
         if one.name in beside or (place.of is NumberOf.MASS and place.column != 0)
     ]
     for name, one in stated.items():
-        if name in known and name not in beside and one.free and one.start is not None:
-            raise MethodError(
-                f"{name} is free and has a start, which the methods of a robot do not use: leave the start out, or fix "
-                "the value."
-            )
-        if name not in known and name.endswith((".coulomb_forwards", ".coulomb_backwards")):
-            raise MethodError(
-                f"{name} has a value or bounds to keep, and a robot's Coulomb friction that differs by direction is "
-                "identified as coulomb, its mean, and a part of offset: state these, or leave it out."
-            )
-        if name not in known:
-            raise MethodError(
-                f"{name} has a value or bounds to keep, and the methods of a robot keep those of friction and constant "
-                f"torques alone, {', '.join(known)}: give a start, or leave it out."
-            )
+        if name in known and (name in beside or not one.free or one.start is None):
+            continue
+        one_way = name.endswith((".coulomb_forwards", ".coulomb_backwards"))
+        raise MethodError(
+            f"{name} has a value, bounds or a start to keep, and the methods of a robot keep values and bounds of "
+            f"friction and constant torques alone, {', '.join(known)}"
+            f"{'; a Coulomb friction that differs by direction is its mean and a part of offset' if one_way else ''}: "
+            "state one of them, or leave it out."
+        )
 
 
 def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool, rising: bool) -> tuple[NumberPlace, ...]:
