@@ -128,16 +128,6 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> No
     assert work <= 1.5 * many  # a pass, and what sparse ones before it read
 
 
-def test_a_record_in_a_file_is_that_in_memory(tmp_path: Path) -> None:
-    record = rigid(60.0)
-    there, here = (
-        identify(source, LOOP, windows=Windowing(length=5.0))
-        for source in (stored(tmp_path / "day.npy", record), record)
-    )
-    for p in here.params.rows:
-        assert there[p.name].value == pytest.approx(p.value, rel=1e-12)
-
-
 @pytest.mark.slow
 def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
     steady = identify(rigid(400.0), LOOP, windows=Windowing(length=4.0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import jointid as ji
@@ -78,20 +77,6 @@ def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_b
     assert 2 * whole.stderr < 0.01 * whole.value
     for one in halves:
         assert one.value is not None and abs(one.value - whole.value) < 2 * whole.stderr
-
-
-@pytest.mark.slow
-def test_the_band_moves_what_reads_the_commanded_current_and_not_the_measured_one(bench: Bench) -> None:
-    commanded, measured = (
-        np.array([fit(bench, current, cutoff)["stiffness"].value for cutoff in (100.0, 200.0)])
-        for current in ("command", "measured")
-    )
-    assert commanded[1] / commanded[0] - 1 > 0.015
-    assert abs(measured[1] / measured[0] - 1) < 0.005
-    # The loop that makes one current of the other is what the first leaves out.
-    spectra = [np.abs(np.fft.rfft(s.reshape(20, 2500)[1:].mean(axis=0))) for s in (bench.measured, bench.command)]
-    gain = spectra[0] / spectra[1]
-    assert np.median(gain[180:221]) / np.median(gain[20:61]) == pytest.approx(0.94, abs=0.03)
 
 
 def test_the_command_comes_before_the_torque(bench: Bench) -> None:

@@ -83,17 +83,6 @@ def test_a_known_parameter_or_an_injected_torque_tells_the_scale() -> None:
     assert scale_status(identify(record)) == ["passed"]
 
 
-def test_a_signal_without_torque_and_a_speed_tell_no_scale() -> None:
-    still = logged(injected=np.zeros(6000)).without("torque")
-    assert scale_status(identify(still, checks=False)) == ["unknown"]
-    joint = ji.RigidJoint("revolute", friction=ji.friction.StribeckFriction())
-    speed = next(p for p in joint.parameters if p.name == "stribeck_speed").fix(0.3)
-    found = ji.identify(
-        logged().without("torque"), ji.ClosedLoop(joint, LAW), parameters={"stribeck_speed": speed}, checks=False
-    )
-    assert scale_status(found) == ["unknown"]
-
-
 def test_a_free_gain_needs_a_known_parameter() -> None:
     record, wrong = logged().without("torque"), ji.controller.PD(position_gain=480.0, derivative_gain=36.0)
     loop, method = ji.ClosedLoop(ji.RigidJoint("revolute"), wrong), ji.DIDIM(free=("gain",))
@@ -150,12 +139,6 @@ def test_an_integral_leaves_no_constant_torque(begin: float) -> None:
     assert found.params["offset"].value is None
     assert max(map(abs, deviations(found))) < 3.5
     assert [v.reasons[0].values["undetermined"] for v in found.checks.verdicts if v.subject == "scale"] == [["offset"]]
-
-
-@pytest.mark.slow
-def test_a_drive_that_is_faster_than_its_log_biases_nothing() -> None:
-    law = replace(LAW, period=1e-4)
-    assert max(map(abs, deviations(identify(logged(law).without("torque"), law, checks=False)))) < 3.5
 
 
 def test_the_derivatives_are_those_of_the_residual() -> None:

@@ -121,17 +121,6 @@ def test_a_measured_torque_is_read_when_it_acts(delay: float, timing: Timing) ->
     assert errors(identify(record.without("motor_position"), loop).values, TRUTH) <= 1e-5
 
 
-def test_an_averaged_command_is_not_a_held_one() -> None:
-    loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    assert made.torque is not None
-    before = np.concatenate([made.torque.values[:1], made.torque.values[:-1]])
-    averaged = Record(torque=Channel(before, "N", T, Timing.AVERAGED), reference=made.reference)
-    held = Record(torque=Channel(before, "N", T, Timing.HELD), reference=made.reference)
-    assert errors(identify(averaged, loop).values, TRUTH) <= 1e-5
-    assert errors(identify(held, loop).values, TRUTH) > 0.01
-
-
 def test_an_injected_signal_that_the_log_lacks_is_added() -> None:
     known = pulses(MOVING.size, T, 60.0, 0.02, 0.3, seed=2)
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T, injected=known, in_torque=False)

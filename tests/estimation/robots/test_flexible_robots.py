@@ -144,18 +144,6 @@ def test_a_rigid_robot_is_told_soon() -> None:
 
 
 @pytest.mark.slow
-def test_a_spring_within_the_noise_is_refused_with_its_bound() -> None:
-    """Without energy at its mode, a stiff spring is a small compliance with a large deviation."""
-    twin = two((40.0, 60.0))
-    near = {"joint1": 40.0, "joint2": 60.0}
-    found, _ = identified(twin, multisine=0.0, frequencies=near, level=0.15, evaluations=8)
-    stiff = found.springs[1]
-    assert found.value("joint2.stiffness")[1] > 0.25 * found.value("joint2.stiffness")[0]
-    assert not stiff.shown
-    assert stiff.at_least < RobotNumbers.of(twin.robot).springs[1, 0]
-
-
-@pytest.mark.slow
 def test_six_flexible_joints() -> None:
     twin = six(True)
     found, _ = identified(twin, duration=6.0)

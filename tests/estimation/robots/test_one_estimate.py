@@ -75,22 +75,6 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
 @pytest.mark.parametrize(
     "use",
     [
-        ji.tune,
-        lambda found: ji.diagnose(logged()[1][0], found),
-        lambda found: ji.validate(found, logged()[1][0]),
-        lambda found: found.report(logged()[1][0]),
-        lambda found: found.plot.response(),
-        lambda found: found.plot.spectrum(),
-    ],
-)
-def test_what_is_for_a_joint_alone_refuses_a_robot_in_a_sentence(use: Callable[[ji.Estimate], object]) -> None:
-    with pytest.raises(MethodError, match=r"of a robot|of each joint"):
-        use(estimate())
-
-
-@pytest.mark.parametrize(
-    "use",
-    [
         ji.validate,
         lambda found, logs: ji.diagnose(logs, found),
         lambda found, logs: found.report(logs),
