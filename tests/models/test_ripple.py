@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
-from jointid.models.position_forces import Motion, PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import ElasticLoad, find_spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.predict import _holding_torque
@@ -54,17 +54,6 @@ def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
     np.testing.assert_allclose(run.derivatives, columns)
     with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):
         DriveSide(FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load")))
-
-
-def test_a_regression_has_its_columns() -> None:
-    rng = np.random.default_rng(1)
-    motor, load = (Motion(*rng.standard_normal((3, 50))) for _ in range(2))
-    for side, row in (("motor", 0), ("load", 1)):
-        joint = FlexibleJoint("prismatic", ripple=PositionHarmonics(0.3, 2, side))  # type: ignore[arg-type]
-        columns = joint.regressor(motor, load)[:, :, -4:]
-        moved = (motor, load)[row].position
-        np.testing.assert_allclose(columns[row], PositionHarmonics(0.3, 2).columns_at(moved))
-        assert not np.any(columns[1 - row])
 
 
 def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from jointid.common.transmission import Transmission
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
-from jointid.records.record import Channel, Timing, refer_channel
 from tests.geared import TURNED_SCREW
 
 R = abs(TURNED_SCREW.motor_per_load)
@@ -46,12 +44,3 @@ def test_both_ways_lead_back() -> None:
             name, unit, factor = TURNED_SCREW.cross(p.name, joint.unit(p), "N")
             assert back.cross(name, unit, "N m") == (p.name, joint.unit(p), pytest.approx(1 / factor))
             assert (name != p.name) == p.name.endswith(("forwards", "backwards"))
-
-
-def test_a_current_stays_a_current() -> None:
-    logged = Channel(np.array([1.0, -2.0]), "A", 1e-3, Timing.AVERAGED, "run.csv: i_q")
-    seen = refer_channel(TURNED_SCREW, "torque", logged, "motor")
-    np.testing.assert_allclose(seen.values, -R * logged.values)
-    assert (seen.unit, seen.timing, seen.source) == ("A", Timing.AVERAGED, "run.csv: i_q")
-    speed = refer_channel(TURNED_SCREW, "reference_velocity", Channel(np.array([R]), "rad/s", 1e-3), "motor")
-    assert (speed.values[0], speed.unit) == (pytest.approx(-1.0), "m/s")

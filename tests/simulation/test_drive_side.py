@@ -40,27 +40,6 @@ def test_four_parts_of_a_sample_are_enough(coulomb: float) -> None:
     assert coarse / fine > 5.0
 
 
-@pytest.mark.slow
-def test_a_frictionless_load_is_that_of_an_adaptive_integrator() -> None:
-    from scipy.integrate import solve_ivp
-
-    values = TABLE_2 | {"load_coulomb": 0.0}
-    K, F, M, Fv = (values[n] for n in ("stiffness", "damping", "load_inertia", "load_viscous"))
-    w = 2 * np.pi * np.array([1.3, 23.0])
-    size = np.array([0.02, 8e-4])
-
-    def slopes(t: float, x: np.ndarray) -> list[float]:
-        q, v = size @ np.sin(w * t), (size * w) @ np.cos(w * t)
-        return [x[1], (K * (q - x[0]) + F * (v - x[1]) - Fv * x[1]) / M]
-
-    t = np.arange(2000) * T
-    motion = prescribed_motion(np.sin(np.outer(t, w)) @ size, T)
-    run = simulate_drive_side(JOINT, motion, values)
-    begin = [run.load_position[0], run.load_velocity[0]]
-    exact = solve_ivp(slopes, (0, t[-1]), begin, t_eval=t, rtol=1e-10, atol=1e-13).y[0]
-    assert np.max(np.abs(run.load_position[::PARTS] - exact)) < 1e-5 * np.ptp(exact)
-
-
 def test_a_load_that_sticks_stands_still_and_stores_its_deflection() -> None:
     values = TABLE_2 | {"load_coulomb": 60.0}
     run = simulate_drive_side(JOINT, prescribed_motion(wave(pause=True), T), values)

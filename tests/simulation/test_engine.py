@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers import with_numbers
 from jointid.models.friction import FRICTIONS, PARTS
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.springs import SPRINGS
@@ -137,23 +137,3 @@ def test_friction_that_winds_up_within_a_sample_is_followed(share: float) -> Non
         step = _STEP * (abs(values[name]) or 1e-3)
         error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
         assert error <= 5e-3, name
-
-
-@pytest.mark.parametrize("law", ["none", "drifting"])
-@pytest.mark.parametrize("make", [prismatic, rotary])
-def test_a_limit_that_acts_and_a_delay_are_followed(make: Callable[[int], Case], law: str) -> None:
-    case = make(1)
-    loop, values = with_law(case, law) if law != "none" else (case.loop, case.truth)
-    peak = float(np.abs(simulate(loop, prepare(loop, case.clean), values).torque).max())
-    gain = numbers_of(loop.controller)["gain"]
-    controller = with_numbers(loop.controller, {"limit": 0.65 * peak / gain, "delay": 1.5e-4})
-    loop = replace(loop, controller=controller)
-    experiment = prepare(loop, case.clean)
-    run = simulate(loop, experiment, values)
-    assert run.at_limit > 0.001
-    names = ["stiffness", "limit", "delay", "position_gain"]
-    found = simulate_sensitivities(loop, experiment, values, names)
-    for i, name in enumerate(names):
-        step = _STEP * (values.get(name) or numbers_of(controller)[name])
-        error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))
-        assert error <= 1e-3, name

@@ -3,66 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from jointid.models.controllers import numbers_of
-from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
-from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import PARTS, prescribed_motion, simulate_drive_side
 from jointid.simulation.sensitivities import simulate_sensitivities
-from tests.plants import Case, prismatic, rotary
+from tests.plants import prismatic, rotary
 from tests.simulation.differences import error_beside_differences
-
-
-@pytest.mark.parametrize(
-    ("law", "values"),
-    [
-        ("cubic", {"cubic_stiffness": 0.0}),
-        ("hysteretic", {"hysteresis_stiffness": 0.0, "hysteresis_torque": 1.0}),
-        ("elastic-load", {"swinging_share": 0.0, "swinging_stiffness": 1e6, "swinging_damping": 1.0}),
-        ("three-piece", {"torque_1": 20.0, "torque_2": 40.0}),
-        ("stribeck", {"motor_stribeck_speed": 1.0, "load_stribeck_speed": 1.0}),
-        ("drifting", {}),
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("make", [prismatic, rotary])
-def test_laws_that_add_nothing_leave_the_exact_drive_and_its_derivatives(
-    make: Callable[[int], Case], law: str, values: dict[str, float]
-) -> None:
-    case = make(1)
-    joint = case.loop.joint
-    other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())  # type: ignore[call-arg]
-    loop, experiment = replace(case.loop, joint=other), prepare(case.loop, case.clean)
-    same = dict.fromkeys(("stiffness_2", "stiffness_3"), case.truth["stiffness"])
-    values = {p.name: (case.truth | same | values).get(p.name, 0.0) for p in other.parameters}
-    exact, found = (simulate(*one) for one in ((case.loop, experiment, case.truth), (loop, experiment, values)))
-    assert found.events >= exact.events > 10
-    for signal in ("torque", "motor_position", "load_velocity"):
-        peak = np.abs(getattr(exact, signal)).max()
-        np.testing.assert_allclose(getattr(found, signal), getattr(exact, signal), rtol=0, atol=3e-5 * peak)
-    assert found.load is not None and exact.load is not None
-    difference = np.abs(found.load.acceleration - exact.load.acceleration)
-    assert np.median(difference) < 1e-5 * np.abs(exact.load.acceleration).max()
-    numbers = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
-    names = [p.name for p in joint.parameters if law != "three-piece" or p.name != "stiffness"]
-    names += ["initial_position", "initial_velocity", *numbers]
-    both = ((case.loop, experiment, case.truth), (loop, experiment, values))
-    exactly, steps = (simulate_sensitivities(*one, names, positions=True) for one in both)
-    for i, name in enumerate(names):
-        for signal in ("torque", "motor_position", "load_position"):
-            column, expected = getattr(steps, signal)[:, i], getattr(exactly, signal)[:, i]
-            assert np.linalg.norm(column - expected) <= 1e-3 * np.linalg.norm(expected), (name, signal)
-
 
 LINK = Gravity("link", Counterbalance(cos=4.0, rate=1.0))
 VALUES = {

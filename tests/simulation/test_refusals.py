@@ -11,7 +11,7 @@ import pytest
 
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import FRICTIONS, DriftingFriction
+from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
@@ -19,13 +19,11 @@ from jointid.models.springs import SPRINGS, Backlash
 from jointid.records.record import Channel, Injection, Record, Tap
 from jointid.simulation.closed_loop import Outcome, require_success, simulate_torque
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.sensitivities import simulate_sensitivities
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.plants import prismatic
 from tests.robots_plants import two
-from tests.simulation.test_robot_laws import robot_of
 
 T = 1e-3
 VALUES = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
@@ -151,12 +149,3 @@ def test_numbers_that_no_joint_has_are_not_simulated(friction: str, spring: str,
     experiment = prepare(loop, case.clean)
     assert simulate_torque(loop, experiment, values).outcome is Outcome.FINISHED
     assert simulate_torque(loop, experiment, values | wrong).outcome is Outcome.INVALID
-
-
-def test_friction_that_drifts_below_zero_is_not_simulated() -> None:
-    numbers = RobotNumbers.of(robot_of(FlexibleJoint("revolute", DriftingFriction())))
-    masses = numbers.masses.copy()
-    masses[:, MassNumbers.COULOMB_DRIFT] = -0.1, 0.0
-    masses[0, MassNumbers.COULOMB] = 1.0
-    fading = replace(numbers, masses=masses)
-    assert fading.possible(9.0) and not fading.possible(11.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -148,16 +146,3 @@ def test_a_robot_has_again_what_its_numbers_say(joint: Joint) -> None:
     assert again.masses == pytest.approx(numbers.masses, abs=1e-15)
     assert again.springs == pytest.approx(numbers.springs, abs=1e-15)
     assert again.laws == numbers.laws
-
-
-@pytest.mark.parametrize(
-    ("law", "name", "value"),
-    [("hysteretic", "hysteresis_torque", 0.0), ("three-piece", "torque_2", 2.0)],
-)
-def test_a_spring_that_no_joint_may_have_is_not_simulated(law: str, name: str, value: float) -> None:
-    robot = robot_of(FlexibleJoint("revolute", spring=SPRINGS[law]()))
-    numbers = RobotNumbers.of(robot)
-    assert numbers.possible(1.0)
-    springs = numbers.springs.copy()
-    springs[0, SPRING_NUMBERS.index(name)] = value
-    assert not replace(numbers, springs=springs).possible(1.0)

@@ -1,4 +1,4 @@
-"""The equations of motion in one pass: those of `dynamics`, and derivatives against central differences."""
+"""The equations of motion in one pass: MuJoCo's, those of `dynamics`, and derivatives against central differences."""
 
 from __future__ import annotations
 
@@ -7,9 +7,33 @@ import pytest
 
 from jointid.models.robots.dynamics import regressor_of
 from jointid.models.robots.equations import ROOM, equations_of_motion, linearised_equations, regressor_columns
-from tests.models.robots.trees import mass_matrix_by_regressor, random_robot, torque_by_regressor
+from tests.models.robots.trees import (
+    as_mjcf,
+    by_mujoco,
+    full_mass_matrix,
+    mass_matrix_by_regressor,
+    order_in_mujoco,
+    random_robot,
+    torque_by_regressor,
+)
 
 SIZE = 7
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="compares with MuJoCo, which is not installed")
+    robot, M, torque = random_robot(seed, SIZE), np.empty((SIZE, SIZE)), np.empty(SIZE)
+    model = mujoco.MjModel.from_xml_string(as_mjcf(robot))
+    data, order = mujoco.MjData(model), order_in_mujoco(mujoco, model, robot)
+    rotors = robot.of_joints("rotor_inertia")
+    q, v, a = np.random.default_rng(1000 + seed).normal(size=(3, SIZE)) * np.array([[2.0], [3.0], [10.0]])
+    data.qpos[order], data.qvel[order], data.qacc[order] = q, v, a
+    mujoco.mj_inverse(model, data)
+    full = full_mass_matrix(mujoco, model, data)[np.ix_(order, order)]
+    equations_of_motion(robot.tree, robot.inertials, q, v, a, np.empty((SIZE, ROOM)), M, torque)
+    for found, expected in ((M + np.diag(rotors), full), (torque + rotors * a, data.qfrc_inverse[order])):
+        assert np.max(np.abs(found - expected)) < by_mujoco(1e-10) * np.max(np.abs(expected))
 
 
 @pytest.mark.parametrize("coupled", [False, True])

@@ -15,7 +15,7 @@ from jointid.models.robots.base_parameters import base_parameters
 from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.robot import Robot
 from tests.estimation.robots.twin import arm
-from tests.public_arms import ARMS, urdf_of
+from tests.public_arms import urdf_of
 from tests.robots_plants import six, two
 
 
@@ -45,14 +45,6 @@ def test_the_same_name_is_the_same_sum_by_both_methods(plant: Callable[[Path], R
     assert found == sums_by_idim(robot)
     for name, formula in found.items():
         assert not name.endswith("rotor_inertia") or (formula.startswith("Ia") and len(formula.split()) == 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ARMS)
-def test_the_arms_of_makers_have_one_vocabulary(name: str, tmp_path: Path) -> None:
-    robot = public_arm(name, tmp_path)
-    by_simulation = robot_parameters(robot)
-    assert dict(zip(by_simulation.names, by_simulation.formulas(robot), strict=True)) == sums_by_idim(robot)
 
 
 def test_a_rotor_with_a_link_about_a_skew_axis_is_no_rotor() -> None:
