@@ -206,12 +206,3 @@ def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: 
 def test_a_tie_between_joints_that_move_names_the_key(tie: str, locked: dict[str, float]) -> None:
     with pytest.raises(JointFileError, match=r"robot\.locked"):
         read_robot(HAND.format(tie), locked=locked)
-
-
-def test_the_inertia_of_an_axis_is_that_of_the_mass_matrix() -> None:
-    robot = read_robot(HAND.format("").replace("<mujoco>", '<mujoco><option gravity="0 0 0"/>'))
-    for k in range(len(robot)):
-        a = np.zeros((1, len(robot)))
-        a[0, k] = 1.0
-        torque = inverse_dynamics(robot.tree, robot.inertials, 0 * a, 0 * a, a)
-        assert robot.axis_inertia(k) == pytest.approx(torque[0, k], rel=1e-12)

@@ -32,7 +32,7 @@ Vector: TypeAlias = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 IntArray: TypeAlias = NDArray[np.int64]
 
-REVOLUTE, PRISMATIC = 0, 1
+REVOLUTE = 0
 PARAMETERS = 10
 """Inertial parameters of a link."""
 # Columns of the scratch: rotation, row by row, and origin; twists of the joint, of velocity and of acceleration,

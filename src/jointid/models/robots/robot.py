@@ -31,7 +31,7 @@ from jointid.models.friction import (
     SymmetricFriction,
 )
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
-from jointid.models.robots.inertial import SYMBOLS, change_frame, inertia_matrix
+from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.springs import ElasticLoad, LinearSpring, Spring
 
 _UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
@@ -376,25 +376,6 @@ class Robot:
     def rigid(self) -> Robot:
         """The robot whose springs do not give."""
         return replace(self, joints=tuple(joint.rigid for joint in self.joints))
-
-    def axis_inertia(self, number: int) -> float:
-        """Return the inertia of all links that a joint moves, about its axis, with the joints after it at 0.
-
-        Args:
-            number: of the joint, from 0.
-
-        Returns:
-            In kg m2, of a prismatic joint the mass in kg; without the rotor.
-        """
-        bodies = [link.inertial for link in self.links]
-        for k in range(len(self) - 1, number, -1):
-            link = self.links[k]
-            if link.parent >= 0:
-                bodies[link.parent] = bodies[link.parent] + change_frame(bodies[k], link.rotation, link.origin)
-        axis = self.links[number].axis
-        if self.links[number].kind == "prismatic":
-            return float(bodies[number][0])
-        return float(axis @ inertia_matrix(bodies[number]) @ axis)
 
     def require_linear_friction(self, taker: str, instead: str) -> None:
         """Raise a `MethodError` if a friction is not linear in its parameters on a known motion.
