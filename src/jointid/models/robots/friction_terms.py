@@ -55,16 +55,9 @@ class FrictionTerm:
 
     def value(self, joint: RobotJoint) -> float:
         """Return the number of a joint's motor, the link's side apart."""
-        if self.number is Friction.OFFSET:
-            return joint.constant_torque
-        motor, (viscous, viscous_back, coulomb, coulomb_back) = joint.motor, joint.law.directions(joint.motor)
-        return {
-            Friction.VISCOUS: viscous,
-            Friction.FORWARDS: viscous,
-            Friction.BACKWARDS: viscous_back,
-            Friction.COULOMB: 0.5 * (coulomb + coulomb_back),
-            Friction.RISE: motor["stribeck_force"],
-        }[self.number]
+        _, _, coulomb, coulomb_back = joint.law.directions(joint.motor)
+        sums = {Friction.OFFSET: joint.constant_torque, Friction.COULOMB: 0.5 * (coulomb + coulomb_back)}
+        return sums.get(self.number, joint.motor[self.number])
 
     def column(self, v: FloatArray, joint: RobotJoint) -> FloatArray:
         """Return its regressor column at speeds of the motor, (samples,)."""
