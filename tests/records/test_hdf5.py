@@ -104,11 +104,10 @@ def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
         file.create_dataset("phasor", data=np.zeros((1, 3), dtype=[("real", "f8"), ("imag", "f8")]))
         file["phasor"].attrs["MATLAB_class"] = np.bytes_("double")
         hidden = file.create_group("#refs#")
-        for index in range(2):
-            matlab_dataset(hidden, f"q{index}", np.arange(3.0 + index)[:, None])
+        matlab_dataset(hidden, "q0", np.arange(3.0)[:, None])
         axis = file.create_group("axis")
         axis.attrs["MATLAB_class"] = np.bytes_("struct")
-        axis.create_dataset("q", data=np.array([[hidden["q0"].ref], [hidden["q1"].ref]], dtype=h5py.ref_dtype))
+        axis.create_dataset("q", data=np.array([[hidden["q0"].ref]], dtype=h5py.ref_dtype))
         cell = file.create_dataset("cell", data=np.array([[hidden["q0"].ref]], dtype=h5py.ref_dtype))
         cell.attrs["MATLAB_class"] = np.bytes_("cell")
         sparse = file.create_group("sparse")
@@ -116,9 +115,7 @@ def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
         sparse["data"] = np.ones(3)
     matlab_header(path)
     table = read_table(path)
-    assert set(table.columns) == {"q[0]", "q[1]", "square[0]", "square[1]", "on", "axis[0].q", "axis[1].q"}
+    assert set(table.columns) == {"q[0]", "q[1]", "square[0]", "square[1]", "on", "position_gain"}
     np.testing.assert_array_equal(table.columns["q[1]"], matrix[:, 1])
     np.testing.assert_array_equal(table.columns["square[1]"], square[:, 1])
-    np.testing.assert_array_equal(table.columns["axis[1].q"], range(4))
-    assert dict(table.scalars) == {"position_gain": 160.18}
-    assert set(table.passed) == {"cell", "none", "phasor", "remark", "sparse.data"}
+    assert set(table.passed) == {"axis.q", "cell", "none", "phasor", "remark", "sparse.data"}

@@ -33,7 +33,7 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
     assert position.rows == ROWS
     assert position.maximum == pytest.approx(1.0, abs=1e-4)
     text = str(inspection)
-    assert "a sample every 0.001 s" in text
+    assert "0.001 s" in text
     assert ("rad" in text) == (name in ("hdf5", "parquet", "tdms"))
     assert f'"{time.name}"' in dumps(to_dict(inspection))
 
@@ -48,14 +48,13 @@ def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
     columns = {"a/time": np.arange(9) / 10, "a/q": np.ones(9), "b/time [ms]": np.arange(5.0), "b/q": np.ones(5),
                "c/time": np.array([0.0, 1.0, 0.5]), "c/q": np.ones(3)}  # fmt: skip
     with h5py.File(path, "w") as file:
-        for name, values in {**columns, "position_gain": 2.0}.items():
+        for name, values in columns.items():
             file[name] = values
     inspection = inspect(path)
     found = {channel.name: (channel.time, channel.sample_time) for channel in inspection.channels}
     assert found["a/q"] == ("a/time", pytest.approx(0.1))
     assert found["b/q"] == ("b/time [ms]", pytest.approx(1e-3))
     assert found["c/q"] == (None, None)  # its clock runs back
-    assert "single number: position_gain 2" in str(inspection)
 
 
 @pytest.mark.parametrize("name", ["t", "time [s]", "Zeit [ms]"])

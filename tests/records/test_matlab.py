@@ -19,7 +19,7 @@ def read_variables(path: Path, variables: dict[str, Any], **how: Any) -> Table:
     return read_table(path)
 
 
-def test_vectors_are_columns_and_single_numbers_scalars(tmp_path: Path) -> None:
+def test_vectors_are_columns_and_single_numbers_of_one_row(tmp_path: Path) -> None:
     table = read_variables(
         tmp_path / "run.mat",
         {"t": np.arange(3.0)[:, None], "q": np.arange(4)[None, :], "position_gain": 160.18, "on": np.array([[True]])},
@@ -27,15 +27,14 @@ def test_vectors_are_columns_and_single_numbers_scalars(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["t"], [0, 1, 2])
     np.testing.assert_array_equal(table.columns["q"], [0, 1, 2, 3])
     assert table.columns["q"].dtype == np.float64
-    assert dict(table.scalars) == {"position_gain": 160.18, "on": 1.0}
+    assert [table.columns[name].tolist() for name in ("position_gain", "on")] == [[160.18], [1.0]]
     assert table.source == "run.mat"
 
 
 def test_fields_of_structures_are_found_by_their_path(tmp_path: Path) -> None:
     axes = np.array([(np.arange(2.0), 1), (np.arange(3.0), 2)], dtype=[("q", object), ("n", object)])
     table = read_variables(tmp_path / "run.mat", {"rec": {"motor": {"q": np.arange(3.0)}, "dt": 0.004}, "axis": axes})
-    assert list(table.columns) == ["rec.motor.q", "axis[0].q", "axis[1].q"]
-    assert dict(table.scalars) == {"rec.dt": 0.004, "axis[0].n": 1.0, "axis[1].n": 2.0}
+    assert list(table.columns) == ["rec.motor.q", "rec.dt", "axis[0].q", "axis[0].n", "axis[1].q", "axis[1].n"]
     np.testing.assert_array_equal(table.columns["axis[1].q"], [0, 1, 2])
 
 
@@ -80,15 +79,14 @@ def test_the_other_byte_order_is_read(tmp_path: Path) -> None:
 def test_the_emps_record_is_read(emps_path: Path) -> None:
     table = read_table(emps_path)
     assert set(table.columns) >= {"qm", "qg", "vir", "t"}
-    assert {values.size for values in table.columns.values()} == {24841}
-    assert table.scalars["kp"] == 160.18
-    assert table.scalars["kv"] == 243.45
+    assert {values.size for values in table.columns.values()} == {24841, 1}
+    assert table.columns["kp"].tolist() == [160.18]
 
 
 def test_objects_and_tables_of_rows_are_no_hindrance(data_dir: Path) -> None:
     table = read_table(data_dir / "kr300" / "rec_A.mat")
     assert table.columns["rec.act_pos_mot_deg[5]"].size == 2501
-    assert table.scalars["time_data.dt"] == 0.004
+    assert table.columns["time_data.dt"].tolist() == [0.004]
 
 
 def element(kind: int, data: bytes) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
+from nptdms import ChannelObject, TdmsWriter
 
 from jointid.common.errors import RecordError
 from jointid.records.formats import read_blocks, read_table, table
@@ -70,8 +70,6 @@ def test_a_waveform_gets_the_time_it_has_no_column_for(tmp_path: Path) -> None:
     with TdmsWriter(path) as writer:
         writer.write_segment(
             [
-                RootObject({"position_gain": 2.5, "run": 7, "by": "nobody"}),
-                GroupObject("drive", {"ratio": 30.0}),
                 ChannelObject("drive", "q", np.arange(3.0), fast),
                 ChannelObject("drive", "i", np.arange(3, dtype=np.int16), fast),
                 ChannelObject("load", "fast", np.arange(4.0), {"wf_increment": 0.1}),
@@ -88,7 +86,6 @@ def test_a_waveform_gets_the_time_it_has_no_column_for(tmp_path: Path) -> None:
     assert found["when"] == pytest.approx([0, 0.0015], abs=1e-9)
     assert found["drive/i"] == [0, 1, 2]
     assert "remark" not in found and "Untitled/remark" not in found
-    assert dict(table.scalars) == {"position_gain": 2.5, "run": 7.0, "drive/ratio": 30.0}
     assert table.units["drive/i"] == "V"
 
 

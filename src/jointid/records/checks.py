@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.common.units import Unit, unit, units_of
+from jointid.common.units import unit, units_of
 from jointid.records.columns import finite_faults
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
@@ -191,7 +191,8 @@ def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
 
 def _is_plain_ratio(ratio: float, declared: str) -> bool:
     """Return True for the ratio of a unit, or of a gear with a whole number."""
-    units = (factor for one in _units_like(declared) for factor in (one.factor, 1 / one.factor))
+    alike = map(unit, units_of(unit(declared).dimension))
+    units = (factor for one in alike for factor in (one.factor, 1 / one.factor))
     return abs(ratio * round(1 / ratio) - 1) < _GEAR_TOLERANCE or any(
         abs(ratio * factor - 1) < _RATIO_TOLERANCE for factor in units
     )
@@ -209,22 +210,10 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) 
         yield f"{name} runs against {other_name}; give one of them sign = -1."
     ratio = y_size / x_size
     if not _RATIO_BAND[0] <= ratio <= _RATIO_BAND[1]:
-        every = [
-            (abs(ratio * factor - 1), f", as if {suspect} were in {entry.name} and read as {entry.si}")
-            for entry in _units_like(channel.unit)
-            for suspect, factor in ((name, entry.factor), (other_name, 1 / entry.factor))
-            if factor != 1
-        ]
-        off, hint = min(every, default=(math.inf, ""))
         yield (
-            f"{name} is {ratio:.4g} times {other_name}, and should equal it{hint if off < _RATIO_TOLERANCE else ''}; "
-            "check units and gains, or give the gear between them as transmission.ratio, and the side of each channel."
+            f"{name} is {ratio:.4g} times {other_name}, and should equal it; check units and gains, or give the gear "
+            "between them as transmission.ratio, and the side of each channel."
         )
-
-
-def _units_like(declared: str) -> Iterator[Unit]:
-    """Yield the units of the same quantity."""
-    yield from map(unit, units_of(unit(declared).dimension))
 
 
 def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:

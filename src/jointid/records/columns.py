@@ -106,16 +106,6 @@ class Column:
         named = None if self.unit is None or self.gain != 1 else unit_in_name(self.column, known)
         return named if named in known and named != self.stated_unit(known) else None
 
-    def misplaced_faults(self, channel: str) -> list[str]:
-        """Fault of settings that belong to other channels."""
-        usual = Column()
-        wrong = [one for one, of in _ONLY.items() if channel not in of and getattr(self, one) != getattr(usual, one)]
-        listed = " and ".join(wrong)
-        return [f"{channel} has {listed}, which belongs to other channels; leave it out."] if wrong else []
-
-
-_ONLY = {"tap": ("torque",), "at": ("injected",), "in_torque": ("injected",), "wrap": POSITIONS}
-
 
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     """Unit at the end of a column's name; unknown ones only in square brackets."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Listing, Table
+from jointid.common.files import files_of
 from jointid.common.text import number, pluralise, short, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_table
@@ -92,7 +92,6 @@ class Inspection(Documented):
         format: what it is.
         size: bytes; of a folder those of all its files.
         channels: its columns.
-        scalars: its single numbers.
         passed: what looks like a column and is not read, and why.
         recognised: whose log it is; None where no profile of a drive has its names.
     """
@@ -101,12 +100,11 @@ class Inspection(Documented):
     format: str
     size: int
     channels: tuple[InspectedChannel, ...]
-    scalars: Mapping[str, float]
     passed: Mapping[str, str]
     recognised: Recognised | None = None
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Table of channels; scalars, skipped content, whose log it is, and clocks."""
+        """Table of channels; skipped content, and whose log it is."""
         del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN")
         rows = tuple(
@@ -123,22 +121,13 @@ class Inspection(Documented):
         )
         more = len(self.channels) - len(rows)
         said = [f"{pluralise(more, 'more channel')}, which --json lists"] if more else []
-        said += [f"single number: {show(name)} {value:.6g}" for name, value in self.scalars.items()]
         said += [f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items()]
         said += [] if self.recognised is None else [show(self.recognised.sentence)]
         title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
         blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
-        return Document(title, (*blocks, Listing((*said, *self.clocks()))))
-
-    def clocks(self) -> list[str]:
-        """Return a sentence on each clock."""
-        timed = Counter(channel.time for channel in self.channels)
-        return [
-            f"{show(one.name)} is the time of {pluralise(timed[one.name] - 1, 'channel')}: a sample every "
-            f"{one.sample_time:.6g} s{f'; {one.stalls} stamps repeated or earlier' if one.stalls else ''}."
-            for one in self.channels
-            if one.is_time
-        ] or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
+        if not any(channel.is_time for channel in self.channels):
+            said.append("No channel is recognised as time; give the joint file a sample_time, or the column's name.")
+        return Document(title, (*blocks, Listing(tuple(said))))
 
 
 def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
@@ -170,13 +159,5 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         time = name if name in clocks else table.clocks.get(name) or (alike[0] if len(alike) == 1 else "")
         if time in clocks:
             found[name] = replace(channel, time=time, sample_time=clocks[time].sample_time)
-    size = sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]) if file.is_file())
-    return Inspection(
-        path.name,
-        format_of(path).name,
-        size,
-        tuple(found.values()),
-        table.scalars,
-        table.passed,
-        recognise(tuple(found)),
-    )
+    size, channels = sum(file.stat().st_size for file in files_of(path)), tuple(found.values())
+    return Inspection(path.name, format_of(path).name, size, channels, table.passed, recognise(tuple(found)))

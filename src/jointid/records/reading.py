@@ -20,7 +20,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
-from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate, seconds_of
+from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate
 from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, unwrap
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
@@ -29,7 +29,6 @@ from jointid.records.resampling import Resampling, Signal, bring_together
 
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
 _FEWEST_ROWS = 3  # with a number, of a column that is empty between
-_SLOWER = 1.5  # sample times of the rows, from which on a stated one is that of refreshes
 
 
 def read(
@@ -54,7 +53,7 @@ def read(
     The clock is `sample_time`, or the time column: named by `time`, or the only one called t or time (as "Time [ms]").
     Channels of different rates end at their last number; otherwise an early end is a fault. A jump of the
     clock is a fault unless `resample` or `part` is given. Where stamps jitter, a position tells whether samples follow
-    them. Clocks that begin apart, and channels without a common instant, are resampled to the fastest, with a remark.
+    them. Channels without a common instant are resampled to the fastest, with a remark.
     The file's own unit applies where neither `columns` nor the column's name states one.
 
     Args:
@@ -99,15 +98,10 @@ class RecordReader:
     cut: Cut = field(default_factory=Cut)
 
     def __post_init__(self) -> None:
-        if unknown := [channel for channel in self.columns if channel not in CHANNELS]:
-            raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
-        if (
-            self.kind not in units.POSITION_UNITS
-            or not 0 < (1.0 if self.sample_time is None else self.sample_time) < np.inf
-        ):
+        if not {*self.columns} <= {*CHANNELS} or self.kind not in units.POSITION_UNITS:
             raise RecordError(
-                f'A joint is "prismatic" or "revolute", and a sample time positive [s]; got "{self.kind}" and '
-                f"{self.sample_time}."
+                f'Channels are {", ".join(CHANNELS)}, and a joint is "prismatic" or "revolute"; got '
+                f'{", ".join(self.columns)} and "{self.kind}": correct them.'
             )
 
     def build_record(self, table: Table, name: str) -> Record:
@@ -127,7 +121,8 @@ class RecordReader:
         # The file begins with the first row of its clocks, which no channel may use.
         origins = [one.clock.first for one in signals.values()]
         for one in set(clocks.values()):
-            origins.append(float(self._cut(table, one, one)[0]) * seconds_of(table, one, self.time_unit))
+            _, stamps = find_stamps(table, one, self.time_unit, None)
+            origins.append(float(stamps[self._find_rows(stamps, stamps, one)][0]))
         first = min((float(one.clock.stamps[0]) for one in signals.values()), default=0.0)
         logged: dict[str, Any] = dict(channels)
         if "torque" in logged:
@@ -167,7 +162,6 @@ class RecordReader:
             known = known_units(channel, frame.kind_of(channel, column))
             if unit and declared.gain == 1 and declared.stated_unit(known) is None:
                 selected[channel] = replace(column, unit=unit)
-            faults += column.misplaced_faults(channel)
             if self.transmission is None and column.side is not None:
                 faults.append(f"{channel} has a side, but no transmission is given; give it, or leave side out.")
             try:
@@ -190,7 +184,7 @@ class RecordReader:
             factor, wrap, own = column.sign * column.gain * unit.factor, 0.0, column.time or clocks.get(column.column)
             scale = abs(factor * (1.0 if gear is None else gear.position(side)))
             try:
-                values, clock, picked, remarks = self._sample(table, what, column, own, time)
+                values, clock, remarks = self._sample(table, what, column, own, time)
                 if name in POSITIONS:
                     wrap = column.wrap or _find_wrap(name, values, factor, scale, made.get("motor_position"))
                 values = unwrap(values, wrap, name) if wrap else values
@@ -203,15 +197,15 @@ class RecordReader:
             source = f"{table.source}: {column.column}"
             channel = Channel(values * factor, unit.si, clock.sample_time, timing, source, stated=bool(stated))
             channel = channel if gear is None else refer_channel(gear, name, channel, side)
-            made[name] = Signal(channel, clock, picked, wrap * scale, tuple(remarks))
+            made[name] = Signal(channel, clock, wrap * scale, tuple(remarks))
         if faults:
             raise RecordError(list(dict.fromkeys(faults)))
         return _begin_in_one_turn({name: made[name] for name in columns})
 
     def _sample(
         self, table: Table, what: str, column: Column, own: str | None, time: str | None
-    ) -> tuple[FloatArray, Clock, bool, list[str]]:
-        """Return the new numbers of a column, their clock, whether they are in some of its rows alone, and remarks."""
+    ) -> tuple[FloatArray, Clock, list[str]]:
+        """Return the new numbers of a column, their clock, and remarks."""
         values, period, resampled = table.columns[column.column], column.sample_time, self.resample is not None
         stated, first, remarks = None if own else self.sample_time, 0.0, list[str]()
         try:
@@ -236,13 +230,10 @@ class RecordReader:
         kept = _find_filled_rows(values, resampled=resampled)
         if kept is None and (faults := finite_faults(what, values)):
             raise RecordError(faults)
-        if kept is None and period is not None and period < _SLOWER * clock.sample_time:  # samples of its own
-            stamps = np.asarray(clock.first + np.arange(values.size) * period, dtype=np.float64)
-            return values, fit_clock("", stamps, period), False, remarks
         if kept is None and period is not None:
             kept = _find_refreshes(values, period / clock.sample_time)
         if kept is None:
-            return values, clock, False, remarks
+            return values, clock, remarks
         every = float(np.diff(np.flatnonzero(kept)[:2])[0]) * clock.sample_time
         if period is None and not resampled:
             remarks.append(f"{what} has numbers in some rows: it is a channel with a sample every {every:g} s")
@@ -250,7 +241,7 @@ class RecordReader:
             raise RecordError(
                 f"{what} has no new number every {period:g} s, as its sample_time says; correct that, or leave it out."
             )
-        return values[kept], replace(clock, stamps=clock.stamps[kept], sample_time=every), True, remarks
+        return values[kept], replace(clock, stamps=clock.stamps[kept], sample_time=every), remarks
 
     def _find_rows(self, stamps: FloatArray, values: FloatArray, clock: str = "") -> NDArray[np.bool_]:
         """Return the samples of a column within the cut, (samples,), without those that repeat stamp and value."""
@@ -258,15 +249,6 @@ class RecordReader:
         if self.cut != Cut():
             rows[rows] = self.cut.find_rows(stamps[rows], clock)
         return rows
-
-    def _cut(self, table: Table, name: str, time: str | None) -> FloatArray:
-        """Return a column within the cut, by its clock."""
-        values = table.columns[name]
-        if self.cut == Cut():
-            return values
-        at, stamps = find_stamps(table, time, self.time_unit, self.sample_time)
-        stamps = stamps if at else stamps[: values.size]
-        return values[self._find_rows(stamps, values, at)] if stamps.size == values.size else values
 
 
 def _find_wrap(name: str, values: FloatArray, factor: float, scale: float, motor: Signal | None) -> float:

@@ -70,14 +70,12 @@ class Signal:
     """A channel as logged, with its clock.
 
     Attributes:
-        picked: whether it has a number in some rows of its time column alone.
         wrap: at which a position wraps in its column, in the channel's unit; 0 if it does not.
         remarks: on what was put right.
     """
 
     channel: Channel
     clock: Clock
-    picked: bool = False
     wrap: float = 0.0
     remarks: tuple[str, ...] = ()
 
@@ -89,7 +87,7 @@ def bring_together(
 
     Args:
         signals: by channel.
-        how: rules of resampling; None keeps each rate if uniform clocks begin together and have a common instant.
+        how: rules of resampling; None keeps each rate if uniform clocks have a common instant.
 
     Returns:
         The channels, the first instant from the first stamp of all [s], what was resampled, and remarks.
@@ -102,20 +100,19 @@ def bring_together(
         if (aligned := _align(signals)) is not None:
             return *aligned, None, tuple(remarks)
         how = Resampling(min(one.clock.sample_time for one in signals.values()), "linear")
-        remarks.append(f"the channels begin apart: they are resampled to {how.sample_time:g} s (linear)")
+        remarks.append(f"the channels have no common instant: they are resampled to {how.sample_time:g} s (linear)")
     return *resample_together(signals, how), tuple(remarks)
 
 
 def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | None:
-    """Cut channels to the beginning of the latest; None if they have no sample there, or of clocks that begin apart."""
+    """Cut channels to the beginning of the latest; None if one has no sample there."""
     if not signals:
         return {}, 0.0
     begins = {name: float(one.clock.straightened()[0]) for name, one in signals.items()}
     periods = {name: one.clock.sample_time for name, one in signals.items()}
     near, latest = CLOCK_TOLERANCE * min(periods.values()), max(begins.values())
     late = {name: (latest - begin) / periods[name] for name, begin in begins.items()}
-    apart = np.ptp([begins[name] for name, one in signals.items() if not one.picked] or [0.0])
-    if apart > near or any(abs(n - round(n)) * periods[name] > near for name, n in late.items()):
+    if any(abs(n - round(n)) * periods[name] > near for name, n in late.items()):
         return None
     cut = {n: replace(one.channel, values=one.channel.values[round(late[n]) :]) for n, one in signals.items()}
     return cut, latest - min(begins.values())
@@ -173,7 +170,7 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
     jittering = [one.clock for one in signals.values() if one.clock.jitter]
     told = dict[str, bool]()
     for one in (signals[name] for name in POSITIONS if name in signals):
-        if one.clock.jitter and not one.picked and (follows := _follows_stamps(one)) is not None:
+        if one.clock.jitter and (follows := _follows_stamps(one)) is not None:
             told[one.clock.column] = follows or told.get(one.clock.column, False)
     resampled = any(told.values())
     straight = dict(signals)

@@ -144,12 +144,9 @@ def write_table(path: str | os.PathLike[str], table: Table, **options: object) -
     if writer.write is None or path.suffix.lower() == ".gz":
         written = ", ".join(entry.name for entry in FORMATS if entry.write is not None)
         raise RecordError(f"{path.name} is of a format that is read alone; write one of {written}.")
-    is_even = not table.scalars and len({values.size for values in table.columns.values()}) == 1
+    is_even = len({values.size for values in table.columns.values()}) == 1
     if not is_even and writer.write is not arrays.write_mat:
         lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-        raise RecordError(
-            f"{writer.name} holds columns of one length and no scalars; got {lengths or 'no column'}, and scalars "
-            f"{', '.join(table.scalars) or 'none'}: leave some out."
-        )
+        raise RecordError(f"{writer.name} holds columns of one length; got {lengths or 'no column'}: leave some out.")
     with beside(path) as fresh:
         writer.write(fresh, table, **options)

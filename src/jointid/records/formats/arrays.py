@@ -15,26 +15,22 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.table import Table, find_columns, require_room, to_numbers
 
-_HEADER = 2**16  # characters of the header of a NumPy array, for more than a thousand columns
-_REST = 2**8  # characters of it beside the names of the columns
+_HEADER = 2**20  # characters of the header of a NumPy array, for the widest table
 _VARIABLE = re.compile(r"(?!end$|for$|global$|if$)[A-Za-z]\w{0,62}", re.ASCII)  # of MATLAB; no word that a log may have
 _HDF5, _HEADER_73 = b"\x89HDF\r\n\x1a\n", 512  # the signature, and the bytes of MATLAB's own header before it
 # Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
 # stands for 1032 at most, and each of these may be a number.
 _PACKED_MOST, _ANY_FILE = 10_000, 2**27  # bytes of numbers that a byte of a file, and any file, may declare
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
-_MEMBERS, _ELEMENTS = 100_000, 10_000  # datasets and groups of a file, elements of an array of structures
+_MEMBERS = 100_000  # datasets and groups of a file
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
-
-Member: TypeAlias = Any
-"""A group or a dataset of h5py, which has no types."""
 
 
 def read_npy(path: Path, rows: int | None) -> Iterator[Table]:
@@ -56,11 +52,6 @@ def read_npy(path: Path, rows: int | None) -> Iterator[Table]:
 def write_npy(path: Path, table: Table) -> None:
     """Write a record array of float64 fields."""
     array = np.empty(table.rows, dtype=[(name, "<f8") for name in table.columns])
-    if (size := len(repr(array.dtype.descr))) > _HEADER - _REST:
-        raise RecordError(
-            f"The names of {len(table.columns)} columns take {size} characters, and at most {_HEADER - _REST} are read "
-            "from a .npy file; choose columns, or write a .parquet file."
-        )
     for name, values in table.columns.items():
         array[name] = values
     with path.open("wb") as file:
@@ -120,7 +111,7 @@ def _take_variable(table: Table, path: str, value: Any) -> None:
 
 
 def write_mat(path: Path, table: Table) -> None:
-    """Write columns as n x 1 variables of version 7; a column of one sample is read as a scalar."""
+    """Write columns as n x 1 variables of version 7."""
     refused = ", ".join(f'"{name}"' for name in table.columns if not _VARIABLE.fullmatch(name))
     if refused:
         raise RecordError(
@@ -138,7 +129,7 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
     h5py = extra("h5py", "logs", f"Reading {path.name}")
     table, seen, bearable = Table(source=path.name), 0, _ANY_FILE + _PACKED_MOST * path.stat().st_size
 
-    def visit(name: str, member: Member) -> None:
+    def visit(name: str, member: Any) -> None:
         nonlocal seen
         seen += 1
         if seen > _MEMBERS:
@@ -148,46 +139,38 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
         called = name.replace("/", ".") if matlab else name
         if why := _refuse(h5py, member):
             table.passed[called] = why
-        elif h5py.check_ref_dtype(member.dtype) is None:
-            numbers = max(member.size * len(member.dtype.names or " "), member.nbytes // 8)
-            require_room(path.name, table.numbers + numbers)
-            if 8 * numbers > bearable:
-                raise RecordError(f"{path.name} declares numbers that were never written; log or copy it again.")
-            unit = next((text for key in _UNITS if (text := _text_of(member, key))), "")
-            array = np.asarray(member[()])
-            table.take(called, array.T if matlab else array, unit)
-        else:  # the elements of an array of structures
-            above, _, field = name.rpartition("/")
-            for index, reference in enumerate(member[()].ravel()):
-                element = member.file[reference] if reference else None
-                visit(f"{above}[{index}]/{field}", element)
-                if isinstance(element, h5py.Group):
-                    element.visititems(lambda inner, one, at=f"{above}[{index}]/{field}": visit(f"{at}/{inner}", one))
+            return
+        numbers = max(member.size * len(member.dtype.names or " "), member.nbytes // 8)
+        require_room(path.name, table.numbers + numbers)
+        if 8 * numbers > bearable:
+            raise RecordError(f"{path.name} declares numbers that were never written; log or copy it again.")
+        unit = next((text for key in _UNITS if (text := _text_of(member, key))), "")
+        array = np.asarray(member[()])
+        table.take(called, array.T if matlab else array, unit)
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)  # each once, and no link to another place
         return table
 
 
-def _refuse(h5py: Any, dataset: Member) -> str:
+def _refuse(h5py: Any, dataset: Any) -> str:
     """Reason to pass over a dataset: no numbers, numbers in another file, or too large chunks."""
     properties, kind = dataset.id.get_create_plist(), _text_of(dataset, "MATLAB_class")
     packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if dataset.shape is None or dataset.size == 0 or "MATLAB_empty" in dataset.attrs:
         return "it is empty"
-    if kind in ("char", "cell") or h5py.check_string_dtype(dataset.dtype) is not None:
-        return "it holds text, or cells"
+    if kind in ("char", "cell") or dataset.dtype.kind == "O":
+        return "it holds text, cells, or an array of structures"
     if dataset.dtype.names in (("real", "imag"), ("r", "i")) or "MATLAB_sparse" in dataset.parent.attrs:
         return "it holds complex numbers, or a sparse matrix"
     if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
         return "its numbers are in another file"
-    is_array = h5py.check_ref_dtype(dataset.dtype) is not None
-    if packed > _CHUNK or (is_array and dataset.size > _ELEMENTS):
-        return f"its chunks are declared as {packed / 2**30:.3g} GiB each, or it has {dataset.size} structures"
+    if packed > _CHUNK:
+        return f"its chunks are declared as {packed / 2**30:.3g} GiB each"
     return ""
 
 
-def _text_of(member: Member, key: str) -> str:
+def _text_of(member: Any, key: str) -> str:
     """Return a text that an attribute holds; none of other kinds, which may be of any size."""
     if key not in member.attrs or math.prod(member.attrs.get_id(key).shape or ()) != 1:
         return ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +22,6 @@ _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _TDMS_UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
 _UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
-
-Arrow: TypeAlias = Any
-"""An object of pyarrow, which has no types."""
-
-Nptdms: TypeAlias = Any
-"""An object of npTDMS, which has no types."""
 
 
 def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
@@ -69,7 +63,7 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
             yield table.require_numbers()
 
 
-def _take_array(table: Table, name: str, array: Arrow, begin: list[np.datetime64]) -> None:
+def _take_array(table: Table, name: str, array: Any, begin: list[np.datetime64]) -> None:
     """Add the columns of an array; `begin` is the first instant of the file, once there is one."""
     arrow, compute = extra("pyarrow", "logs", "Reading Parquet"), extra("pyarrow.compute", "logs", "Reading Parquet")
     types, kind = arrow.types, array.type
@@ -116,7 +110,7 @@ def write_parquet(path: Path, table: Table) -> None:
 def read_tdms(path: Path) -> Table:
     """Read every channel of numbers as "group/channel", or "channel" of the group "Untitled".
 
-    Numeric properties of the file and its groups are scalars; "unit_string" is the unit. A waveform (wf_increment) gets
+    "unit_string" is the unit. A waveform (wf_increment) gets
     a time column "group/time" if shared by the group, else "group/channel/time". Instants and wf_start_time are seconds
     since the first in the file. Text is skipped.
     """
@@ -134,15 +128,12 @@ def read_tdms(path: Path) -> Table:
         begins = {channel.path: begin for channel in every if (begin := _find_begin(channel)) is not None}
         first = min(begins.values(), default=None)
         late = {path: float((begin - first) / np.timedelta64(1, "s")) for path, begin in begins.items()}
-        for prefix, owner in [("", file), *((f"{one.name}/", one) for one in file.groups())]:
-            numbers = {n: v for n, v in owner.properties.items() if np.asarray(v).dtype.kind in "iuf"}
-            table.scalars |= {f"{prefix}{n}": float(v) for n, v in numbers.items()}
         for group in file.groups():
             _take_group(table, group, late)
     return table
 
 
-def _find_begin(channel: Nptdms) -> np.datetime64 | None:
+def _find_begin(channel: Any) -> np.datetime64 | None:
     """Return the first instant of a waveform, or of a channel of instants."""
     if not len(channel):
         return None
@@ -150,7 +141,7 @@ def _find_begin(channel: Nptdms) -> np.datetime64 | None:
     return begin if isinstance(begin, np.datetime64) and begin >= _UNSET else None
 
 
-def _take_group(table: Table, group: Nptdms, late: dict[str, float]) -> None:
+def _take_group(table: Table, group: Any, late: dict[str, float]) -> None:
     prefix = "" if group.name == _NAMELESS else f"{group.name}/"
     waves = dict[str, FloatArray]()
     for channel in group.channels():

@@ -1,4 +1,4 @@
-"""Tables of columns and scalars, common to all formats, and bounds on what a file may hold."""
+"""Tables of columns, common to all formats, and bounds on what a file may hold."""
 
 from __future__ import annotations
 
@@ -40,7 +40,6 @@ class Table:
     Attributes:
         columns: name -> values of shape (samples,), in file order, read-only, NaN where the file has no
             number; the columns of one file can differ in length.
-        scalars: name -> single number, where the format keeps such (a MAT file's gains, say).
         source: the file's name, for reports and errors.
         units: name -> unit of a column, as the file spells it, where the format keeps such and the file has one.
         passed: name -> why it was not read, of what looks like a column and is none.
@@ -52,7 +51,6 @@ class Table:
     """
 
     columns: dict[str, FloatArray] = field(default_factory=dict)
-    scalars: dict[str, float] = field(default_factory=dict)
     source: str = ""
     units: dict[str, str] = field(default_factory=dict)
     passed: dict[str, str] = field(default_factory=dict)
@@ -65,18 +63,15 @@ class Table:
             self.add(name, values if not values.flags.writeable else values.copy())
 
     def take(self, name: str, array: np.ndarray[Any, Any], unit: str = "") -> None:
-        """Add an array: its columns, its one number, or why it is passed over."""
-        if array.size == 1 and array.dtype.kind in _REAL:
-            self._require_new(name)
-            self.scalars[name] = float(array.item())
-            return
+        """Add the columns of an array, or why it is passed over; a single number is a column of one row."""
         require_room(self.source, self.numbers + array.size * len(array.dtype.names or " "))
         for column, view in find_columns(name, array, self.passed).items():
             self.add(column, to_numbers(view), unit)
 
     def add(self, name: str, values: FloatArray, unit: str = "", clock: str = "") -> None:
         """Add a column that nobody else changes; it becomes read-only."""
-        self._require_new(name)
+        if name in self.columns:
+            raise RecordError(f"{self.source} has more than one column called {name!r}; rename them.")
         values = np.asarray(values, dtype=np.float64)
         if values.ndim != 1 or values.size == 0:
             raise RecordError(f'Column "{name}" has shape {values.shape}; give a non-empty array of one dimension.')
@@ -87,17 +82,13 @@ class Table:
         self.units |= {name: unit} if unit else {}
         self.clocks |= {name: clock} if clock else {}
 
-    def _require_new(self, name: str) -> None:
-        if name in self.columns or name in self.scalars:
-            raise RecordError(f"{self.source} has more than one column called {name!r}; rename them.")
-
     def require_numbers(self) -> Table:
         """Return the table.
 
         Raises:
             RecordError: there is no number.
         """
-        if not (self.columns or self.scalars):
+        if not self.columns:
             listed = "; ".join(f"{name!r}: {why}" for name, why in list(self.passed.items())[:_FEW])
             said = f" ({listed})" if listed else ""
             raise RecordError(f"{self.source} holds no numbers{said}; log the signals as columns of numbers.")

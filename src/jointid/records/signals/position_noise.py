@@ -78,7 +78,7 @@ def lowpass_below_noise(values: FloatArray, limit: float, sample_time: float) ->
 
 
 def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float, model: str) -> tuple[str, ...]:
-    """Return a sentence where noise of positions lowered a default cut-off, or a stated one is too wide for it.
+    """Return a sentence where a stated cut-off is too wide for the noise of positions.
 
     Args:
         filtering: resolved.
@@ -89,9 +89,7 @@ def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float,
     cutoff = filtering.cutoff
     assert cutoff is not None
     default = default_cutoffs(sample_time, model)[1]
-    if cutoff <= limit * (1 - 1e-9) or limit >= default:
+    if cutoff <= limit * (1 + 1e-9) or limit >= default:
         return ()
     why = f"noise or steps of the positions pull an inertia if they pass above {number(limit, 3)} Hz"
-    if cutoff <= limit * (1 + 1e-9):
-        return (f"filtering.cutoff is {number(cutoff, 3)} Hz, not {number(default, 3)} Hz as the rate allows: {why}",)
     return (f"filtering.cutoff is {number(cutoff, 3)} Hz, and {why}: lower filtering.cutoff to that",)
