@@ -37,7 +37,7 @@ def test_blocks_together_are_the_whole(path: Path, rows: int) -> None:
     assert [block.rows for block in blocks[:-1]] == [rows] * (len(blocks) - 1)
     for name, values in whole.columns.items():
         np.testing.assert_array_equal(np.concatenate([b.columns[name] for b in blocks]), values)
-        np.testing.assert_array_equal(blocks[0].head(3).columns[name], values[: min(3, rows)])
+        np.testing.assert_array_equal(blocks[0].columns[name][:3], values[: min(3, rows)])
 
 
 def test_comments_and_empty_lines_are_no_rows(tmp_path: Path) -> None:

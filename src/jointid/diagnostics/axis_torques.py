@@ -34,8 +34,7 @@ from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.friction_terms import Friction, friction_terms
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
-from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
+from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
 from jointid.simulation.robots import RobotRun, simulation_of
 
 _TURN = 1e-4  # rad or m: step of a derivative

@@ -30,8 +30,7 @@ from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
-from jointid.records.signals.filtering import lowpass
-from jointid.records.signals.position_noise import find_noise_limit, lowpass_below_noise
+from jointid.records.signals.filtering import find_noise_limit, lowpass, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import Influence

@@ -165,11 +165,6 @@ def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
 
     Returns:
         The wrap, and whether it is a turn, turns or a part of one, or a power of two.
-
-    Example:
-        >>> import numpy as np
-        >>> find_wrap(np.mod(np.arange(1000.0), 360.0), 360.0)
-        (360.0, True)
     """
     with np.errstate(over="ignore"):
         steps, span = np.diff(values), float(np.ptp(values))

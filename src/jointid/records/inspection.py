@@ -13,7 +13,6 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Listing, Table
-from jointid.common.files import files_of
 from jointid.common.text import number, pluralise, short, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_table
@@ -90,7 +89,6 @@ class Inspection(Documented):
     Attributes:
         file: its name.
         format: what it is.
-        size: bytes; of a folder those of all its files.
         channels: its columns.
         passed: what looks like a column and is not read, and why.
         recognised: whose log it is; None where no profile of a drive has its names.
@@ -98,7 +96,6 @@ class Inspection(Documented):
 
     file: str
     format: str
-    size: int
     channels: tuple[InspectedChannel, ...]
     passed: Mapping[str, str]
     recognised: Recognised | None = None
@@ -123,7 +120,7 @@ class Inspection(Documented):
         said = [f"{pluralise(more, 'more channel')}, which --json lists"] if more else []
         said += [f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items()]
         said += [] if self.recognised is None else [show(self.recognised.sentence)]
-        title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
+        title = f"{show(self.file)}: {self.format}, {len(self.channels)} channels"
         blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
         if not any(channel.is_time for channel in self.channels):
             said.append("No channel is recognised as time; give the joint file a sample_time, or the column's name.")
@@ -159,5 +156,4 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         time = name if name in clocks else table.clocks.get(name) or (alike[0] if len(alike) == 1 else "")
         if time in clocks:
             found[name] = replace(channel, time=time, sample_time=clocks[time].sample_time)
-    size, channels = sum(file.stat().st_size for file in files_of(path)), tuple(found.values())
-    return Inspection(path.name, format_of(path).name, size, channels, table.passed, recognise(tuple(found)))
+    return Inspection(path.name, format_of(path).name, tuple(found.values()), table.passed, recognise(tuple(found)))

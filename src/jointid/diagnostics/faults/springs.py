@@ -13,7 +13,7 @@ from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.models.joints import FlexibleJoint, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring, TwoPieceSpring
-from jointid.records.signals.position_noise import lowpass_below_noise
+from jointid.records.signals.filtering import lowpass_below_noise
 from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason
 

@@ -45,7 +45,7 @@ from jointid.estimation.result.parts import Checks, Settings
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts, window_torque
-from jointid.records.signals.position_noise import describe_noise_limit, find_noise_limit
+from jointid.records.signals.filtering import describe_noise_limit, find_noise_limit
 from jointid.simulation.prescribed import (
     LOAD_STATE,
     PARTS,

@@ -57,8 +57,7 @@ from jointid.models.robots.friction_terms import Friction, friction_terms, joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record, Timing
-from jointid.records.signals.filtering import Filtering
-from jointid.records.signals.position_noise import describe_noise_limit
+from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import conditioning

@@ -29,8 +29,7 @@ from jointid.estimation.problems.base import (
 from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
-from jointid.records.signals.position_noise import noise_limit_of_computed
+from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends, noise_limit_of_computed
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.loop_input import LoopInput, prepare

@@ -34,12 +34,12 @@ from jointid.records.signals.filtering import (
     decimated_at,
     differentiate,
     differentiate_twice,
+    find_noise_limit,
     lowpass,
     settle,
     thin_channel,
     window_torque,
 )
-from jointid.records.signals.position_noise import find_noise_limit
 
 ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
 """The spring's force by the difference of two encoders' zeros, which acts on the load and against the motor.

@@ -21,8 +21,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
-from jointid.records.signals.position_noise import noise_limit_of_computed
+from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends, noise_limit_of_computed
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.robot_drive_side import RobotDriveSideRun

@@ -60,7 +60,9 @@ class TraceSignal(Column):
     def names_on(self, place: Place) -> Iterator[str]:
         """Yield possible names at a place."""
         if self.axes is None or place.get("axis") in self.axes:
-            yield from _fill_names(self.names, place)
+            for name in self.names:
+                with contextlib.suppress(KeyError):
+                    yield name.format(**place)
 
     def fill(self, column: Column, known: tuple[str, ...]) -> Column:
         """Complete a column's missing settings."""
@@ -163,13 +165,6 @@ def place_of(axis: int | None = None, joint: str | None = None) -> Place:
 def _find_named(names: Iterable[str], columns: Spoken) -> list[str]:
     """Return the columns that have one of these names."""
     return list(dict.fromkeys(column for name in names for column in columns.get(_split_words(name), ())))
-
-
-def _fill_names(names: Iterable[str], place: Place) -> Iterator[str]:
-    """Yield names whose placeholders a place has."""
-    for name in names:
-        with contextlib.suppress(KeyError):
-            yield name.format(**place)
 
 
 @cache

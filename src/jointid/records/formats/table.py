@@ -110,10 +110,6 @@ class Table:
         """Count of rows: the length of the longest column."""
         return max((values.size for values in self.columns.values()), default=0)
 
-    def head(self, rows: int) -> Table:
-        """Return the first rows."""
-        return replace(self, columns={name: values[:rows] for name, values in self.columns.items()})
-
 
 def join_tables(tables: Iterable[Table]) -> Table:
     """Concatenate tables; a column that one of them lacks is passed over."""
