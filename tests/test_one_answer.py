@@ -64,7 +64,7 @@ def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monk
     monkeypatch.setattr(sections, "svg", lambda *_: b"")  # drawing takes as long as all else
     file, joint, run = _recorded(tmp_path, gain), tmp_path / "joint.toml", tmp_path / "run.csv"
     record = file.record(run)
-    notebook = ji.identify(record, ji.ClosedLoop(file.joint, file.loop.controller), shown=file.declared_numbers)
+    notebook = ji.identify(record, ji.ClosedLoop(file.joint, file.loop.controller))
     expected = _told(ji.to_dict(notebook))
     assert expected[2] == trust
     assert notebook.checks.verdicts[-1].subject is Subject.LOOP

@@ -19,7 +19,6 @@ from jointid.config.source import Source
 from jointid.config.tables import AxisTable, FileTable, ParameterTable, make_method
 from jointid.estimation.methods.registry import Method, methods
 from jointid.models.controllers import Controller
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.limits import AxisLimits
@@ -83,11 +82,6 @@ class Axis:
         from jointid.simulation.controller_torque import compute_controller_torque
 
         return compute_controller_torque(record, self.loop)
-
-    def drive_numbers(self, learned: Controller | None = None) -> tuple[DriveNumber, ...]:
-        """Return how the drive shows the numbers of a learned law, or of the declared one."""
-        law = self.controller if learned is None else learned
-        return () if law is None else self.units.numbers(law, self.controller)
 
     def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
         """Return the record of this axis from a table of columns; see `File.record`.
@@ -203,11 +197,10 @@ def build_axis(
     units = replace(units, torque=units.find_torque_unit(columns.get("torque")))
     controller: Any = None
     if own.controller is not None:
-        units = replace(units, side=own.controller.side, keys=own.controller.keys)
+        units = replace(units, side=own.controller.side)
         controller = own.controller.law
         ratio = {} if gear is None else {"ratio": gear.torque(units.side)}
-        gain = _make(at(), units.gain, controller)
-        controller = replace(controller, gain=gain, **ratio)
+        controller = replace(controller, gain=_make(at(), units.gain, controller, own.controller.gain), **ratio)
     name = given.get("name") or _choose_method(own, file.source, columns, drive)
     method = _make(at(), make_method, name, given, str(own.model))
     joint = _build_joint(own, at("joint"), kind, gear, units.torque)

@@ -25,7 +25,6 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
@@ -122,11 +121,6 @@ class File:
     def limits(self) -> AxisLimits | tuple[AxisLimits, ...]:
         """Limits of the joint, or of each joint of a robot, in a test that is planned."""
         return self.axis.limits if self.robot is None else tuple(axis.limits for axis in self.axes)
-
-    @property
-    def declared_numbers(self) -> tuple[DriveNumber, ...]:
-        """How the drive of a joint shows the numbers of its controller."""
-        return self.axis.drive_numbers() if self.robot is None else ()
 
     @property
     def loop(self) -> Any:
@@ -236,7 +230,7 @@ class File:
 
         return identify(
             record, self.setup, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress,
-            **{"shown": self.declared_numbers} | asked,
+            **asked,
         )  # fmt: skip
 
     def identify_together(self, paths: Paths = (), progress: Progress = ignore_progress) -> Estimate:

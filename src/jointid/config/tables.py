@@ -49,12 +49,12 @@ class StatedController:
     Attributes:
         law: on its own side; its gain is 1 where none is given.
         side: of the transmission, in whose positions and torque its numbers are.
-        keys: that the file gives, and the settings that they say in other words.
+        gain: that the file gives.
     """
 
     law: Controller
     side: Side
-    keys: frozenset[str]
+    gain: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,10 +196,9 @@ def _variant(word: str, keys: Mapping[str, Setting], owner: Callable[..., Any]) 
     needed = {one.name: 1.0 for one in keys.values() if one.required and one.type is float}
 
     def make(**given: Any) -> Any:
-        stated = frozenset(given)
         if other in given:
             given[gives] = product / given.pop(other)
-        return owner(stated | given.keys(), **needed | given)
+        return owner(**needed | given)
 
     if not gives:
         return Table(keys, make)
@@ -217,17 +216,17 @@ def _join_keys(variants: Mapping[str, Table]) -> dict[str, Setting]:
     return {name: merge(same) for name, same in found.items()}
 
 
-def _make_filter(_: object, kind: str = "digital", **given: Any) -> Filter:
+def _make_filter(kind: str = "digital", **given: Any) -> Filter:
     made: Filter = FILTERS[kind](**given)
     return made
 
 
-def _make_law(stated: frozenset[str], law: str = "cascade", side: Side = "motor", **given: Any) -> StatedController:
+def _make_law(law: str = "cascade", side: Side = "motor", **given: Any) -> StatedController:
     """Return a controller on its own side, checked at its period where there is one."""
     made: Any = LAWS[law](**given)
     if made.period is not None:
         made.law(made.period)
-    return StatedController(made, side, stated)
+    return StatedController(made, side, given.get("gain"))
 
 
 _KIND = key("kind", str, "which filter", "digital", choices=tuple(FILTERS))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum, auto
 
 from jointid.common.arrays import FloatArray
@@ -23,7 +22,7 @@ from jointid.common.text import join, number, pluralise, sentence
 from jointid.common.transmission import Transmission
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, in_torque
-from jointid.models.controllers.drive_numbers import DriveNumber, name_in_words
+from jointid.models.controllers.number_names import name_in_words
 from jointid.records.record import Resampled
 
 
@@ -35,22 +34,21 @@ class LimitationCode(StrEnum):
     ANOTHER_LAW = auto()
 
 
-_TUNED = ("_gain", "integral_time", "derivative_time")  # what the names of gains and their times end with
+_TUNED = ("_gain", "derivative_time")  # what the names of gains and their times end with
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedNumber:
-    """One number of the law, in SI or as the drive shows it.
+    """One number of the law.
 
     Attributes:
-        name: as `jointid.models.controllers.numbers_of` has it, or of it in the drive; "integral" is what an integral
+        name: as `jointid.models.controllers.numbers_of` has it; "integral" is what an integral
             holds at the first sample, in controller units.
-        value: in the law's units, or in the drive's.
-        std: standard deviation, if this law is the drive's; of a number in the drive half its spread.
+        value: in the law's units.
+        std: standard deviation, if this law is the drive's.
         unit: of the value; "" for a number without.
         lower, upper: ends of the interval: 2 deviations either way, in this law and in all that the record does not
             distinguish from it and that have the same number.
-        declared: what the joint file says, in that unit; None where it says nothing.
     """
 
     name: str
@@ -59,17 +57,11 @@ class LearnedNumber:
     unit: str = ""
     lower: float = math.nan
     upper: float = math.nan
-    declared: float | None = None
 
     @property
     def spread(self) -> float:
         """Distance from the value to the further end of its interval."""
         return max(self.upper - self.value, self.value - self.lower)
-
-    @property
-    def difference(self) -> float | None:
-        """Relative deviation from the declared value; None if none is declared."""
-        return self.value / self.declared - 1.0 if self.declared else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +99,6 @@ class LearnedController(Documented):
         record: name of it.
         transmission: between the motor and the units of the law, None where there is none.
         resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
-        in_drive: the numbers as the drive shows them, beside what was declared; see `beside`.
     """
 
     controller: Controller
@@ -127,11 +118,6 @@ class LearnedController(Documented):
     record: str
     transmission: Transmission | None
     resampled: Resampled | None = None
-    in_drive: tuple[LearnedNumber, ...] = ()
-
-    def beside(self, shown: Iterable[DriveNumber]) -> LearnedController:
-        """Add the numbers as the drive shows them; `shown` is what `Axis.drive_numbers` of a file returns."""
-        return replace(self, in_drive=numbers_in_drive(self.numbers, shown))
 
     def __getitem__(self, name: str) -> LearnedNumber:
         """Return a number by its name."""
@@ -153,7 +139,7 @@ class LearnedController(Documented):
         cascade = isinstance(self.controller, Cascade)
         gains = [
             f"{name_in_words(one.name, cascade=cascade)} {number(one.value, 4)} {one.unit}".rstrip()
-            for one in self.in_drive or self._in_si()
+            for one in self._in_si()
             if one.name.endswith(_TUNED)
         ]
         found = f"the controller is {self.structure}, and leaves {100 * self.share:.2g} % of the torque."
@@ -192,7 +178,6 @@ class LearnedController(Documented):
             explanation += f"; [controller] has gain = {number(gain)} {self.torque_unit}"
         blocks: list[Block] = [
             Facts((("record", self.record), *common_facts(self.resampled, None))),
-            *([_tabulate("in the drive", self.in_drive)] if self.in_drive else []),
             _tabulate("parameter in SI", self._in_si()),
             Paragraph(explanation),
             Paragraph(residual),
@@ -205,36 +190,9 @@ class LearnedController(Documented):
         return Document(self.sentence, (*blocks, Listing(tuple(map(str, left_open)))))
 
 
-def numbers_in_drive(learned: Sequence[LearnedNumber], shown: Iterable[DriveNumber]) -> tuple[LearnedNumber, ...]:
-    """Convert learned numbers to the drive's; empty if the drive shows them unchanged.
-
-    Args:
-        learned: the numbers.
-        shown: conversion to the drive's numbers.
-    """
-    known = {one.number: one for one in shown}
-    both = [(one, to) for one in learned if (to := known.get(one.name))]
-    if not any(to.tells_more for _, to in both):
-        return ()
-    found = []
-    for one, to in both:
-        ends = sorted((to.of(one.lower), to.of(one.upper)))
-        if to.inverse and not one.lower > 0:  # the interval of the gain holds 0, that of the time no end
-            ends = [to.of(one.upper), math.inf] if one.upper > 0 else [-math.inf, math.inf]
-        found.append(LearnedNumber(to.name, to.of(one.value), one.std, to.unit, ends[0], ends[1], to.declared))
-        found[-1] = replace(found[-1], std=0.5 * found[-1].spread)
-    return tuple(found)
-
-
 def _tabulate(title: str, numbers: tuple[LearnedNumber, ...]) -> Table:
-    """Table of numbers, beside the declared ones if any is."""
-    compared = any(one.declared is not None for one in numbers)
     rows = list[tuple[str, ...]]()
     for one in numbers:
         percent = number(100 * one.spread / abs(one.value), 2) if one.value else "-"
-        declared = "-" if one.declared is None else f"{one.declared:.6g}"
-        differs = "-" if one.difference is None else f"{100 * one.difference:+.2g} %"
-        row = (one.name, number(one.value, 6), number(one.spread, 2), one.unit, percent, declared, differs)
-        rows.append(row if compared else row[:5])
-    header = (title, "value", "±", "unit", "%", "declared", "differs by")
-    return Table(header if compared else header[:5], tuple(rows), words=(0, 3))
+        rows.append((one.name, number(one.value, 6), number(one.spread, 2), one.unit, percent))
+    return Table((title, "value", "±", "unit", "%"), tuple(rows), words=(0, 3))

@@ -58,7 +58,6 @@ from jointid.estimation.descent import descend
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Influence
@@ -76,7 +75,6 @@ def search_faults(
     settings: LoopTests | None = None,
     std: Mapping[str, float] | None = None,
     record: Record | None = None,
-    shown: Sequence[DriveNumber] = (),
     law: LawOnPosition | None = None,
 ) -> tuple[AxisFaults, SearchState]:
     """Return the faults of a loop and its log, and the problem with these faults corrected.
@@ -88,7 +86,6 @@ def search_faults(
         std: standard errors of the joint's parameters by name, in which shifts are given; autocorrelation-robust ones
             when None.
         record: of the problem; without it a drive that runs faster than the log is not searched for.
-        shown: how the drive shows the numbers of its controller, see `diagnose`.
         law: what the declared law leaves of the torque along the record's motor position; None without one.
     """
     settings, known = settings or LoopTests(), std or {}
@@ -147,7 +144,6 @@ def search_faults(
         units=units,
         side=None if joint.transmission is None else joint.transmission.side,
         undecided=choose_undecided(open_ones),
-        shown={one.number: one for one in shown},
         laws=list_laws(joint),
         excluded=() if findings or last is None else last.excluded,
         lacking={} if findings or last is None else _measure_lacking(state, last),

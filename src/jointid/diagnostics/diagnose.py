@@ -34,7 +34,6 @@ from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
@@ -59,7 +58,6 @@ def diagnose(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    shown: Sequence[DriveNumber] = (),
     controllers: Sequence[Controller | None] = (),
     laws: bool = False,
     progress: Progress = ignore_progress,
@@ -77,8 +75,6 @@ def diagnose(
         method: of the identification; see `jointid.identify`, as for the next two.
         filtering: of the identification.
         parameters: changes to the joint's parameters.
-        shown: how the drive shows the numbers of its controller, as `jointid.config.File.declared_numbers` has it;
-            without it they are given in SI.
         controllers: of each joint of a robot as declared, None where one is not known; those of the loop if none are
             given.
         laws: whether to identify a joint with every law of its spring and its friction, too, and to judge each by how
@@ -101,7 +97,7 @@ def diagnose(
     if laws and not isinstance(model, ClosedLoop):
         raise MethodError("Laws are compared in the closed loop; declare the [controller].")
     if isinstance(model, Estimate):
-        return _diagnose_estimate(model, record, shown, controllers)
+        return _diagnose_estimate(model, record, controllers)
     axes = _list_axes(record, model)
     _, first, loop = axes[0]
     gear = getattr(getattr(model, "joint", model), "transmission", None)
@@ -113,17 +109,17 @@ def diagnose(
     if not any(one.code in _ENOUGH for one in symptoms):
         try:
             estimate = identify(
-                record, model, method, filtering=filtering, parameters=parameters, shown=shown, progress=progress
+                record, model, method, filtering=filtering, parameters=parameters, progress=progress
             )
         except JointidError as error:
-            symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, shown, progress))
+            symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, progress))
         else:
             symptoms += _examine_estimate(estimate)
             made = estimate.checks.diagnosis
             found = made if isinstance(made, Diagnosis) else found
             if found.axes and not isinstance(model, RobotLoop) and any(one is not None for one in controllers):
                 with contextlib.suppress(JointidError):  # the diagnosis that was made stands
-                    found = _diagnose_estimate(estimate, record, shown, controllers)
+                    found = _diagnose_estimate(estimate, record, controllers)
     if laws and isinstance(record, Record) and loop is not None:
         known = filtering, parameters, method if isinstance(method, DIDIM) else None, progress
         kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
@@ -146,7 +142,6 @@ def unreadable(error: FaultsError, record: str) -> Diagnosis:
 def _diagnose_estimate(
     estimate: Estimate,
     record: Record | Sequence[Record],
-    shown: Sequence[DriveNumber],
     controllers: Sequence[Controller | None],
 ) -> Diagnosis:
     """Return the diagnosis of an estimate on the record that it is from; see `diagnose`."""
@@ -168,7 +163,7 @@ def _diagnose_estimate(
     estimate.require_values()
     another = f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque."
     record = take_identified_torque(estimate, record)
-    return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another), shown=shown)[0]
+    return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another))[0]
 
 
 def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
@@ -221,10 +216,10 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
 
 
 def _explain(
-    error: JointidError, record: Record, loop: ClosedLoop | None, shown: Sequence[DriveNumber], progress: Progress
+    error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress
 ) -> Symptom:
     """Return the cause of a failed identification; its error if none is found."""
-    causes = find_failure_causes(record, loop, shown, progress=progress)
+    causes = find_failure_causes(record, loop, progress=progress)
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
         return Symptom("not_identified", _clause(str(error)))
     named = causes.explanations

@@ -29,7 +29,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
 from jointid.models.controllers import Controller
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
@@ -47,7 +46,6 @@ def diagnose_joint(
     record: Record,
     solved: Solved,
     tests: LoopTests | None = None,
-    shown: Sequence[DriveNumber] = (),
 ) -> tuple[Diagnosis, SearchState]:
     """Diagnose the estimate of a joint by DIDIM.
 
@@ -56,7 +54,6 @@ def diagnose_joint(
         record: that it was identified from.
         solved: its problem; the parameters identified beside the joint are not tested.
         tests: settings of the tests.
-        shown: how the drive shows the numbers of its controller.
 
     Returns:
         The diagnosis, and the problem with the faults that were found corrected.
@@ -64,7 +61,7 @@ def diagnose_joint(
     problem, x = solved
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
-    faults, state = search_faults(problem, x, tests, std, record, shown, law)
+    faults, state = search_faults(problem, x, tests, std, record, law)
     torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
     axis = _diagnose_axis(
         "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit),

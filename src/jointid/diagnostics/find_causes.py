@@ -50,7 +50,6 @@ from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.chunks import cut
 from jointid.records.record import Record
@@ -140,7 +139,6 @@ def find_causes(
     loop: ClosedLoop,
     estimate: Estimate | None = None,
     *,
-    shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
     free: Sequence[str] = (),
 ) -> Causes:
@@ -150,8 +148,6 @@ def find_causes(
         record: with torque and reference.
         loop: as declared.
         estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
-        shown: how the drive shows the numbers of its controller, as `jointid.config.Axis.drive_numbers` has it;
-            without it they are given in SI.
         progress: called with each step.
         free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
 
@@ -180,9 +176,8 @@ def find_causes(
     declared = min((declared, *(fit.error for fit in fits if fit.hypothesis.fault is None)))
     if fits and fits[0].hypothesis.fault is not None:  # its number counts, not that its search found the better end
         declared = min(declared, _declared_from(fits[0], tried[0]))
-    numbers = {one.number: one for one in shown}
     tellings = [
-        tuple(Explanation(cause, words, by, error) for cause, words, by in fault.explain(value, loop, numbers))
+        tuple(Explanation(cause, words, by, error) for cause, words, by in fault.explain(value, loop))
         for fault, value, error in sorted(_judge_faults(tried[0], fits), key=lambda one: one[2])
     ]
     explaining = _explaining(tellings, declared, loop, record.torque.sample_time)
@@ -190,14 +185,14 @@ def find_causes(
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     more = best and best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS)
-    if (best is None or more) and (by_position := find_law_causes(record, loop, shown)) is not None:
+    if (best is None or more) and (by_position := find_law_causes(record, loop)) is not None:
         return by_position
     return Causes(declared, () if more else explaining, best if more else None, left, missed=tuple(missed))
 
 
-def find_law_causes(record: Record, loop: ClosedLoop, shown: Sequence[DriveNumber] = ()) -> Causes | None:
+def find_law_causes(record: Record, loop: ClosedLoop) -> Causes | None:
     """Return the number of the law that the motor position shows to be another one; None where it shows none."""
-    left, told = explain_on_position(record, loop, {one.number: one for one in shown})
+    left, told = explain_on_position(record, loop)
     return Causes(left, told[:_NAMED]) if told else None
 
 
@@ -292,7 +287,6 @@ def find_gross_cause(
     estimate: Estimate,
     record: Record,
     progress: Progress = ignore_progress,
-    shown: Sequence[DriveNumber] = (),
 ) -> Causes | None:
     """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
 
@@ -306,7 +300,7 @@ def find_gross_cause(
     if not poor and isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows):
         rigid = fit_below_resonance([Hypothesis(None, record, (loop,), filtering)], loop.joint)
         poor = min((fit.error for fit in rigid), default=math.inf) >= _POOR_START
-    return find_causes(record, loop, estimate, shown=shown, progress=progress) if poor else None
+    return find_causes(record, loop, estimate, progress=progress) if poor else None
 
 
 def explain_misfit(
@@ -314,7 +308,6 @@ def explain_misfit(
     record: Record,
     faults: Sequence[FaultTest] | None,
     progress: Progress = ignore_progress,
-    shown: Sequence[DriveNumber] = (),
     left: float | None = None,
     known: Causes | None = None,
 ) -> Causes | None:
@@ -343,7 +336,7 @@ def explain_misfit(
             return None
     if left is not None and not gross and left <= _MORE_OF_A_LAW * _response_error(estimate, record):
         return None  # under that law nothing more is wrong
-    causes = known or find_causes(record, loop, estimate, shown=shown, progress=progress)
+    causes = known or find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
 
 
@@ -365,7 +358,6 @@ def _response_error(estimate: Estimate, record: Record) -> float:
 def find_failure_causes(
     record: Record,
     loop: ClosedLoop | None,
-    shown: Sequence[DriveNumber] = (),
     free: Sequence[str] = (),
     progress: Progress = ignore_progress,
 ) -> Causes | None:
@@ -378,7 +370,7 @@ def find_failure_causes(
     try:
         # As much of it as the memory holds.
         part = record if windows_of(record, loop, None) is None else cut(record, 0, WINDOW)
-        return find_causes(part, loop, shown=shown, progress=progress, free=free)
+        return find_causes(part, loop, progress=progress, free=free)
     except (JointidError, np.linalg.LinAlgError):  # the error of the identification counts
         return None
 
@@ -388,7 +380,6 @@ def explain_failure(
     record: Record,
     loop: ClosedLoop | None,
     progress: Progress = ignore_progress,
-    shown: Sequence[DriveNumber] = (),
     free: Sequence[str] = (),
 ) -> JointidError:
     """Return the error of a failed identification, with its cause before it or in its place.
@@ -397,7 +388,7 @@ def explain_failure(
     """
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
-    causes = find_failure_causes(record, loop, shown, free, progress)
+    causes = find_failure_causes(record, loop, free, progress)
     if causes is None or not causes.found:
         return error
     words = f"{causes.message.words}."

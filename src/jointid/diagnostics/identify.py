@@ -35,7 +35,6 @@ from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.robot import IdentifiedRobot
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
@@ -60,7 +59,6 @@ def identify(
     several: SeveralRecords | None = None,
     windows: Windowing | Literal[False] | None = None,
     checks: bool = True,
-    shown: Sequence[DriveNumber] = (),
     unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
@@ -88,7 +86,6 @@ def identify(
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.
             Without them, the verdict on the loop says so. Those of a robot are made by `diagnose`.
-        shown: how the drive shows the numbers of its controller, see `diagnose`.
         unchecked: called with the estimate before its checks.
         progress: called with each step in a sentence.
 
@@ -150,12 +147,12 @@ def identify(
         return assemble(fit, _left_out("not checked: the checks were left out"))
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet")))
-    found = run_checks(checked, progress, shown)
+    found = run_checks(checked, progress)
     if (freed := _free_unstated_delay(fit, method, found)) is not None:
         progress("the torque acts within a sample after its log: the delay is identified, too")
         with contextlib.suppress(*_OF_RECORD):  # the first estimate stands
             wider = fit_one(record, model, freed).warn(*filter(None, (said, _DELAY_SAID)))
-            fit, found = wider, run_checks(wider, progress, shown)
+            fit, found = wider, run_checks(wider, progress)
     return assemble(fit, found)
 
 
@@ -184,7 +181,6 @@ def _left_out(why: str) -> CheckResults:
 def run_checks(
     fit: Estimate,
     progress: Progress = ignore_progress,
-    shown: Sequence[DriveNumber] = (),
 ) -> CheckResults:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
@@ -199,7 +195,7 @@ def run_checks(
         if fit.robot is not None:
             return _check_robot(fit, fit.robot, progress)
         if fit.record is not None and fit.problem is not None and fit.x is not None:
-            return _check_joint(fit, fit.record, (fit.problem, fit.x), progress, shown)
+            return _check_joint(fit, fit.record, (fit.problem, fit.x), progress)
     except Exception as error:  # an estimate is worth more than any check of it
         said = f"a check failed, which is a fault of jointid ({type(error).__name__}: {error})"
         return CheckResults((Verdict(Subject.LOOP, Status.UNKNOWN, (Message(Reason.CHECK_FAILED, said),)),))
@@ -211,20 +207,20 @@ def _fail(*reasons: Message) -> Verdict:
 
 
 def _check_joint(
-    fit: Estimate, record: Record, solved: Solved, progress: Progress, shown: Sequence[DriveNumber]
+    fit: Estimate, record: Record, solved: Solved, progress: Progress
 ) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
     problem, x = solved
     gross = causes = found = state = rest = by_position = None
     with contextlib.suppress(*_OF_RECORD):
-        gross = find_gross_cause(assemble(fit), record, progress, shown)
+        gross = find_gross_cause(assemble(fit), record, progress)
     if gross is not None and gross.is_clear:
         return CheckResults((_fail(gross.message),))
     progress("checking loop and log")
     whole = all(p.value is not None for p in fit.params.rows)
     try:
         if whole:
-            found, state = diagnose_joint(fit, record, solved, shown=shown)
+            found, state = diagnose_joint(fit, record, solved)
             verdict = Verdict(Subject.LOOP, found.axes[0].faults.status, found.axes[0].faults.reasons)
         else:
             verdict = check_without_joint(record, problem.loop_at(x))
@@ -237,13 +233,13 @@ def _check_joint(
     faults = None if found is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
     with contextlib.suppress(*_OF_RECORD):
-        causes = explain_misfit(assemble(fit), record, faults, progress, shown, left, gross)
+        causes = explain_misfit(assemble(fit), record, faults, progress, left, gross)
     if causes is not None:
         return CheckResults((_fail(causes.message),), diagnosis=found)
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
     if all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike)):
         with contextlib.suppress(*_OF_RECORD):
-            by_position = find_law_causes(record, problem.loop, shown)
+            by_position = find_law_causes(record, problem.loop)
     if by_position is not None:
         verdict = _fail(by_position.message, *(verdict.reasons if verdict.status is Status.FAILED else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on

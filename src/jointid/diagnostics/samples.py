@@ -16,7 +16,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import join, number
-from jointid.diagnostics.faults.fault import Explanation, Shown
+from jointid.diagnostics.faults.fault import Explanation
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import TORQUE_SCALE, say_times
 from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
@@ -233,7 +233,7 @@ def find_torque_scale(record: Record, loop: ClosedLoop) -> Message | None:
     return Message(Reason.CAUSE_FOUND, words, {"causes": [cause], "declared_error": None}, clause)
 
 
-def explain_on_position(record: Record, loop: ClosedLoop, shown: Shown) -> tuple[float, tuple[Explanation, ...]]:
+def explain_on_position(record: Record, loop: ClosedLoop) -> tuple[float, tuple[Explanation, ...]]:
     """Compare the logged torque with that of the law along the motor position.
 
     Return the residual of the declared law, and the changes that leave far less. The mechanics have no part in it.
@@ -264,6 +264,6 @@ def explain_on_position(record: Record, loop: ClosedLoop, shown: Shown) -> tuple
         Explanation(cause, words, number, one.left)
         for fault, value, one in sorted(found, key=lambda each: each[2].left)
         if one.left < _ALIKE * least and value > 0 and abs(one.size) > max(_SURE * one.std, _FAR_OFF)
-        for cause, words, number in fault.explain(value, loop, shown)
+        for cause, words, number in fault.explain(value, loop)
     )
     return none.left, tuple(said)

@@ -33,7 +33,6 @@ from jointid.common.parameters import POSITION_UNIT, Quantity, unit_of
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw, unit_of_number
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import PARTS
 from jointid.tuning.margins import JointSet, crossover
 
@@ -235,13 +234,12 @@ def _add_up(estimate: Estimate, weights: Mapping[str, float]) -> tuple[str, floa
     return formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0))
 
 
-def feedforward(estimate: Estimate, controller: Any, shown: Mapping[str, DriveNumber]) -> tuple[FeedForward, ...]:
+def feedforward(estimate: Estimate, controller: Any) -> tuple[FeedForward, ...]:
     """Compute the feed-forwards of an estimate.
 
     Args:
         estimate: of the joint.
         controller: a `ServoController` with the intended units, on the joint's side.
-        shown: conversion to the drive's numbers, by name.
     """
     found, kind, torque = [], estimate.settings.joint.kind, estimate.data.torque_unit
     whole = lumped_parameters(estimate)
@@ -250,10 +248,8 @@ def feedforward(estimate: Estimate, controller: Any, shown: Mapping[str, DriveNu
         ratio = controller.ratio if name == "constant" else abs(controller.ratio)
         per = 1.0 / (controller.gain * ratio**power)
         unit = unit_of_number(controller, key, POSITION_UNIT[kind], torque)
-        by = 1.0
-        if (there := shown.get(key)) is not None and there.unit:
-            by, unit = there.of(1.0), there.unit
-        before, spread = float(getattr(controller, key, 0.0)), None if std is None else by * abs(per) * std
-        si = unit_of(quantity, kind, torque)
-        found.append(FeedForward(key, formula, value, std, si, by * before, by * per * value, spread, unit))
+        before, spread = float(getattr(controller, key, 0.0)), None if std is None else abs(per) * std
+        found.append(
+            FeedForward(key, formula, value, std, unit_of(quantity, kind, torque), before, per * value, spread, unit)
+        )
     return tuple(found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from jointid.common.text import join, number
 from jointid.estimation.problems.base import of_law
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController, numbers_of, unit_of_number
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import linear_joints, state_response
 from jointid.tuning.margins import Interval, Margins, crossover, possible_joints
@@ -34,7 +32,6 @@ def tune(
     estimate: Estimate,
     settings: Tuning | None = None,
     *,
-    shown: Iterable[DriveNumber] = (),
     progress: Progress = ignore_progress,
 ) -> Tuned:
     """Compute the margins of an estimate's loop, and propose settings.
@@ -42,7 +39,6 @@ def tune(
     Args:
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
         settings: the required margins; see `Tuning`.
-        shown: conversion to the drive's numbers, as `jointid.config.File.declared_numbers` returns.
         progress: receives messages.
 
     Returns:
@@ -78,7 +74,7 @@ def tune(
     work.add()
     proposed = None if layout is None else _evaluate(estimate, interval, layout.controller, settings)
     notch = None if layout is None else layout.notch
-    period, in_drive = controller.law(estimate.data.sample_time).period, {one.number: one for one in shown}
+    period = controller.law(estimate.data.sample_time).period
     linear = linear_joints(joint, [interval.nominal])
     response = state_response(linear.A[0], linear.B[0], np.asarray(2j * np.pi * present.hertz))[:, 1]
     work.reach(work.total)
@@ -91,12 +87,12 @@ def tune(
         interval=interval.description,
         present=present,
         proposed=proposed,
-        gains=() if layout is None else _list_gains(estimate, controller, layout, in_drive),
+        gains=() if layout is None else _list_gains(estimate, controller, layout),
         notch=notch,
         numerator=tuple(numerator),
         denominator=tuple(denominator),
         period=period,
-        feedforward=feedforward(estimate, controller, in_drive),
+        feedforward=feedforward(estimate, controller),
         joint=response,
         position_unit=POSITION_UNIT[joint.kind],
         torque_unit=estimate.data.torque_unit,
@@ -132,7 +128,7 @@ def _propose(
     return layout, [] if layout else [f"{said}; ask for less, or narrow the interval"]
 
 
-def _list_gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, DriveNumber]) -> tuple[Gain, ...]:
+def _list_gains(estimate: Estimate, before: Any, layout: Layout) -> tuple[Gain, ...]:
     after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
     velocity = f"w J / (g r^2), w = {number(layout.rate, 4)}/s"
     if isinstance(after, Cascade):
@@ -144,11 +140,8 @@ def _list_gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[
     old, new = numbers_of(before), numbers_of(after)
     gains = []
     for key, formula in rows.items():
-        now, then, unit = old[key], new[key], unit_of_number(before, key, position, estimate.data.torque_unit)
-        if (there := shown.get(key)) is None:
-            gains.append(Gain(key, formula, key, now, then, unit))
-        else:
-            gains.append(Gain(key, formula, there.name, there.of(now), there.of(then), there.unit or unit))
+        unit = unit_of_number(before, key, position, estimate.data.torque_unit)
+        gains.append(Gain(key, formula, old[key], new[key], unit))
     return tuple(gains)
 
 

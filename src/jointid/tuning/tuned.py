@@ -14,7 +14,7 @@ from jointid.common.document import Block, Code, Document, Documented, Facts, Pa
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, Notch
-from jointid.models.controllers.drive_numbers import name_in_words
+from jointid.models.controllers.number_names import name_in_words
 from jointid.models.linear import ComplexArray
 from jointid.tuning.margins import Margins
 from jointid.tuning.proposals import FeedForward, Tuning
@@ -51,12 +51,11 @@ class Gain:
 
     Attributes:
         key: its name in a joint file's [controller]. formula: that gave it.
-        name, before, after, unit: as the drive shows it; the law's own where it shows nothing else.
+        before, after, unit: in the law's units.
     """
 
     key: str
     formula: str
-    name: str
     before: float
     after: float
     unit: str
@@ -103,7 +102,7 @@ class Tuned(Documented):
         present, asked = self.present.worst, self.settings
         cascade = isinstance(self.present.controller, Cascade)
         gains = [
-            f"{name_in_words(gain.name, cascade=cascade)} from {number(gain.before, 4)} to {number(gain.after, 4)} "
+            f"{name_in_words(gain.key, cascade=cascade)} from {number(gain.before, 4)} to {number(gain.after, 4)} "
             f"{gain.unit}"
             for gain in self.gains
         ]
@@ -188,7 +187,7 @@ class Tuned(Documented):
         return Table(header, tuple(rows))
 
     def _tabulate_gains(self) -> Table:
-        rows = [(gain.name, number(gain.before), number(gain.after), gain.unit, gain.formula) for gain in self.gains]
+        rows = [(gain.key, number(gain.before), number(gain.after), gain.unit, gain.formula) for gain in self.gains]
         return Table(("gain", "now", "proposed", "unit", "formula"), tuple(rows), words=(0, 3, 4))
 
     def _tabulate_feedforward(self) -> Table:

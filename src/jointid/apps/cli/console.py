@@ -181,8 +181,7 @@ class Options:
         except JointidError as error:
             if file.robot is not None:
                 raise
-            known_numbers, free = file.declared_numbers, getattr(file.method, "free", ())
-            raise explain_failure(error, record, file.loop, progress, known_numbers, free) from error
+            raise explain_failure(error, record, file.loop, progress, getattr(file.method, "free", ())) from error
         except KeyboardInterrupt:
             if known:
                 show(known[0])

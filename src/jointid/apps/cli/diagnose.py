@@ -59,12 +59,10 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Di
         deliver(found, options.json)
         return found
     ready(options.progress)
-    declared: dict[str, Any] = {"shown": file.declared_numbers}
-    if file.robot is not None:
-        declared = {"controllers": file.controllers}
+    robot: dict[str, Any] = {} if file.robot is None else {"controllers": file.controllers}
     found = run(
         record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters, laws=laws,
-        progress=options.progress, **declared,
+        progress=options.progress, **robot,
     )  # fmt: skip
     deliver(found, options.json)
     return found

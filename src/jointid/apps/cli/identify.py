@@ -76,7 +76,6 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     file = load(joint, options.changes, axis=options.axis, learn=True)
     spare((options.json, write), *file.inputs(options.record))
     learned = run(file.record(options.record), progress=options.progress, **file.learn_settings)
-    learned = learned.beside(file.axis.drive_numbers(learned.controller))
     deliver(learned, options.json)
     show(f"\n{controller_text(learned.controller, file.axis).rstrip()}")
     if write is not None:
@@ -113,7 +112,7 @@ def tune(
     figures.require_format(figure)
     file = options.load(joint, figure, alone=True, method="didim")
     _, estimate = options.identify(file)
-    tuned = run(estimate, settings, shown=file.declared_numbers, progress=options.progress)
+    tuned = run(estimate, settings, progress=options.progress)
     deliver(tuned, options.json, (figure, lambda one: one.plot()))
 
 

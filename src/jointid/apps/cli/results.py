@@ -62,7 +62,7 @@ def report(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
         controllers=file.controllers, repetition=again, progress=options.progress,
     )  # fmt: skip
-    tuned = None if no_tuning else tune_to_limit(found, file.declared_numbers)
+    tuned = None if no_tuning else tune_to_limit(found)
     if isinstance(tuned, str):
         show(f"Without margins and gains: {tuned}")
     else:

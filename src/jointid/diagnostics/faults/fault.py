@@ -16,7 +16,6 @@ from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -26,9 +25,6 @@ from jointid.uncertainty.verdict import Reason
 if TYPE_CHECKING:
     from jointid.diagnostics.faults.findings import AxisFaults, Finding
     from jointid.diagnostics.hypothesis_fits import Fit
-
-Shown: TypeAlias = Mapping[str, DriveNumber]
-"""How a drive shows the numbers of its controller, by their names in the law."""
 
 Meaning: TypeAlias = "tuple[Fault, str, float | None]"
 """A fault that a corrected hypothesis stands for, its words, and its value."""
@@ -106,8 +102,8 @@ class Fault:
     free: Callable[[ClosedLoopProblem, FaultTest], tuple[ClosedLoopProblem, float]] | None = None
     value: Callable[[ClosedLoopProblem, float], float] | None = None
     correct: Callable[[Hypothesis], Iterable[Hypothesis]] | None = None
-    clause: str | Callable[[float | None, ClosedLoop, Shown], str] = ""
-    meanings: Callable[[float | None, ClosedLoop, Shown], Iterable[Meaning]] | None = None
+    clause: str | Callable[[float | None, ClosedLoop], str] = ""
+    meanings: Callable[[float | None, ClosedLoop], Iterable[Meaning]] | None = None
     negligible: Callable[[float | None, ClosedLoop, float], bool] | None = None
     must_leave: float = 0.85
     more_than_responses: float = 1.15
@@ -127,12 +123,12 @@ class Fault:
     def __str__(self) -> str:
         return self.name
 
-    def explain(self, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterable[Meaning]:
+    def explain(self, value: float | None, loop: ClosedLoop) -> Iterable[Meaning]:
         """Return its meanings as a cause: several faults if no record distinguishes them."""
         if self.meanings is not None:
-            return self.meanings(value, loop, shown)
+            return self.meanings(value, loop)
         if callable(self.clause):
-            return ((self, self.clause(value, loop, shown), value),)
+            return ((self, self.clause(value, loop), value),)
         known = value or 0.0
         clause = self.clause.format(value=number(value, 2), ms=milliseconds(known), fine=f"{1e3 * known:.4g}")
         return ((self, clause, value),)

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from jointid.common.messages import Message
 from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
-from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_number
+from jointid.diagnostics.faults.fault import Fault, FaultTest
 from jointid.models.controllers import Controller
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import FRICTIONS, StribeckFriction
 from jointid.uncertainty.verdict import Reason, Status
 
@@ -91,7 +90,6 @@ class AxisFaults:
         units: of the joint's parameters by name, and of "torque", "position" and "velocity".
         side: of the transmission, on which all of these numbers are; None without one.
         undecided: another law that the record does not exclude, and that would shift a parameter out of its interval.
-        shown: how the drive shows those that the joint file declares, by the law's names.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         of_loop: whether faults of the loop were tested, which needs its simulation.
         excluded: where no fault was found, significant tests of faults that the motor position excludes.
@@ -107,7 +105,6 @@ class AxisFaults:
     units: Mapping[str, str]
     side: Side | None = None
     undecided: Finding | None = None
-    shown: Shown = field(default_factory=dict)
     laws: tuple[str, ...] = ()
     of_loop: bool = True
     excluded: tuple[FaultTest, ...] = ()
@@ -134,7 +131,7 @@ class AxisFaults:
         names = ", ".join(s.title for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
         if self.excluded:
-            alike = self.call(*(one.fault for one in self.excluded))
+            alike = _call(*(one.fault for one in self.excluded))
             said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
@@ -151,16 +148,6 @@ class AxisFaults:
     def on_side(self, quantity: str) -> str:
         """Return a quantity's unit with the side of the transmission."""
         return self.units[quantity] if self.side is None else f"{self.units[quantity]} on the {self.side} side"
-
-    def in_drive(self, fault: Fault) -> DriveNumber | None:
-        """Return how the drive shows a number, where the joint file declares it in a unit."""
-        there = self.shown.get(fault.name)
-        return there if there is not None and there.unit and there.declared else None
-
-    def call(self, *faults: Fault) -> str:
-        """Return faults as a sentence calls them, a number as its drive does."""
-        shown = ((fault, self.in_drive(fault)) for fault in faults)
-        return " or ".join(fault.phrase if there is None else call_number(there.name) for fault, there in shown)
 
     def _state_open_law(self, finding: Finding) -> Message:
         """Return the message on another law that the record does not exclude."""
@@ -191,11 +178,11 @@ class AxisFaults:
         said, clause = f"{s.fault.describe(finding, self, True)} ({p_value})", s.fault.describe(finding, self, False)
         if s.alike:
             same = [one for one in s.alike if one not in s.opposite]
-            also = f", or so is {self.call(*same)}" if same else ""
-            also += f", or {self.call(*s.opposite)} is off by as much the other way" if s.opposite else ""
+            also = f", or so is {_call(*same)}" if same else ""
+            also += f", or {_call(*s.opposite)} is off by as much the other way" if s.opposite else ""
             said, clause = f"{said}{also}, which this loop cannot distinguish", clause + also
         if finding.rivals:
-            rivals = (self.call(rival.fault, *rival.alike) for rival in finding.rivals)
+            rivals = (_call(rival.fault, *rival.alike) for rival in finding.rivals)
             said += f"; {' or '.join(rivals)} would explain nearly as much"
         said += self._describe_changes(finding, "correcting it changes") + self._name_laws(finding)
         values = {"suspect": s.name, "alike": [one.name for one in s.alike], "more_than_declared": s.size}
@@ -227,3 +214,7 @@ class AxisFaults:
             return f"{said}, as jointid diagnose {'springs' if table == 'spring' else table} tells"
         speed = finding.test.shape if StribeckFriction.name in laws else None
         return said if speed is None else f"{said} and stribeck_speed = {number(speed, 2)}"
+
+
+def _call(*faults: Fault) -> str:
+    return " or ".join(fault.phrase for fault in faults)

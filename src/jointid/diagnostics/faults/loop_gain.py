@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
+from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning
 from jointid.diagnostics.faults.numbers import is_small_factor
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
@@ -62,17 +62,17 @@ def _try_factors(declared: Hypothesis) -> Iterator[Hypothesis]:
     yield factors if declared.record.injected is None else replace(factors, fault=_LAW_BESIDE_INJECTED)
 
 
-def _explain_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
+def _explain_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop) -> Iterator[Meaning]:
     """Yield the meanings that a signal in its own scale leaves: those of the torque, or of law and reference."""
     law = (LAW_GAIN, REFERENCE_SCALE)
     if of_torque and value is not None:  # it is found as a factor, those of the law as its gain
         value *= numbers_of(loop.controller)["gain"]
-    for fault, clause, factor in _explain_factor(value, loop, shown):
+    for fault, clause, factor in _explain_factor(value, loop):
         if fault not in (law if of_torque else (TORQUE_SCALE, TORQUE_CONSTANT)):
             yield fault, clause, factor
 
 
-def _explain_factor(value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
+def _explain_factor(value: float | None, loop: ClosedLoop) -> Iterator[Meaning]:
     assert value is not None
     numbers, ratio = numbers_of(loop.controller), _gear_ratio(loop)
     factor = value / numbers["gain"]

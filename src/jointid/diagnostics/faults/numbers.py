@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import (
     MICROSECOND,
     Fault,
-    FaultTest,
     Hypothesis,
     Measure,
-    Shown,
     call_number,
     milliseconds,
     name_number,
@@ -29,8 +28,7 @@ from jointid.diagnostics.faults.fault import (
 )
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.seen import Columns, Seen
-from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
-from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.controllers import FirstOrder, numbers_of, unit_of_number, with_numbers
 from jointid.models.joints import ClosedLoop
 
 _FACTOR = "torque, reference, ratio or a gain is wrong by a"
@@ -49,49 +47,26 @@ _ROUGHLY = 2.0  # times: a gain that is found so near to a unit's factor is off 
 # Words
 
 
-def show(there: DriveNumber, value: float) -> str:
-    """Return a number of a law as the drive shows it, with its unit."""
-    return f"{number(there.of(value), 3)} {there.unit}".rstrip()
-
-
-def describe_number(finding: Finding, check: AxisFaults, spread: bool) -> str:
-    """Return the clause on the difference of a number from its declaration."""
-    s = finding.test
-    return describe_in_drive(check.in_drive(s.fault), s, spread=spread)
-
-
-def describe_in_drive(there: DriveNumber | None, s: FaultTest, *, spread: bool) -> str:
-    """Return a number and its declared value, both as the drive shows them; else its difference in percent.
+def describe_number(finding: Finding, _: AxisFaults, spread: bool) -> str:
+    """Return the clause on the difference of a number from its declaration, in percent of that.
 
     A sensitivity is no guide to a change as large as the number itself.
     """
-    name = s.fault.phrase if there is None else call_number(there.name)
-    share, deviation = s.size / abs(s.declared), 2 * s.std / abs(s.declared)
-    smaller = (share < 0) is not (there is not None and there.inverse)
-    declared = "" if there is None else f", declared {there.of(s.declared):.6g} {there.unit}"
+    s = finding.test
+    name, share, deviation = s.fault.phrase, s.size / abs(s.declared), 2 * s.std / abs(s.declared)
     if share <= -1:
         turned = "the torque has the wrong sign: set torque.sign = -1 in its channels"
         of_number = f"{_FACTOR} large factor ({name} alone would have to change its sign)"
         return turned if s.fault is LOG_GAIN else of_number
     if share > 1:
-        would = f"{number(1 + share, 2)} times as large" if there is None else show(there, s.declared + s.size)
-        return f"{_FACTOR} factor ({name} alone would be about {would}{declared})"
+        return f"{_FACTOR} factor ({name} alone would be about {number(1 + share, 2)} times as large)"
+    way = "smaller" if share < 0 else "larger"
     if deviation >= abs(share):
-        return f"{name} is {'smaller' if smaller else 'larger'} than declared, by how much this record does not tell"
+        return f"{name} is {way} than declared, by how much this record does not tell"
     at_most = share - deviation <= -1
-    if there is None:
-        least = number(100 * (abs(share) - deviation), 2)
-        size = f"at least {least}" if at_most else number(100 * abs(share), 2)
-        interval = f" ± {number(100 * deviation, 2)}" if spread and not at_most else ""
-        return f"{name} is {size}{interval} % {'smaller' if smaller else 'larger'} than declared"
-    value = s.declared + s.size
-    if at_most:
-        return f"{name} is at {'least' if there.inverse else 'most'} {show(there, value + 2 * s.std)}{declared}"
-    stated = there.of(value)
-    far = max(abs(there.of(value + by) - stated) for by in (-2 * s.std, 2 * s.std))
-    interval = f" ± {number(far, 2)}" if spread else ""
-    digits = max(3, 1 + math.ceil(-math.log10(abs(share))))  # so many that the two are not the same
-    return f"{name} is {number(stated, digits)}{interval} {there.unit}{declared}"
+    size = f"at least {number(100 * (abs(share) - deviation), 2)}" if at_most else number(100 * abs(share), 2)
+    interval = f" ± {number(100 * deviation, 2)}" if spread and not at_most else ""
+    return f"{name} is {size}{interval} % {way} than declared"
 
 
 def _describe_delay(what: str, than: str, finding: Finding, check: AxisFaults, spread: bool) -> str:
@@ -124,25 +99,22 @@ def _try_integral(declared: Hypothesis) -> Iterator[Hypothesis]:
         yield declared.starting_at("integral_gain", [one * unit for one in _NEW_INTEGRALS])
 
 
-def _say_gain(name: str, value: float | None, loop: ClosedLoop, shown: Shown) -> str:
+def _say_gain(name: str, value: float | None, loop: ClosedLoop) -> str:
     """Return the clause on another gain than declared, and on a unit that may be mistaken."""
-    there, law = shown.get(name) or DriveNumber(name, name, "", 1.0), numbers_of(loop.controller)
     if value is None:
-        return f"the declared {name_number(there.name)} is not there"
-    clause, declared = f"{call_number(there.name)} is about {show(there, value)}", law.get(name) or 0.0
+        return f"the declared {name_number(name)} is not there"
+    unit = unit_of_number(loop.controller, name, POSITION_UNIT[loop.joint.kind], loop.joint.force_unit)
+    clause, declared = f"{call_number(name)} is about {number(value, 3)}", numbers_of(loop.controller).get(name)
     if not declared:
-        return f"{clause}, and is not declared"
-    clause += f", not {show(there, declared)}"
-    factor = value / declared
+        return f"{clause} {unit}, and is not declared"
+    clause, factor = f"{clause}, not {number(declared, 3)} {unit}", value / declared
     if abs(abs(math.log(factor)) - math.log(_DEGREES)) < _NEAR:
         times = "more" if factor > 1 else "less"
         return f"{clause}: about 57 times {times}; degrees and radians may be mistaken in its unit"
     if name != "integral_gain" or abs(math.log(max(factor, 1 / factor) / _UNIT_SLIP)) >= math.log(_ROUGHLY):
         return clause
-    less = (factor > 1) is there.inverse  # a time is so much shorter as its gain is larger
-    meant, read = ("ms", "s") if factor > 1 else ("s", "ms")
-    whose = "its unit" if there.inverse else "the unit of the integral time"
-    return f"{clause}: about 1000 times {'less' if less else 'more'}; {whose} may be {meant}, not {read}"
+    times, meant, read = ("more", "ms", "s") if factor > 1 else ("less", "s", "ms")
+    return f"{clause}: about 1000 times {times}; the unit of the integral time may be {meant}, not {read}"
 
 
 def is_small_factor(value: float | None, *_: object) -> bool:
@@ -176,7 +148,7 @@ def _other_gain(numbers: Mapping[str, float]) -> str:
 
 SWAPPED_GAINS = Fault(
     "swapped_gains", "swapped gains", correct=_swap_gains,
-    clause=lambda _, loop, __: f"position gain and {name_number(_other_gain(numbers_of(loop.controller)))} are swapped",
+    clause=lambda _, loop: f"position gain and {name_number(_other_gain(numbers_of(loop.controller)))} are swapped",
 )  # fmt: skip
 
 
@@ -199,13 +171,10 @@ def _try_velocity_filter(declared: Hypothesis) -> Iterator[Hypothesis]:
         yield declared.under([replace(law, velocity_filter=(1.0,))])
 
 
-def _say_velocity_filter(value: float | None, loop: ClosedLoop, shown: Shown) -> str:
+def _say_velocity_filter(value: float | None, _: ClosedLoop) -> str:
     if value is None:
         return "the declared velocity filter is not there"
-    there = shown.get("velocity_filter.time_constant")
-    as_cutoff = there is not None and there.inverse and value >= MICROSECOND
-    size = show(there, value) if there and as_cutoff else f"{milliseconds(value)} ms"
-    return f"the velocity filter is another one, such as one of first order with {size}"
+    return f"the velocity filter is another one, such as one of first order with {milliseconds(value)} ms"
 
 
 def _is_small_velocity_filter(value: float | None, loop: ClosedLoop, period: float) -> bool:
@@ -245,7 +214,7 @@ def _try_feedforward(declared: Hypothesis) -> Iterator[Hypothesis]:
         yield declared.under([replace(law, reference_velocity=read)])
 
 
-def _say_feedforward(_: float | None, loop: ClosedLoop, __: Shown) -> str:
+def _say_feedforward(_: float | None, loop: ClosedLoop) -> str:
     law = loop.controller
     if hasattr(law, "velocity_feedforward"):
         return f"the velocity feed-forward is {'not there' if law.velocity_feedforward else 'not declared'}"
@@ -264,7 +233,7 @@ def _try_delay(name: str, declared: Hypothesis) -> Iterator[Hypothesis]:
         yield declared.starting_at(name, [declared.numbers[name] + late * declared.period for late in _LATE])
 
 
-def _say_delay(value: float | None, loop: ClosedLoop, _: Shown) -> str:
+def _say_delay(value: float | None, loop: ClosedLoop) -> str:
     declared = numbers_of(loop.controller).get("delay", 0.0)
     return f"the delay is about {milliseconds(value or 0.0)} ms, not {milliseconds(declared)} ms"
 

@@ -32,7 +32,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis, Shown
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
 from jointid.diagnostics.faults.numbers import DELAY, REFERENCE_DELAY, VELOCITY_FILTER
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, follow, pose
@@ -383,12 +383,12 @@ def _judge_mean(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float
     return mean, float(np.linalg.norm(problem.residual(x))) / problem.size
 
 
-def _say_mean(value: float | None, _: ClosedLoop, __: Shown) -> str:
+def _say_mean(value: float | None, _: ClosedLoop) -> str:
     mean = value or 0.0
     return f"{_say_time(mean)}: declare reference_average = {mean:.6g}"
 
 
-def _say_interpolation(way: Interpolation, period: float | None, _: ClosedLoop, __: Shown) -> str:
+def _say_interpolation(way: Interpolation, period: float | None, _: ClosedLoop) -> str:
     said = f'the reference is {_DONE[way]} between its samples: declare interpolation = "{way}"'
     return said if period is None else f"{said}, and the controller's period, about {1e3 * period:.4g} ms"
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.errors import JointidError
-from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
+from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, say_times
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, fit_flexible, follow
 from jointid.estimation.identify_record import identify_record
@@ -82,7 +82,7 @@ def _try_sample_times(declared: Hypothesis) -> Iterator[Hypothesis]:
         )
 
 
-def _explain_sample_time(value: float | None, loop: ClosedLoop, _: Shown) -> Iterator[Meaning]:
+def _explain_sample_time(value: float | None, loop: ClosedLoop) -> Iterator[Meaning]:
     assert value is not None
     yield SAMPLE_TIME, f"the sample time is {say_times(value)} too {'short' if value > 1 else 'long'}", value
     if "velocity_gain" in numbers_of(loop.controller):

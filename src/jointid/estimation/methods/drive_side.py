@@ -44,8 +44,14 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, lowpass, window_parts, window_torque
-from jointid.records.signals.filtering import describe_noise_limit, find_noise_limit
+from jointid.records.signals.filtering import (
+    Filtering,
+    describe_noise_limit,
+    find_noise_limit,
+    lowpass,
+    window_parts,
+    window_torque,
+)
 from jointid.simulation.prescribed import (
     LOAD_STATE,
     PARTS,

@@ -30,8 +30,7 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, range_faults, scale_faults
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
-from jointid.records.signals.filtering import find_noise_limit
+from jointid.records.signals.filtering import Filtering, find_noise_limit
 
 _REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,6 @@ from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict
 from jointid.output.report.page import PAGES, Repetition, page, repetition
@@ -154,7 +153,7 @@ class Report:
         return path
 
 
-def tune_to_limit(estimate: Estimate, shown: Iterable[DriveNumber] = ()) -> Tuned | str | None:
+def tune_to_limit(estimate: Estimate) -> Tuned | str | None:
     """Return margins and gains of a loop whose limit is declared; why there are none, or None where none is asked."""
     from numpy.linalg import LinAlgError
 
@@ -164,6 +163,6 @@ def tune_to_limit(estimate: Estimate, shown: Iterable[DriveNumber] = ()) -> Tune
     if loop is None or not math.isfinite(getattr(loop.controller, "limit", math.inf)):
         return None
     try:
-        return tune(estimate, shown=shown)
+        return tune(estimate)
     except (JointidError, LinAlgError) as error:  # a refused parameter, say: the report is written all the same
         return str(error)
