@@ -10,7 +10,7 @@ import pytest
 
 from jointid.output.json import dumps, to_dict
 from jointid.records.formats import Table, write_table
-from jointid.records.inspection import find_band, inspect
+from jointid.records.inspection import inspect
 from tests.records.logged import LOGGED, ROWS
 
 
@@ -36,11 +36,6 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
     assert "0.001 s" in text
     assert ("rad" in text) == (name in ("hdf5", "parquet", "tdms"))
     assert f'"{time.name}"' in dumps(to_dict(inspection))
-
-
-def test_the_band_of_a_signal_is_its_extremes() -> None:
-    low, high = find_band(np.arange(5000.0), 625)
-    assert (low.size, low[1], high[1]) == (625, 8.0, 15.0)
 
 
 def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:

@@ -75,13 +75,6 @@ class InspectedChannel:
         return int(np.count_nonzero(~(self.values[1:] > self.values[:-1])))
 
 
-def find_band(values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest and the largest number of at most so many stretches of a signal, (stretches,) each."""
-    count = min(count, values.size)
-    starts = np.arange(count) * values.size // count
-    return np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-
-
 @dataclass(frozen=True, slots=True)
 class Inspection(Documented):
     """Contents of a file.
