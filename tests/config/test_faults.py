@@ -98,20 +98,6 @@ def test_a_fault_has_its_place_and_code(text: str, said: str) -> None:
     assert fault.startswith(dot_path(fault.place)) and fault.endswith((".", "?"))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "meant"),
-    [
-        (SMALLEST + "INTEGRAL_GAIN = 'x'", "integral_gain"),
-        (SMALLEST + "[Method]", "method"),
-        (SMALLEST + "[drive]\nratedTorque = 3.0", "rated_torque"),
-        (SMALLEST.replace('"cascade"', '"PID"'), '"pid"'),
-    ],
-)
-def test_the_case_of_a_word_does_not_hide_which_was_meant(wrong: str, meant: str) -> None:
-    (said,) = faults(wrong)
-    assert said.endswith(f"did you mean {meant}?")
-
-
 def test_all_faults_of_the_tables_come_at_once_before_those_between_them() -> None:
     wrong = SMALLEST.replace(JOINT, '[joint]\nkind = "prismatic"\nfriktion = "symmetric"\n').replace(
         '"i"', '"i", gain = -2.0'

@@ -6,7 +6,6 @@ sentence that begins with the place of the fault.
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import re
@@ -18,8 +17,6 @@ from enum import StrEnum
 from typing import Any, Self, TypeVar
 
 _LONGEST = 60  # characters of a value that a sentence shows
-_GUESSED = 100  # characters of a word that another one may be meant by
-_ALIKE = 0.7  # of the letters of two words: "integral_gain" and "interpolation" have 0.69
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _OFTEN = 1.0  # seconds between two lines on a piece of work
 
@@ -143,15 +140,6 @@ def either(choices: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def suggest(word: object, known: Iterable[str], otherwise: str) -> str:
-    """Ask whether the nearest known word was meant; `otherwise` if none is near."""
-    # Of short words such as kp a wrong case is half the letters: it is not to count.
-    spelt = {one.casefold(): one for one in known}
-    wanted = word.casefold() if isinstance(word, str) and len(word) < _GUESSED else ""
-    near = difflib.get_close_matches(wanted, list(spelt), 1, _ALIKE)
-    return f"did you mean {spelt[near[0]]}?" if near else f"{otherwise}."
-
-
 def missing(expected: str, meaning: str) -> str:
     """Describe a missing key."""
     return f" is missing; expected {expected} ({meaning}): add it."
@@ -159,9 +147,7 @@ def missing(expected: str, meaning: str) -> str:
 
 def no_choice(value: object, choices: Iterable[str]) -> str:
     """Describe a value that is not among the choices."""
-    choices = list(choices)
-    nearest = suggest(format_value(value), [f'"{choice}"' for choice in choices], "choose one of them")
-    return f" is {format_value(value)}; expected {either(choices)}: {nearest}"
+    return f" is {format_value(value)}; expected {either(choices)}: choose one of them."
 
 
 def describe_unexpected_value(value: object, expected: str) -> str:

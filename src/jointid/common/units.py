@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from jointid.common.errors import JointidError
-from jointid.common.messages import suggest
 
 Kind: TypeAlias = Literal["prismatic", "revolute"]
 """How a joint, or one side of its transmission, moves."""
@@ -84,8 +83,7 @@ TORQUE_UNITS = {
 def unit(name: str) -> Unit:
     """Return the unit of that name."""
     if name not in _UNITS:
-        meant = suggest(name, _UNITS, f"expected one of {', '.join(_UNITS)}")
-        raise UnitError(f'"{name}" is no unit that is known; {meant}')
+        raise UnitError(f'"{name}" is no unit that is known; expected one of {", ".join(_UNITS)}.')
     return _UNITS[name]
 
 

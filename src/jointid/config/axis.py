@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
 from jointid.common.parameters import TORQUE_UNIT, Parameter
@@ -268,8 +267,7 @@ def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable], place
     for name, one in stated.items():
         own = known.get(name)
         if own is None:
-            remedy = messages.suggest(name, known, "leave it out, or declare the law that has it")
-            rest = f" is no parameter of this joint; expected one of {', '.join(known)}: {remedy}"
+            rest = f" is no parameter of this joint; expected one of {', '.join(known)}: correct it, or leave it out."
             faults.append(fault_at((*place, name), rest, "unknown"))
             continue
         lower = own.lower if one.lower is None else max(one.lower, own.lower)

@@ -174,8 +174,8 @@ class Reader:
     def _key(self, table: Table, name: str, raw: Any, place: Place) -> Any:
         """Return the value of a key as its declaration has it."""
         if name not in table.keys:
-            expected = f"one of {', '.join(table.keys)}: {messages.suggest(name, table.keys, 'leave it out')}"
-            return self._refuse(place, f" is not a known key; expected {expected}", "unknown")
+            rest = f" is not a known key; expected one of {', '.join(table.keys)}: correct it, or leave it out."
+            return self._refuse(place, rest, "unknown")
         one = table.keys[name]
         if (own := table_of(one.type)) is not None:
             return self.read(own, raw, place)

@@ -18,11 +18,11 @@ from jointid.common.document import (
     common_facts,
 )
 from jointid.common.messages import Message
-from jointid.common.text import join, number, pluralise, sentence
+from jointid.common.text import in_words, join, number, pluralise, sentence
 from jointid.common.transmission import Transmission
+from jointid.common.units import per
 from jointid.controller_id.structures import Structure
-from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, in_torque
-from jointid.models.controllers.number_names import name_in_words
+from jointid.models.controllers import CONTROLLER_UNITS, Controller
 from jointid.records.record import Resampled
 
 
@@ -136,9 +136,8 @@ class LearnedController(Documented):
         """The law, and how well it gives the torque."""
         if self.another_law:
             return next(str(one) for one in self.limitations if one.code is LimitationCode.ANOTHER_LAW)
-        cascade = isinstance(self.controller, Cascade)
         gains = [
-            f"{name_in_words(one.name, cascade=cascade)} {number(one.value, 4)} {one.unit}".rstrip()
+            f"{in_words(one.name)} {number(one.value, 4)} {one.unit}".rstrip()
             for one in self._in_si()
             if one.name.endswith(_TUNED)
         ]
@@ -154,7 +153,7 @@ class LearnedController(Documented):
         found = list[LearnedNumber]()
         for n in self.numbers:
             scaled = CONTROLLER_UNITS in n.unit
-            by, unit = (gain, in_torque(n.unit, self.torque_unit)) if scaled else (1.0, n.unit)
+            by, unit = (gain, _in_torque(n.unit, self.torque_unit)) if scaled else (1.0, n.unit)
             found.append(LearnedNumber(n.name, by * n.value, by * n.std, unit, by * n.lower, by * n.upper))
         return tuple(found)
 
@@ -196,3 +195,9 @@ def _tabulate(title: str, numbers: tuple[LearnedNumber, ...]) -> Table:
         percent = number(100 * one.spread / abs(one.value), 2) if one.value else "-"
         rows.append((one.name, number(one.value, 6), number(one.spread, 2), one.unit, percent))
     return Table((title, "value", "±", "unit", "%"), tuple(rows), words=(0, 3))
+
+
+def _in_torque(unit: str, torque_unit: str) -> str:
+    """Multiply a unit of `unit_of_number` by the controller's gain: "N s/m"."""
+    above, stroke, below = unit.replace(CONTROLLER_UNITS, torque_unit).partition(" per ")
+    return per(above, below) if stroke else above

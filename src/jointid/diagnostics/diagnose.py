@@ -108,9 +108,7 @@ def diagnose(
     found, compared = Diagnosis(first.name), list[LawComparison]()
     if not any(one.code in _ENOUGH for one in symptoms):
         try:
-            estimate = identify(
-                record, model, method, filtering=filtering, parameters=parameters, progress=progress
-            )
+            estimate = identify(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         except JointidError as error:
             symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, progress))
         else:
@@ -215,9 +213,7 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
             yield Symptom(str(judged.code), judged.words)
 
 
-def _explain(
-    error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress
-) -> Symptom:
+def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress) -> Symptom:
     """Return the cause of a failed identification; its error if none is found."""
     causes = find_failure_causes(record, loop, progress=progress)
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):

@@ -14,7 +14,9 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import pluralise
 from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_driving_axes, find_follower
 from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
@@ -29,7 +31,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
 from jointid.models.controllers import Controller
-from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
@@ -195,3 +196,16 @@ def _diagnose_axis(
         faults,
         repeats,
     )
+
+
+def require_one_each(controllers: Sequence[object], joints: int) -> None:
+    """Refuse controllers that are given and are not one for each joint.
+
+    Raises:
+        MethodError: there are more or fewer.
+    """
+    if controllers and len(controllers) != joints:
+        raise MethodError(
+            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
+            "for one that is not known."
+        )

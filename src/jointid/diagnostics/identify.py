@@ -206,9 +206,7 @@ def _fail(*reasons: Message) -> Verdict:
     return Verdict(Subject.LOOP, Status.FAILED, reasons)
 
 
-def _check_joint(
-    fit: Estimate, record: Record, solved: Solved, progress: Progress
-) -> CheckResults:
+def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
     problem, x = solved
     gross = causes = found = state = rest = by_position = None

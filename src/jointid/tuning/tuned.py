@@ -11,10 +11,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, panels, styled
 from jointid.common.document import Block, Code, Document, Documented, Facts, Paragraph, Table, common_facts
-from jointid.common.text import join, number
+from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Transmission
-from jointid.models.controllers import CONTROLLER_UNITS, Cascade, Controller, Notch
-from jointid.models.controllers.number_names import name_in_words
+from jointid.models.controllers import CONTROLLER_UNITS, Controller, Notch
 from jointid.models.linear import ComplexArray
 from jointid.tuning.margins import Margins
 from jointid.tuning.proposals import FeedForward, Tuning
@@ -100,10 +99,8 @@ class Tuned(Documented):
     def sentence(self) -> str:
         """Sentence of the gains to set and of the margin nearest to its requirement."""
         present, asked = self.present.worst, self.settings
-        cascade = isinstance(self.present.controller, Cascade)
         gains = [
-            f"{name_in_words(gain.key, cascade=cascade)} from {number(gain.before, 4)} to {number(gain.after, 4)} "
-            f"{gain.unit}"
+            f"{in_words(gain.key)} from {number(gain.before, 4)} to {number(gain.after, 4)} {gain.unit}"
             for gain in self.gains
         ]
         if self.notch is not None:

@@ -11,7 +11,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, UnknownName
-from jointid.common.messages import suggest
 from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.estimation.result.agreement import Agreement, DriftTest
@@ -112,12 +111,11 @@ class Params(Mapping[str, EstimatedParameter]):
         """Return a parameter by its name or symbol, ``name@2`` the second record's own.
 
         Raises:
-            UnknownName: there is none of this name; the sentence has the nearest one.
+            UnknownName: there is none of this name.
         """
         named = {p.symbol + of: p for of, p in self._every} | {p.name + of: p for of, p in self._every}
         if name not in named:
-            near = suggest(name, named, "choose one of them")
-            raise UnknownName(f'"{name}" is no parameter of this estimate; it has {", ".join(self)}: {near}')
+            raise UnknownName(f'"{name}" is no parameter of this estimate; it has {", ".join(self)}: name one of them.')
         return named[name]
 
     def __iter__(self) -> Iterator[str]:

@@ -51,7 +51,6 @@ from jointid.models.controllers.servo_base import (
     Interpolation,
     ServoController,
     declared_unit,
-    in_torque,
     number,
     numbers_of,
     unit_of_number,
@@ -64,6 +63,6 @@ __all__ = [
     "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
     "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
     "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
-    "as_filter", "declared_unit", "in_torque", "invert", "law_inputs", "number", "numbers_of", "refer", "respond",
+    "as_filter", "declared_unit", "invert", "law_inputs", "number", "numbers_of", "refer", "respond",
     "run", "scale", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
 ]  # fmt: skip

@@ -337,7 +337,7 @@ def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Floa
 def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray, free: bool) -> FloatArray:
     from scipy.sparse import csr_array
 
-    from jointid.common.compiled import respond as recur
+    from jointid.models.controllers.recurrence import respond as recur
 
     whole = np.concatenate(
         [np.concatenate([law.C, law.D, law.E], axis=2), np.concatenate([law.A, law.B, law.F], axis=2)], axis=1

@@ -24,8 +24,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting, settings_of
-from jointid.common.text import pluralise
-from jointid.common.units import per
 from jointid.models.controllers.filters import Filter, as_filter
 from jointid.models.controllers.sampled import (
     CONSTANT,
@@ -330,19 +328,6 @@ class DiagramController(ServoController):
         return total
 
 
-def require_one_each(controllers: Sequence[object], joints: int) -> None:
-    """Refuse controllers that are given and are not one for each joint.
-
-    Raises:
-        MethodError: there are more or fewer.
-    """
-    if controllers and len(controllers) != joints:
-        raise MethodError(
-            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
-            "for one that is not known."
-        )
-
-
 def numbers_of(controller: Controller) -> dict[str, float]:
     """Numbers of a controller and its filters that can be parameters."""
     return dict(_numbers(controller, ""))
@@ -375,12 +360,6 @@ def unit_of_number(controller: Controller, name: str, position_unit: str, torque
     """
     output = torque_unit if getattr(controller, "gain", 1.0) == 1.0 else CONTROLLER_UNITS
     return _EITHER.sub(rf"{position_unit}\1", declared_unit(controller, name)).replace(CONTROLLER_UNITS, output)
-
-
-def in_torque(unit: str, torque_unit: str) -> str:
-    """Multiply a unit of `unit_of_number` by the controller's gain: "N s/m"."""
-    above, stroke, below = unit.replace(CONTROLLER_UNITS, torque_unit).partition(" per ")
-    return per(above, below) if stroke else above
 
 
 def declared_unit(controller: Controller, name: str) -> str:
