@@ -23,7 +23,6 @@ from jointid.controller_id.learned_controller import LearnedController
 from jointid.models.controllers import Cascade
 from jointid.output.report import tune_to_limit
 from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
-from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Record
 from jointid.records.writing import write
@@ -445,7 +444,7 @@ def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], m
     monkeypatch.setattr(jointid, "tune", fails)
     loop = SimpleNamespace(controller=SimpleNamespace(limit=1.0))
     estimate = SimpleNamespace(settings=SimpleNamespace(loop=loop))
-    assert "by design" in str(tune_to_limit(estimate, Drive()))  # type: ignore[arg-type]
+    assert "by design" in str(tune_to_limit(estimate))  # type: ignore[arg-type]
 
 
 def test_versions_are_those_of_what_computes(capsys: pytest.CaptureFixture[str]) -> None:
