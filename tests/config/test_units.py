@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 
-from jointid.config import controller_text, dumps, edit, load, loads, replace_table
+from jointid.config import controller_text, dumps, edit, loads, replace_table
 from jointid.config.declaration import list_units
 from jointid.models.controllers import Cascade, DigitalFilter, FirstOrder, SecondOrder
 from jointid.models.limits import AxisLimits
@@ -186,19 +185,6 @@ def test_a_learned_law_behind_a_gear_is_read_back_with_its_gain(constant: str, g
     learned = Cascade(position_gain=3.0, velocity_gain=4.0, gain=gain)  # on the side of its record: the load's
     written = controller_text(learned, file.axis)
     assert loads(edit(text, replace_table(written))).controller == learned
-
-
-@pytest.mark.parametrize(
-    "said",
-    [
-        'law = "pid"\nposition_gain = 2.0',
-        'position_gain = 1.5\nintegral_time = "5 ms"',
-    ],
-)
-def test_what_is_to_be_learned_may_say_some_of_its_gains(said: str, tmp_path: Path) -> None:
-    path = tmp_path / "joint.toml"
-    path.write_text(TURNING.partition("[controller]")[0] + f"[controller]\n{said}\n")
-    assert load(path, learn=True).controller is not None
 
 
 def test_limits_of_the_axis_are_given_with_units_of_its_own_motion() -> None:

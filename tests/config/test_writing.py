@@ -82,26 +82,6 @@ def test_units_stand_beside_the_gains_of_a_written_controller() -> None:
     assert f"velocity_gain = 2.0  # {axis.joint.force_unit} per " in plain
 
 
-@pytest.mark.parametrize(
-    ("table", "gain"),
-    [("", 1.0), ("[controller]\ngain = 35.0\n", 35.0), ("[controller]\nlaw = 'pid'\ngain = 2.0\n", 2.0)],
-)
-def test_a_file_whose_controller_is_to_be_learned_needs_no_gains(table: str, gain: float, tmp_path: Path) -> None:
-    """Nor a method that does without a controller: a flexible joint has none from torque and motor position."""
-    path = tmp_path / "joint.toml"
-    path.write_text(
-        "[joint]\nkind = 'revolute'\nmodel = 'flexible'\n[record.channels]\n"
-        "torque = { column = 'u', unit = 'N m', timing = 'held', tap = 'command' }\n"
-        "reference = { column = 'r', unit = 'rad' }\n"
-        f"motor_position = {{ column = 'q', unit = 'rad' }}\n{table}",
-        encoding="utf-8",
-    )
-    file = load(path, learn=True)
-    assert isinstance(file.controller, Cascade | PID) and file.controller.gain == gain
-    with pytest.raises(JointFileError):
-        load(path, [] if table else ["controller.law=cascade"])
-
-
 class Other(Cascade):
     """A law that no word is for."""
 

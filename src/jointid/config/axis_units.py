@@ -53,6 +53,11 @@ class AxisUnits:
         return self.drive.torque_constant or self.drive.torque_per_volt
 
     @property
+    def plain_gain(self) -> float:
+        """The gain of a controller whose numbers are given without a unit."""
+        return 1.0 if self.constant is None else self.constant * self._through
+
+    @property
     def _through(self) -> float:
         """The torque on the controller's side per torque of the motor."""
         return 1.0 if self.gear is None or self.side == "motor" else abs(self.gear.motor_per_load)
@@ -81,7 +86,7 @@ class AxisUnits:
             rest = f" has outputs in {' and '.join(outputs)}, as {join(list(outputs.values()))} say; use one unit."
             raise JointFileError(fault_at(("controller",), rest, "unit"))
         if not outputs:
-            return given or (1.0 if self.constant is None else self.constant * self._through)
+            return given or self.plain_gain
         ((output, name),) = outputs.items()
         known = self._torque_per(output)
         if given is None and known is None:

@@ -61,7 +61,7 @@ class Table:
         keys: the declaration of each.
         make: takes the values that are given, by key. The places of a `JointFileError` of it begin in the table.
         shorthand: the key whose value may be written instead of the table.
-        instead: the key that another one says in other words, by that one.
+        instead: by a key that says another one in other words that one, and what the product of both is.
         decided_by: the key that says which of `variants` the table is; without it the first. `keys` are then those that
             documentation shows; without them, those of each variant.
     """
@@ -69,7 +69,7 @@ class Table:
     keys: Mapping[str, Setting]
     make: Callable[..., Any] = dict
     shorthand: str = ""
-    instead: Mapping[str, str] = field(default_factory=dict)
+    instead: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     decided_by: str = ""
     variants: Mapping[str, Table] = field(default_factory=dict)
 
@@ -121,13 +121,11 @@ class Reader:
     """Reads tables, and keeps a sentence for each fault.
 
     Attributes:
-        learn: whether numbers that a controller needs may be missing.
         faults: found so far.
         texts: by their places numbers that are given with a unit, each with the unit of its declaration.
     """
 
-    def __init__(self, *, learn: bool = False) -> None:
-        self.learn = learn
+    def __init__(self) -> None:
         self.faults = list[Fault]()
         self.texts = dict[Place, tuple[str, str]]()
 
@@ -184,13 +182,15 @@ class Reader:
         return None if one.none and raw == one.none else self._single(one, raw, place)
 
     def _complete(self, table: Table, given: dict[str, Any], place: Place) -> None:
-        """Refuse what is missing, or said twice."""
-        said = {table.instead[name]: name for name in given if name in table.instead}
+        """Refuse what is missing or said twice; replace what is said in other words."""
+        for other, (name, product) in table.instead.items():
+            if {other, name} <= given.keys():
+                given[name] = self._refuse((*place, name), f" says the same as {other}; leave one of them out.")
+            elif other in given:
+                value = given.pop(other)
+                given[name] = value if value is _WRONG else product / value
         for name, one in table.keys.items():
-            spared = self.learn and "controller" in place and one.type is float
-            if name in given and name in said:
-                given[name] = self._refuse((*place, name), f" says the same as {said[name]}; leave one of them out.")
-            elif one.required and name not in {*given, *said} and not spared:
+            if one.required and name not in given:
                 rest = messages.missing(one.expected, one.description)
                 given[name] = self._refuse((*place, name), rest, "missing")
 

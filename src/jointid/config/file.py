@@ -255,7 +255,7 @@ class File:
     @property
     def learn_settings(self) -> dict[str, Any]:
         """Arguments of `jointid.learn_controller`; its units are those that the torque constant or its gain says."""
-        gain: float = getattr(self.controller, "gain", 1.0)
+        gain: float = getattr(self.controller, "gain", self.axis.units.plain_gain)
         if gain != 1.0:  # of the motor's torque; the record's is the joint's
             gain *= abs(getattr(self.controller, "ratio", 1.0))
         return {"gain": gain, "transmission": self.joint.transmission, "declared": self.controller}

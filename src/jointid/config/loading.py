@@ -33,9 +33,7 @@ _OF_AXIS = re.compile(r"^(\s*joint\.|(?=\s*method[.=]))")
 """Begins a change that is of a joint alone, where one is taken from a robot file."""
 
 
-def load(
-    path: str | os.PathLike[str], changes: Iterable[str] = (), *, axis: str | None = None, learn: bool = False
-) -> File:
+def load(path: str | os.PathLike[str], changes: Iterable[str] = (), *, axis: str | None = None) -> File:
     """Load a joint file, or a robot file, which has the table [robot]; it is checked before anything runs.
 
     Args:
@@ -43,7 +41,6 @@ def load(
         changes: keys to set before it is checked, each as ``method.frequency=30``.
         axis: the joint of a robot file that is returned as a joint file, as if no other joint moved: with its own
             `method` and `gravity`. Changes of [method] and [joint] are then of this joint.
-        learn: whether the gains of the controller, or all of it, may be missing; a missing gain is 1.
 
     Raises:
         JointFileError: the file, or the model of a robot that it names, cannot be read, is no TOML, or has faults;
@@ -51,7 +48,7 @@ def load(
         MethodError: the robot has no such joint.
         ExtraError: MuJoCo, which reads the model of a robot, is not installed.
     """
-    return _load(toml.read_text(Path(path)), Path(path), changes, axis=axis, learn=learn)
+    return _load(toml.read_text(Path(path)), Path(path), changes, axis=axis)
 
 
 def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: Any) -> File:
@@ -71,14 +68,12 @@ def dumps(file: File) -> str:
     return edit(file.text, *file.changes)
 
 
-def _load(text: str, path: Path, changes: Iterable[str] = (), *, axis: str | None = None, learn: bool = False) -> File:
+def _load(text: str, path: Path, changes: Iterable[str] = (), *, axis: str | None = None) -> File:
     raw = parse_toml(text)
     made = tuple(parse_change(_name_axis(change, raw, axis)) for change in changes)
     for change in made:
         change(raw)
-    if learn and "robot" not in raw:
-        raw.setdefault("controller", {})
-    tables = read_tables(raw, learn=learn)
+    tables = read_tables(raw)
     if tables.robot is not None:
         from jointid.config.robot_file import robot_file
 
@@ -159,9 +154,8 @@ def controller_text(controller: Controller, axis: Axis | None = None) -> str:
             f"give a cascade, a PD or a PID, of one of the ratios {', '.join(f'{one:g}' for one in seen.values())}."
         )
     table = {key: value for key, value in _plain(controller).items() if key not in ("ratio", "gain")}
-    through = 1.0 if gear is None or side == "motor" else abs(gear.motor_per_load)
-    constant = None if axis is None else axis.units.constant
-    if (gain := getattr(controller, "gain", 1.0)) != (1.0 if constant is None else constant * through):
+    plain = 1.0 if axis is None else replace(axis.units, side=side).plain_gain
+    if (gain := getattr(controller, "gain", 1.0)) != plain:
         table["gain"] = gain
     if side != "motor":
         table["side"] = side

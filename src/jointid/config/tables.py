@@ -32,14 +32,16 @@ FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 
 _TURN = 2 * math.pi  # rad
 
-INVERSES: Mapping[str, tuple[str, str, str, float]] = {
-    "integral_gain": ("integral_time", "integral time Tn of the velocity loop, 1 over its integral gain", "s", 1.0),
-    "time_constant": ("cutoff", "1 / (2 pi time_constant)", "Hz", 0.5 / math.pi),
-}
-"""Keys that another one gives: that one, its meaning and unit, and what the product of both is."""
-
-_INVERTED = {"cascade": "integral_gain", "first_order": "time_constant"}
-"""The key that a law or a kind of filter takes by its inverse, too."""
+_INVERSES: Mapping[str, tuple[str, float, dict[str, Setting]]] = {
+    "cascade": (
+        "integral_gain", 1.0,
+        key("integral_time", float, "integral time Tn of the velocity loop, 1 / integral_gain", unit="s", above=0),
+    ),
+    "first_order": (
+        "time_constant", 0.5 / math.pi, key("cutoff", float, "1 / (2 pi time_constant)", unit="Hz", above=0)
+    ),
+}  # fmt: skip
+"""Of a law or a kind of filter a key that may be given by its inverse, the product of both, and the inverse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,17 +160,16 @@ class FileTable:
         return ("joints", number, *(keys[1:] if keys[:1] == ("joint",) else keys))
 
 
-def read_tables(raw: Mapping[str, Any], *, learn: bool = False) -> FileTable:
+def read_tables(raw: Mapping[str, Any]) -> FileTable:
     """Read the tables of a joint file or a robot file.
 
     Args:
         raw: as `tomllib` reads them.
-        learn: whether the controller may lack its gains, which are then 1.
 
     Raises:
         JointFileError: with one sentence for each fault.
     """
-    reader = Reader(learn=learn)
+    reader = Reader()
     made: FileTable = reader.read_all(ROBOT_FILE if "robot" in raw else JOINT_FILE, raw)
     return replace(made, texts=reader.texts)
 
@@ -189,20 +190,10 @@ def _make_record(channels: Mapping[str, Column] | None = None, **given: Any) -> 
 # Controllers and filters
 
 
-def _variant(word: str, keys: Mapping[str, Setting], owner: Callable[..., Any]) -> Table:
-    """Return the table of a law or of a kind of filter; a number that it needs and that is to be learned is 1."""
-    gives = _INVERTED.get(word, "")
-    other, means, unit, product = INVERSES.get(gives, ("", "", "", 1.0))
-    needed = {one.name: 1.0 for one in keys.values() if one.required and one.type is float}
-
-    def make(**given: Any) -> Any:
-        if other in given:
-            given[gives] = product / given.pop(other)
-        return owner(**needed | given)
-
-    if not gives:
-        return Table(keys, make)
-    return Table({**keys, **key(other, float, means, unit=unit, above=0)}, make, instead={other: gives})
+def _variant(word: str, keys: Mapping[str, Setting], make: Callable[..., Any]) -> Table:
+    """Return the table of a law or of a kind of filter."""
+    name, product, inverse = _INVERSES.get(word, ("", 1.0, {}))
+    return Table({**keys, **inverse}, make, instead=dict.fromkeys(inverse, (name, product)))
 
 
 def _join_keys(variants: Mapping[str, Table]) -> dict[str, Setting]:

@@ -159,8 +159,8 @@ def channel_step(texts: Texts) -> Iterator[Section]:
 def joint_step(texts: Texts) -> Iterator[Section]:
     """Yield the sections of step 3 for the chosen model and law."""
     law, flexible = texts.get(LAW, ""), texts.get("joint.model") == "flexible"
-    of_law = _LAWS.get("cascade" if law == LEARN else law, ())
-    main = tuple(one for one in of_law if (one.declared.required and law != LEARN) or one.declared.name in _SHOWN)
+    of_law = _LAWS.get(law, ())
+    main = tuple(one for one in of_law if one.declared.required or one.declared.name in _SHOWN)
     yield Section("The axis", tuple(one for one in _JOINT if flexible or one.key not in _FLEXIBLE))
     yield Section("The controller", (_CONTROLLER, *main))
     yield Section("More of the controller", tuple(one for one in of_law if one not in main), folded=True)

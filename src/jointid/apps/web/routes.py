@@ -195,7 +195,7 @@ async def check_channels(request: Request) -> Response:
     page, now = _page(request), await _save(request)
     async with page.files:
         texts = {key: text for key, text in now.texts.items() if not key.startswith("controller.")}
-        await _load(now, texts, learn=True)
+        await _load(now, texts)
         await work(now.path, folder.READING, "_log.txt", "check")
     return page.redirect("/joint")
 
@@ -205,19 +205,19 @@ async def identify(request: Request) -> Response:
     page, now = _page(request), await _save(request)
     learn = now.texts.get(form.LAW) == form.LEARN
     async with page.files:
-        text = await _load(now, now.texts, learn=learn)
+        text = await _load(now, now.texts)
         page.jobs.require_idle()
         run = page.new_run(text)
         page.jobs.start(run, learn=learn)
     return page.redirect(f"/runs/{run.path.name}")
 
 
-async def _load(now: Draft, texts: form.Texts, *, learn: bool) -> str:
+async def _load(now: Draft, texts: form.Texts) -> str:
     """Check what the forms say but for a robot, whose model is read in a process of its own; return it as TOML."""
     text, place = dumps(form.make_tables(texts, [] if now.robot else now.records)), now.path / "_order.toml"
     write_whole(place, text)
     if not now.robot:
-        await run_in_threadpool(load, place, learn=learn)
+        await run_in_threadpool(load, place)
     return text
 
 

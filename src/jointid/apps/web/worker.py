@@ -68,7 +68,7 @@ def check() -> None:
     """Read the records as the forms say, and write what the first one holds."""
     from jointid.config import load
 
-    draft, file = Draft(Path.cwd()), load("_order.toml", learn=True)
+    draft, file = Draft(Path.cwd()), load("_order.toml")
     torque, *_ = [file.record(draft.path / name).torque for name in draft.records]
     assert torque is not None
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
