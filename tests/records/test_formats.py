@@ -76,7 +76,6 @@ def test_what_is_written_is_read_to_the_last_bit(
     ("name", "table"),
     [
         ("x.csv", Table({"a": np.zeros(2), "b": np.zeros(3)})),
-        ("x.csv", Table({"a": np.zeros(2)}, {"position_gain": 1.0})),
         ("x.csv", Table({"2": np.zeros(2)})),
         ("x.csv", Table({"a\nb": np.zeros(2)})),
         ("x.csv", Table({"=1+1": np.zeros(2)})),
@@ -86,7 +85,6 @@ def test_what_is_written_is_read_to_the_last_bit(
         ("x.mat", Table({"end": np.zeros(2)})),
         ("x.mat", Table({"a" * 64: np.zeros(2)})),
         ("x.parquet", Table({"a": np.ones(2), "b": np.ones(3)})),
-        ("x.npy", Table({f"channel {k}": np.arange(3.0) for k in range(4000)})),
         ("x.h5", Table({"a": np.ones(2)})),
         ("x.csv.gz", Table({"a": np.ones(2)})),
         ("none/x.csv", Table({"a": np.ones(2)})),
@@ -112,10 +110,10 @@ def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, mo
         read_table(path)
 
 
-def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(tmp_path: Path) -> None:
+def test_thousands_of_columns_of_npy_come_back_and_more_than_are_read_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "wide.npy"
-    write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(1000)}))
-    assert list(read_table(path).columns)[::999] == ["channel 0", "channel 999"]
+    write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(9000)}))
+    assert list(read_table(path).columns)[::8999] == ["channel 0", "channel 8999"]
     np.save(path, np.zeros((10_002, 10_001), dtype="u1"))
     with pytest.raises(RecordError):
         read_table(path)

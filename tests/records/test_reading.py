@@ -141,8 +141,8 @@ def test_all_faults_of_a_step_are_reported_at_once(saved: Saved) -> None:
     gap = POSITION.copy()
     gap[[70, 90]] = NAN
     path = saved(t=np.append(TIME[:-1], 1.0), u=TIME, q=gap, v=POSITION)
-    columns = {"torque": "i", "reference": Column("q", tap=Tap.MEASURED), "load_position": Column("v", unit="rad")}
-    assert len(faults_of(path, columns)) == 3
+    columns = {"torque": "i", "reference": "q", "load_position": Column("v", unit="rad")}
+    assert len(faults_of(path, columns)) == 2
     assert len(faults_of(path, {"reference": Column("q", time="u"), "load_position": "v", "motor_position": "v"})) == 2
 
 
@@ -150,7 +150,6 @@ def test_all_faults_of_a_step_are_reported_at_once(saved: Saved) -> None:
     ("columns", "how"),
     [
         ({"speed": "q"}, {}), ({"reference": "q"}, {"kind": "screw"}),
-        ({"reference": Column("q", in_torque=False)}, {}),
         ({"reference": Column("none", optional=True)}, {}),
         ({"injected": Column("q", at=InjectionPoint.BEFORE_LIMIT, in_torque=False)}, {}),
     ],
