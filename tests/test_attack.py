@@ -80,7 +80,7 @@ EXECUTING: dict[str, bytes | Write] = {
     "objects.npy": _npy(OBJECTS, PICKLED),
     "objects.npz": _archive(_npy(OBJECTS, PICKLED)),
     "formula.csv": f"t,={CODE}\n0,1\n1,2\n".encode(),
-    "value.json": f'{{"t": [0, 1], "q": ["{CODE!r}", "{CODE!r}"]}}'.replace('("', "('").replace('")', "')").encode(),
+    "value.jsonl": f'{{"t": [0, 1], "q": ["{CODE!r}", "{CODE!r}"]}}'.replace('("', "('").replace('")', "')").encode(),
     "qos.db3": _database("UPDATE topics SET offered_qos_profiles = '!!python/object/apply:os.mkdir [executed]'"),
     "definition.db3": _database(
         f"UPDATE message_definitions SET encoded_message_definition = 'float64 x={CODE}'"
@@ -130,7 +130,7 @@ def _mcap(code: int, size: int) -> bytes:
 
 
 TOO_MUCH: dict[str, bytes | Write] = {
-    "lists.json": b"[" * 10**6 + b"]" * 10**6,
+    "lists.jsonl": b"[" * 10**6 + b"]" * 10**6,
     "blanks.csv.gz": gzip.compress(b" " * 2**26, 9),
     "columns.csv": b",".join([b"q"] * 99_999) + b"\n" + b",".join([b"1"] * 99_999) + b"\n",
     "shape.npy": _npy("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 1000000000000), }", bytes(4096)),

@@ -110,8 +110,8 @@ class Log:
         for number, table in enumerate(read_blocks(self.path, length, **self.options)):
             rest = number > 0 and table.rows < overlap
             if held is not None:
-                more = replace(table, columns={name: values[:overlap] for name, values in table.columns.items()})
-                yield held[0], join_tables([held[1], more]) if overlap else held[1], rest
+                begin = {name: values[:overlap] for name, values in table.columns.items() if overlap}
+                yield held[0], join_tables([held[1], replace(table, columns=begin)]) if begin else held[1], rest
             held = (number, table) if number % every == 0 and not rest else None
         if held is not None:
             yield *held, True

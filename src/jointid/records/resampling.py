@@ -114,8 +114,11 @@ def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | 
     late = {name: (latest - begin) / periods[name] for name, begin in begins.items()}
     if any(abs(n - round(n)) * periods[name] > near for name, n in late.items()):
         return None
-    cut = {n: replace(one.channel, values=one.channel.values[round(late[n]) :]) for n, one in signals.items()}
-    return cut, latest - min(begins.values())
+    kept = {name: one.channel.values[round(late[name]) :] for name, one in signals.items()}
+    ends = [periods[name] * values.size for name, values in kept.items()]
+    end = min(ends) if any(map(round, late.values())) else math.inf  # of clocks that begin apart the ends are, too
+    cut = {n: values[: math.ceil(min(end / periods[n], values.size) - _WHOLE)] for n, values in kept.items()}
+    return {n: replace(one.channel, values=cut[n]) for n, one in signals.items()}, latest - min(begins.values())
 
 
 def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
