@@ -110,10 +110,10 @@ def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, mo
         read_table(path)
 
 
-def test_thousands_of_columns_of_npy_come_back_and_more_than_are_read_are_refused(tmp_path: Path) -> None:
+def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "wide.npy"
-    write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(9000)}))
-    assert list(read_table(path).columns)[::8999] == ["channel 0", "channel 8999"]
+    write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(1000)}))
+    assert list(read_table(path).columns)[::999] == ["channel 0", "channel 999"]
     np.save(path, np.zeros((10_002, 10_001), dtype="u1"))
     with pytest.raises(RecordError):
         read_table(path)
