@@ -15,7 +15,7 @@ import tomlkit
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT, Parameter
-from jointid.common.transmission import SIDES
+from jointid.common.transmission import SIDES, Side
 from jointid.config import toml
 from jointid.config.axis import Axis, build_axis
 from jointid.config.file import File, file_of_axis
@@ -145,7 +145,7 @@ def controller_text(controller: Controller, axis: Axis | None = None) -> str:
         JointFileError: a joint file has no word for the controller, or for its side of the transmission.
     """
     gear = None if axis is None else axis.joint.transmission
-    seen = {"motor": 1.0} if gear is None else {side: gear.torque(side) for side in SIDES}
+    seen: dict[Side, float] = {"motor": 1.0} if gear is None else {side: gear.torque(side) for side in SIDES}
     ratio = getattr(controller, "ratio", 1.0)
     side = next((side for side, through in seen.items() if through == ratio), None)
     if "law" not in _WORDS.get(type(controller), {}) or side is None:
