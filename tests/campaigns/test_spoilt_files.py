@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +16,10 @@ import jointid as ji
 from jointid.campaigns.campaign import Case
 from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run import run_case
-from jointid.campaigns.store import Outcome, Row
+from jointid.campaigns.store import Outcome, Row, open_store
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.common.files import digest
 from tests.campaigns.conftest import JOINT, TRUTH
 
 LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
@@ -72,3 +77,38 @@ def test_in_a_fleet_of_forty_joints_over_ten_days_every_spoilt_file_is_named(tmp
     assert found.drifted == ()
     text = " ".join(found.to_document(details=True).text().split())
     assert all(f"{joint} {day}, " in text for joint, day in kinds)
+
+
+ROW = asdict(Row("a" * 64, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found."))
+EDITED = [
+    ("error_percent", "x"), ("error_percent", float("inf")), ("changes", [1]), ("outcome", []), ("joint", 3),
+    ("found", {"inertia": {"value": float("nan"), "std": 1.0, "unit": "kg"}}),
+]  # fmt: skip
+FOREIGN = [
+    *(f"{json.dumps(ROW | {key: value})}\n" for key, value in EDITED),
+    json.dumps(ROW | {"error_percent": 0}).replace('"error_percent": 0', f'"error_percent": 1{"0" * 400}') + "\n",
+    f"{json.dumps([ROW])}\n", "[" * 100_000, "t,q\n1,2\n", "[joint]", '{"fit": 1}', '{"fit": 1}\n', "{\n",
+    '{"row": 1}\n{"changes"',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_another_file_is_refused_and_stays_as_it_is(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_text(text)
+    with pytest.raises(RecordError), open_store(path):
+        pass
+    assert path.read_text() == text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+@pytest.mark.parametrize("made", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_a_pipe_or_a_device_ends_no_campaign(tmp_path: Path, made: Callable[[Path], None]) -> None:
+    record, path = tmp_path / "run.csv", tmp_path / "results.jsonl"
+    for one in (record, path):
+        made(one)
+    with pytest.raises(RecordError):
+        digest(record)
+    assert run_case(Case("axis", JOINT, str(record), "")).outcome is Outcome.REFUSED
+    with pytest.raises(RecordError), open_store(path):
+        pass

@@ -6,11 +6,13 @@ import math
 
 import pytest
 
+from jointid.common.units import UnitError, normalise_unit, parse_quantity
 from jointid.config import controller_text, dumps, edit, loads, replace_table
 from jointid.config.declaration import list_units
 from jointid.models.controllers import Cascade, DigitalFilter, FirstOrder, SecondOrder
 from jointid.models.limits import AxisLimits
-from tests.joint_files import JOINT, SMALLEST, told
+from jointid.records.columns import Column, known_units
+from tests.joint_files import JOINT, SMALLEST, faults, told
 
 TURNING = """
 [joint]
@@ -199,3 +201,27 @@ def test_a_torque_is_limited_in_the_unit_in_which_it_is_identified() -> None:
     assert loads(f'{TURNING}[limits]\ntorque = "5 N m"').limits.torque == 5.0
     per_ampere = changed(('torque_constant = "0.72 N m/A"\n', ""))
     assert loads(f'{per_ampere}[limits]\ntorque = "500 mA"').limits.torque == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("said", "unit"),
+    [("inc", "counts"), ("U/min", "rpm"), ("1/min", "rpm"), ("°", "deg"), ("%", "%"), ("mNm", "mNm"), ("mm/s", "mm/s")],
+)
+def test_an_ordinary_unit_is_known(said: str, unit: str) -> None:
+    assert normalise_unit(said) == unit
+    known = (*known_units("reference", "revolute"), *known_units("reference_velocity", "revolute"), "%", "mNm", "mm/s")
+    assert Column("q", unit=said).stated_unit(known) == unit
+    assert Column(f"q [{said}]").stated_unit(known) == unit
+
+
+def test_a_declared_unit_and_that_of_the_name_are_said_with_both() -> None:
+    turning = SMALLEST.replace('"prismatic"', '"revolute"')
+    (fault,) = faults(turning.replace('"r"', '"pos [deg]", unit = "rad"'))
+    assert fault.place == ("record", "channels", "reference", "unit")
+    assert loads(turning.replace('"r"', '"pos [deg]", unit = "°"'))
+
+
+@pytest.mark.parametrize("text", ["0.8", "A", "3 foo", "3 A)", "3 (A", "3 A/", "3 A/rad s", "0,8 A", ""])
+def test_what_is_no_quantity_is_refused(text: str) -> None:
+    with pytest.raises(UnitError):
+        parse_quantity(text)

@@ -34,7 +34,6 @@ class Setting:
         above: what its value is greater than. at_least: what it is not less than. at_most: what it is not greater than.
         infinite: whether its value may be infinite. nonzero: whether it may not be 0.
         only: the whole numbers that are allowed, where they are few.
-        none: the word of the joint file for None, where leaving the key out means something else.
         accept: refuses a value by raising a `JointidError`.
         choices: the words that are allowed, where the type does not list them.
         systems: what it is for, "rigid", "flexible" or "robot"; empty for all.
@@ -52,7 +51,6 @@ class Setting:
     infinite: bool = False
     nonzero: bool = False
     only: tuple[int, ...] = ()
-    none: str = ""
     accept: Callable[[Any], object] | None = None
     choices: tuple[str, ...] = ()
     systems: tuple[str, ...] = ()

@@ -179,7 +179,7 @@ class Reader:
             return self.read(own, raw, place)
         if (below := table_of_items(one.type)) is not None:
             return self._items(one, below, raw, place)
-        return None if one.none and raw == one.none else self._single(one, raw, place)
+        return self._single(one, raw, place)
 
     def _complete(self, table: Table, given: dict[str, Any], place: Place) -> None:
         """Refuse what is missing or said twice; replace what is said in other words."""
