@@ -29,7 +29,6 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
 from jointid.uncertainty.covariance import Influence
-from jointid.uncertainty.position_dependent_error import uncertainty
 
 PLAIN, INVISIBLE = 0.03, 0.5  # predicted deviations of K12: below, it must be reported; above, it must not
 SLOW = 80.0  # Hz: bounds are counted for modes below it apart
@@ -115,8 +114,8 @@ def _predict(plant: BoundedPlant) -> float:
     truth = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | plant.truth)
     error, J = problem.linearise(truth)
     names = [p.name for p in problem.free]
-    at, cells = names.index("stiffness"), problem.cells(problem.simulate(truth))
-    return float(uncertainty(Influence(J, error), cells).robust.std[at] / truth[at])
+    at = names.index("stiffness")
+    return float(Influence(J, error).robust().std[at] / truth[at])
 
 
 def random_plant(seed: int) -> BoundedPlant:

@@ -9,10 +9,6 @@ import pytest
 from scipy import stats
 
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.paper.twin import twin
-from jointid.records.signals.filtering import Filtering
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, single
 from jointid.uncertainty.profile import ByCompliance, profile
@@ -187,30 +183,3 @@ def test_a_stiffness_that_is_not_seen_has_a_lower_bound_only() -> None:
     assert found.interval[1] is not None
     assert 0.005 < found.interval[1] < 0.08
     assert found.reached[0] <= 1e-5
-
-
-@pytest.mark.slow
-def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_known() -> None:
-    axis = twin("L19", seed=3)
-    problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
-    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
-    problem = replace(problem, parameters=still)
-    x = problem.vector({**axis.truth, "initial_position": 0.0})
-    for _ in range(4):
-        residual, J = problem.linearise(x)
-        x = x - np.linalg.lstsq(J, residual, rcond=None)[0]
-    by = ByCompliance(problem, 1e-3 / axis.truth["stiffness"])
-    there = by.exchange(x)
-    stiff = [p.name for p in by.free].index("compliance")
-    residual, J = by.linearise(there)
-    known = Influence(J, residual).robust()
-    found = profile(by, there, single(by.free[stiff], "m/N"), known, LevenbergMarquardt(1e-6, 30))
-    assert found.bounded
-    assert found.interval[0] is not None
-    assert found.interval[1] is not None
-    assert found.interval[0] < 1 / axis.truth["stiffness"] < found.interval[1]
-    assert found.interval[1] - found.interval[0] < 0.04 * there[stiff]
-    total = Combination("total viscous", "Fv1 + Fv2", "N s/m", {"motor_viscous": 1.0, "load_viscous": 1.0})
-    both = profile(by, there, total, known, LevenbergMarquardt(1e-6, 30))
-    std = known.std_of(total.vector(by.free))
-    assert both.interval == pytest.approx((both.estimate - 2 * std, both.estimate + 2 * std), abs=0.4 * std)

@@ -96,7 +96,7 @@ def of_many(draw: str, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray, li
                 error += (WHERE.family == family) * field(random, POSITION, 0.004)
         x, residual = fitted(error)
         found.append(uncertainty(Influence(W, residual), WHERE))
-        robust += np.abs(x) <= 2 * found[-1].robust.std
+        robust += np.abs(x) <= 2 * Influence(W, residual).robust().std
         widened += np.abs(x) <= 2 * found[-1].covariance.std
     return robust / runs, widened / runs, found
 

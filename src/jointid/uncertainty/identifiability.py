@@ -42,6 +42,7 @@ class Limitation(StrEnum):
     INSEPARABLE = "inseparable"
     NOT_SIGNIFICANT = "not_significant"
     UNDETERMINED = "undetermined"
+    FORCE_IN_LOOP = "force_in_loop"
 
 
 @dataclass(frozen=True, slots=True)

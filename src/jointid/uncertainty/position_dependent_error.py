@@ -102,13 +102,11 @@ class Uncertainty:
     """Covariances of the errors of an estimate.
 
     Attributes:
-        robust: over time, whatever the residual's autocorrelation.
-        covariance: to be reported: the robust one, widened where the residual repeats with the motion.
+        covariance: robust against autocorrelation, and widened where the residual repeats with the motion.
         warnings: limits of the deviations, for the reader.
         shifts: (parameters,) each, of the estimate, for which the deviations were widened.
     """
 
-    robust: Covariance
     covariance: Covariance
     repeatable: Repeatable
     warnings: tuple[Message, ...] = ()
@@ -222,5 +220,4 @@ def uncertainty(influence: Influence, where: Cells, unit: str = "") -> Uncertain
         where: the rows' cells.
         unit: of the residual.
     """
-    over_time = influence.robust()
-    return Uncertainty(over_time, *widen(over_time, influence, where, unit))
+    return Uncertainty(*widen(influence.robust(), influence, where, unit))

@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import partial
 
 import numpy as np
@@ -43,6 +42,7 @@ from jointid.models.linear import frequency_response
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.loop_input import LoopInput
 from jointid.uncertainty.covariance import Influence
+from jointid.uncertainty.identifiability import Limitation
 from jointid.uncertainty.model_tests import widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 
@@ -58,12 +58,6 @@ _LEAKAGE = 1e-2  # of the largest power: what a lag window of few periods leaves
 _LEAST = 1e-3  # of the torque: a smaller force moves nothing that matters
 _MATTERS = 0.25  # of a deviation: less moves nothing
 _TOLD = 1.0  # deviations: what moves further is said
-
-
-class InLoop(StrEnum):
-    """Evidence of a force in the loop, from a residual."""
-
-    FORCE = "force_in_loop"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +141,7 @@ def widened_for_force(
         f"the residual's spectrum shows a random force in the loop of about {size} rms, which lets friction slide; "
         f"simulated with it, the fit gives {values}: the intervals hold both"
     )
-    stated = (Message(InLoop.FORCE, said, {"rms": force.rms, "values": moved}),) if moved else ()
+    stated = (Message(Limitation.FORCE_IN_LOOP, said, {"rms": force.rms, "values": moved}),) if moved else ()
     return replace(known.widened_by(there - x), warnings=(*known.warnings, *stated))
 
 

@@ -39,7 +39,7 @@ from jointid.common.messages import Message, Progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.descent import History, descend
-from jointid.estimation.methods.force_in_loop import InLoop, allow_for_force, simulate_mean, widened_for_force
+from jointid.estimation.methods.force_in_loop import allow_for_force, simulate_mean, widened_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
@@ -221,8 +221,7 @@ def visible(
     determined = slopes.any(axis=0) & find_separable(slopes)
     stated = zip(rigid.free, judged.covariance.std, determined, strict=True)
     std = {p.name: float(one) for p, one, told in stated if told}
-    notes = tuple(one for one in judged.warnings if one.code is InLoop.FORCE)
-    return Visibility(springs_verdict(reasons, said), values, std, bounds, runs, notes)
+    return Visibility(springs_verdict(reasons, said), values, std, bounds, runs, judged.warnings)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
