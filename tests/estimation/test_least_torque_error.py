@@ -7,8 +7,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.messages import ignore_progress
-from jointid.estimation.descent import History
-from jointid.estimation.methods.rigid_search import search_rigid_joint
+from jointid.estimation.descent import History, search_rigid_joint
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import Cascade

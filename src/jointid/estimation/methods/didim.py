@@ -4,7 +4,7 @@
 output sensitivities J = d tau_sim / d chi, from several starts: one answer, whatever the start. The starts are what
 IDIM finds on the motion that the controller must have seen, and a regular inertia (`starts.rigid_joint`). From each
 leads a descent with the motor at rest at the first sample, and from the best end one with it moving
-(`rigid_search`).
+(`estimation.descent`).
 
 The paper steps to a fixed point instead, where least squares on the inverse dynamic regressor W of the simulated
 motion changes nothing any more [P section IV.A]. Where the model leaves something out, the least torque error and that
@@ -36,7 +36,16 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import GLANCE, History, Solved, free_more
+from jointid.estimation.descent import (
+    GLANCE,
+    RESTING,
+    History,
+    Solved,
+    first_positions,
+    free_more,
+    search_rigid_joint,
+    unstable,
+)
 from jointid.estimation.methods.force_in_loop import (
     allow_for_force,
     uncertainty_of_least_error,
@@ -52,7 +61,6 @@ from jointid.estimation.methods.registry import (
     Method,
     Task,
 )
-from jointid.estimation.methods.rigid_search import RESTING, first_positions, search_rigid_joint, unstable
 from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.problems.base import DELAY, DELAYS, INITIAL_STATE

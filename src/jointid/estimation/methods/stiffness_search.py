@@ -28,9 +28,17 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
-from jointid.estimation.descent import GLANCE, ROUGH, History, Solved, is_significant, least_squares, or_moving
+from jointid.estimation.descent import (
+    GLANCE,
+    ROUGH,
+    History,
+    Solved,
+    is_significant,
+    least_squares,
+    or_moving,
+    search_rigid_joint,
+)
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.methods.rigid_search import search_rigid_joint
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.starts.flexible_joint import (
