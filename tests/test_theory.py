@@ -183,7 +183,7 @@ def test_simpson_s_rule_and_the_differences_are_of_fourth_order() -> None:
     assert np.allclose(errors(60.0), [2.3e-4, -4.3e-4, 6.6e-6], rtol=0.02)
 
 
-def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
+def test_the_covariance_is_the_inverse_model_s_where_all_three_are_one() -> None:
     rng = np.random.default_rng(1)
     W = rng.normal(size=(20000, 3)) @ np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 2.0]])
     residual = rng.normal(size=len(W))

@@ -405,7 +405,7 @@ def _tell_record(number: int, solved: Solved, segments: Sequence[Segment]) -> Re
 
 
 def _widen_for_motion(covariance: Covariance, found: Pass) -> Covariance:
-    """Widen the deviations along a measured motion for a force in the loop; see `with_measured_motion`."""
+    """Widen the deviations along a measured motion for a force in the loop; see `Influence.widen_for_motion`."""
     scale = scale_of(found.sums.A)
     bias = np.linalg.pinv(found.sums.A / np.outer(scale, scale), hermitian=True) @ (found.scores / scale).T
     return replace(covariance, std=np.hypot(covariance.std, np.max(np.abs(bias), axis=1) / scale))

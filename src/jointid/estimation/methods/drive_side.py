@@ -12,7 +12,7 @@ frequencies, at which the motor sees an anti-resonance, a frictionless load of o
 else about the joint is then linear. The best few are refined.
 
 A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
-squares is biased: the intervals are widened for that (`with_measured_motion`).
+squares is biased: the intervals are widened for that (`Influence.widen_for_motion`).
 """
 
 from __future__ import annotations
