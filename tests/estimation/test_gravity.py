@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import remarks
@@ -122,13 +121,6 @@ def test_a_vertical_axis_from_torque_alone() -> None:
 def test_a_link_from_encoders() -> None:
     assert_found(identify(geared(), GEARED_LOOP, IDIM()), GEARED_TRUTH | {"offset": 0.01}, 0.01)
     assert_found(identify(arm(), ARM, IDIM()), {"gravity_cos": 40.0, "gravity_sin": 15.0}, 0.01)
-
-
-@pytest.mark.slow
-def test_a_link_on_its_drive_side() -> None:
-    flexible = identify(geared(slow=True).without("load_position"), GEARED, DriveSideFit())
-    assert_found(flexible, GEARED_TRUTH, 0.01)
-    assert_found(identify(arm(), ARM.joint, DriveSideFit()), ARM_TRUTH, 1e-4)
 
 
 @pytest.mark.parametrize("travel", [0.2, 0.05])

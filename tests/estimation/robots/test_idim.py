@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 import pytest
 
-import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.diagnose import diagnose
@@ -23,7 +22,6 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
-from jointid.uncertainty.verdict import Subject
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, axis_errors, by_idim, identified, records_of
 from tests.robots_plants import two
@@ -210,15 +208,3 @@ def test_coupled_motors() -> None:
     records = records_of(robot, 4)
     coupled, separate = (axis_errors(identified(one, records)).max() for one in (robot, plain))
     assert coupled < 2e-4 and separate > 10 * coupled
-
-
-def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
-    robot = arm(3)
-    records = records_of(robot, 1)
-    found = ji.identify(records, robot)
-    assert found.success and found.settings.method == "idim"
-    assert {v.subject for v in found.checks.verdicts if v.good} >= {Subject.SOLVER, Subject.FIT, Subject.REPEATABLE}
-    with pytest.raises(MethodError, match="DIDIM is not for a Robot; use IDIM"):
-        ji.identify(records, robot, ji.DIDIM())
-    with pytest.raises(MethodError, match="the records of its joints"):
-        ji.identify(records[0], robot)
