@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 if TYPE_CHECKING:
@@ -25,15 +26,7 @@ LEVEL: dict[str, Any] = {"color": "0.35", "linewidth": 0.8, "linestyle": "--"}
 BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0}
 """How the area between two lines is filled."""
 
-_STYLE: dict[Any, Any] = {
-    "text.parse_math": False,  # a name is no formula
-    "figure.constrained_layout.use": True, "figure.titlesize": 10, "axes.titlesize": 9, "axes.titlelocation": "left",
-    "axes.labelsize": 9, "xtick.labelsize": 8, "ytick.labelsize": 8, "axes.grid": True, "grid.color": "0.92",
-    "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False, "axes.xmargin": 0.0,
-    "lines.linewidth": 0.9, "lines.markersize": 3, "path.simplify_threshold": 0.4, "legend.loc": "lower right",
-    "legend.fontsize": 8, "legend.frameon": False, "legend.handlelength": 1.4, "legend.columnspacing": 1.2,
-    "legend.borderaxespad": 0.1,
-}  # fmt: skip
+_STYLE = Path(__file__).with_name("charts.mplstyle")
 _INCH = 100.0  # pixels of a panel's height
 _WIDTH = 9.0  # inches of a figure
 _METADATA = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
@@ -44,10 +37,10 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
 
     @wraps(draw)
     def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
-        import matplotlib as mpl
+        from matplotlib import style
         from matplotlib.ticker import LogFormatter
 
-        with mpl.rc_context(_STYLE):
+        with style.context(_STYLE):
             figure = draw(*args, **kwargs)
             for axes in figure.axes:
                 if axes.get_legend_handles_labels()[1]:
@@ -108,10 +101,10 @@ def mark(axes: Axes, x: float, text: str, row: int = 0, *, dotted: bool = False)
 
 def render(figure: Figure, form: str, dpi: int = 150, name: str = "jointid") -> bytes:
     """Return a figure as a file of PNG, SVG or PDF; the same figure gives the same bytes."""
-    import matplotlib as mpl
+    from matplotlib import style
 
     drawn = io.BytesIO()
-    with mpl.rc_context(_STYLE | {"svg.hashsalt": name, "svg.fonttype": "none"}):
+    with style.context([_STYLE, {"svg.hashsalt": name, "svg.fonttype": "none"}]):
         figure.savefig(drawn, format=form, dpi=dpi, metadata=_METADATA[form])
     return drawn.getvalue()
 
