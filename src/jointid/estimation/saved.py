@@ -52,7 +52,7 @@ _CODES: dict[str, StrEnum] = {str(code): code for code in Reason}  # of others, 
 _TERM = re.compile(r"(?:^|([+-]) )(\S+)(?: \* ([0-9.e+-]+))?")  # sign, symbol and weight in a sum
 
 
-def build_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: ClosedLoop | None = None) -> Estimate:
+def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: ClosedLoop | None = None) -> Estimate:
     """Return the estimate of a document.
 
     Args:

@@ -126,13 +126,13 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
         >>> kept["inertia"].value == estimate["inertia"].value
         True
     """
-    from jointid.estimation.saved import RobotSystem, build_estimate
+    from jointid.estimation.saved import RobotSystem, restore_estimate
 
     model, answer = system.setup if isinstance(system, File) else system, read_report(path)
     try:
         with _undamaged(path):
             if isinstance(model, RobotSystem):
-                return build_estimate(answer, model)
+                return restore_estimate(answer, model)
             joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
             if not _fits(answer["settings"]["system"], plain(joint)):
                 raise RecordError("it is of another joint, or of the other side of its transmission")
@@ -140,7 +140,7 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
                 raise RecordError(
                     f"it has no {', '.join(own)}, or one for each of its records, so it predicts no torque of another"
                 )
-            return build_estimate(answer, joint, loop if isinstance(loop, ClosedLoop) else None)
+            return restore_estimate(answer, joint, loop if isinstance(loop, ClosedLoop) else None)
     except RecordError as error:
         raise RecordError(f"{path} does not fit this model: {error}; identify with this file first.") from None
 
