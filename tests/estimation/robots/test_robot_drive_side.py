@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -81,9 +80,8 @@ def assert_springs(found: RobotFit, twin: Twin, within: float) -> None:
 
 @pytest.mark.slow
 def test_springs_come_back_with_their_intervals() -> None:
-    twin, said = two((12.0, 18.0)), list[str]()
-    found = identified(twin, logged(twin), progress=said.append)
-    assert re.fullmatch(r"searching 2 springs takes about \d+ (s|min)", said[0])
+    twin = two((12.0, 18.0))
+    found = identified(twin, logged(twin))
     assert found.converged
     assert_springs(found, twin, 0.02)
     assert inside(found, twin) > 0.85
@@ -186,8 +184,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert (row.free, row.value, row.stderr, row.axis) == (False, known[row.name].start, None, "joint1")
     assert np.all(axis_errors(estimate) < 0.02)
     assert np.all(estimate.require_robot().nominal_errors > 0.05)
-    text = estimate.to_document().text()
-    assert "drive side of a robot, from motor torques and motor positions" in text
+    assert estimate.settings.method == "drive_side"
     assert estimate.params["log_delay"].unit == "s"
     held = ji.validate(estimate, logged(twin, seed=4))
     assert held.better
@@ -195,11 +192,8 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert all(axis.filtered_error < 0.03 for axis in held.axes)
     told = ji.diagnose(logged(twin), estimate)
     assert told.explained
-    assert "log_delay" not in {one.name for joint in told.axes for one in joint.parameters}
     assert told.method == "drive_side"
     assert "not seen apart" not in told.answer
-    travel = [float(np.ptp(r.motor_position.values)) for r in logged(twin) if r.motor_position]
-    assert [one.travel for one in told.axes] == pytest.approx(travel, rel=0.05)
 
 
 @pytest.mark.slow
