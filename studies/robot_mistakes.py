@@ -30,6 +30,7 @@ from tests.estimation.robots.twin import arm
 from tests.robots_plants import seven, six
 
 _STEP, _SECONDS, _NOISE, _COUNT = 2e-3, 6.0, 0.01, 2e-6  # s, s, of each torque, and rad of the encoders
+_PUSH = 0.5 * np.sin(np.pi * np.clip(_STEP * np.arange(round(_SECONDS / _STEP)) - 2.0, 0.0, 1.0)) ** 2
 _OFF = 0.1  # of each link's inertial parameters: the model's own masses are off by so much
 
 
@@ -163,9 +164,9 @@ def _scaled(values: FloatArray, joint: int, by: float) -> FloatArray:
     return values * factors
 
 
-def _moved(values: FloatArray, joint: int, by: float) -> FloatArray:
-    more = np.zeros(values.shape[1])
-    more[joint] = by
+def _moved(values: FloatArray, joint: int, by: float | FloatArray) -> FloatArray:
+    more = np.zeros_like(values)
+    more[:, joint] = by
     return values + more
 
 
@@ -262,6 +263,7 @@ MISTAKES = (
     Mistake(
         "reference for position", _any("reference_is_position"), lambda r, s: Truth(r, declared(r, s), reference=True)
     ),
+    Mistake("contact", _at(1, "misfit_in_part"), _logged(lambda q, u: (q, _moved(u, 1, _PUSH * np.std(u[:, 1]))))),
     Mistake("logs exchanged", _any("order"), _logged(lambda q, u: (_exchanged(q, 1, 3), _exchanged(u, 1, 3)))),
 )  # fmt: skip
 
@@ -280,6 +282,7 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
     assert isinstance(diagnosis, Diagnosis)
     if diagnosis.cause is not None:
         said.append((diagnosis.cause.name, names.index(diagnosis.cause.joints[0]) + 1 if diagnosis.cause.joints else 0))
+    said += [("misfit_in_part", k + 1) for k, axis in enumerate(diagnosis.axes) if axis.faults.part is not None]
     said += [(one.test.name, k + 1) for k, axis in enumerate(diagnosis.axes) for one in axis.faults.findings]
     said += [("log_delay", 0) for one in found.checks.warnings if "late" in one]
     said += [("?", k + 1) for k, axis in enumerate(diagnosis.axes) if not axis.explained]

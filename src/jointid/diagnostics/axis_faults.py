@@ -23,6 +23,7 @@ from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.faults.springs import COMPLIANCE
+from jointid.diagnostics.in_time import find_part
 from jointid.diagnostics.score import score
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.residual_tests import Coupling, coupling
@@ -122,12 +123,14 @@ def find_axis_faults(
         basis = orthonormal_basis(own, _RANK)
         kin = {test.name, test.fault.kin} - {""}
         open_ones = [o for o in open_ones if o.axis != axis or not kin & {o.fault.name, o.fault.kin}]
-    explained = _explained(before, residual - basis @ (basis.T @ residual), rows)
+    after = residual - basis @ (basis.T @ residual)
+    explained = _explained(before, after, rows)
+    parts = [find_part(after[rows[k]], torques.time[seen[k]]) for k in range(n)]
     faults = tuple(
         AxisFaults(
-            tuple(found[k]), tuple(one for at, one in first if at == k), level, {},
+            () if any(parts) else tuple(found[k]), tuple(one for at, one in first if at == k), level, {},
             {"position": units[k][0], "velocity": f"{units[k][0]}/s", "torque": units[k][1]}, laws=laws[k],
-            of_loop=False,
+            of_loop=False, part=parts[k],
         )
         for k in range(n)
     )  # fmt: skip

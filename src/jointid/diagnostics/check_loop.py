@@ -32,6 +32,7 @@ from jointid.diagnostics.faults.other_laws import (
 )
 from jointid.diagnostics.faults.registry import FAULTS, list_signatures
 from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
+from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.law_tests import (
     OtherLawTest,
     Proof,
@@ -132,24 +133,32 @@ def search_faults(
     if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
         solved = replace(beginning, x=descend(problem, beginning.x, _TOLERANCE).x)
         open_ones += [find_other_law(solved, one, first, settings.level, known) for one in rates]
+    part = find_part_of_loop(state.problem, state.x)
+    if part is not None:  # what acts there is none of the faults, whatever part of it they explain
+        findings, open_ones, last, state = [], [], None, beginning
     joint = problem.loop.joint
-    units = {p.name: joint.unit(p) for p in joint.parameters}
-    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
-    units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
     check = AxisFaults(
         tuple(findings),
         () if first is None else first.tests,
         settings.level,
         symbols={p.name: p.symbol for p in joint.parameters},
-        units=units,
+        units=_list_units(joint),
         side=None if joint.transmission is None else joint.transmission.side,
         undecided=choose_undecided(open_ones),
         laws=list_laws(joint),
         excluded=() if findings or last is None else last.excluded,
         lacking={} if findings or last is None else _measure_lacking(state, last),
         suspected=None if last is None else _suspect_mechanics(state, last, settings.level, known),
+        part=part,
     )
     return check, state
+
+
+def _list_units(joint: Joint) -> dict[str, str]:
+    """Return the units of a joint's parameters, and of torque, position and velocity."""
+    units = {p.name: joint.unit(p) for p in joint.parameters}
+    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
+    return units | {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
 
 
 def _measure_lacking(state: SearchState, found: TestResults) -> dict[str, float]:

@@ -107,7 +107,8 @@ def diagnose_robot(
     )  # fmt: skip
     cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
-    if cause is None and estimate.settings.method == "idim" and not all(one.is_small for one in axes):
+    local = any(one.part is not None for one in faults)
+    if cause is None and estimate.settings.method == "idim" and not local and not all(one.is_small for one in axes):
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
     if cause is not None and cause.explained > explained:
         axes = tuple(map(_wait_for_cause, axes))

@@ -109,7 +109,7 @@ class AxisDiagnosis:
     def as_declared(self) -> bool | None:
         """False if loop or log has a fault, or the controller does not hold; None if neither was tested."""
         counts = (one for one in self.faults.findings if self.faults.of_loop or not one.test.fault.of_model)
-        if any(counts) or self.law_holds is False:
+        if any(counts) or self.law_holds is False or self.faults.part is not None:
             return False
         return True if self.law_holds or self.faults.of_loop else None
 
@@ -126,7 +126,7 @@ class AxisDiagnosis:
     def sentences(self) -> tuple[str, ...]:
         """Faults of the axis, each with its remedy, begun with the axis' name."""
         found = list[str]()
-        if self.faults.findings or self.faults.undecided is not None:
+        if self.faults.findings or self.faults.undecided is not None or self.faults.part is not None:
             found += self.faults.sentences
         elif not self.caused:
             found.append(self._describe_rest())
@@ -197,7 +197,7 @@ class Diagnosis(Documented):
     @property
     def finds_nothing(self) -> bool:
         """True if record, loop, log and joint have no fault, and nothing of the torque is left unexplained."""
-        faulty = any(axis.faults.findings for axis in self.axes)
+        faulty = any(axis.faults.findings for axis in self.axes) or self.parts
         return self.healthy and self.explained and self.as_declared is not False and not faulty
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
@@ -208,6 +208,11 @@ class Diagnosis(Documented):
             for finding, reason in zip(axis.faults.findings, axis.faults.reasons, strict=False)
             if finding.test.fault.of_model is of_model
         )
+
+    @property
+    def parts(self) -> tuple[Message, ...]:
+        """Return the parts of the time in which axes do not follow the model."""
+        return tuple(_of_axis(axis, axis.faults.part.reason) for axis in self.axes if axis.faults.part is not None)
 
     @property
     def undecided(self) -> tuple[Message, ...]:

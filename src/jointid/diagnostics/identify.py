@@ -20,6 +20,7 @@ from jointid.diagnostics.diagnose_axes import Solved, diagnose_joint, diagnose_r
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, find_law_causes
+from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
@@ -211,7 +212,8 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     problem, x = solved
     gross = causes = found = state = rest = by_position = None
     with contextlib.suppress(*_OF_RECORD):
-        gross = find_gross_cause(assemble(fit), record, progress)
+        if find_part_of_loop(problem, x) is None:  # a cause that acts all the time does not explain a part of it
+            gross = find_gross_cause(assemble(fit), record, progress)
     if gross is not None and gross.is_clear:
         return CheckResults((_fail(gross.message),))
     progress("checking loop and log")
@@ -230,6 +232,8 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     findings = () if found is None else found.axes[0].faults.findings
     faults = None if found is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
+    if found is not None and found.parts:
+        return CheckResults((verdict,), diagnosis=found)
     with contextlib.suppress(*_OF_RECORD):
         causes = explain_misfit(assemble(fit), record, faults, progress, left, gross)
     if causes is not None:
@@ -287,7 +291,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     reasons = (*rest, *found.name_faults(of_model=True)) if rest else (noise,)
     residual = Verdict(Subject.REPEATABLE, Status.of(not rest), reasons)
 
-    failed = list(found.name_faults(of_model=False))
+    failed = [*found.parts, *found.name_faults(of_model=False)]
     lost = list(filter(None, map(find_lost_samples, fit.records)))
     tested = part.has_controllers or failed or lost
     if wrong := found.describe_laws(holds=False):

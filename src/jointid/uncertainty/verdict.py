@@ -70,6 +70,7 @@ class Reason(StrEnum):
     LOAD_NOT_RIGID = "load_not_rigid"
     FRICTION_NOT_AS_MODELLED = "friction_not_as_modelled"
     LAW_UNDECIDED = "law_undecided"
+    MISFIT_IN_PART = "misfit_in_part"
     CAUSE_FOUND = "cause_found"
     NO_CAUSE_FOUND = "no_cause_found"
     RECORD_TOO_SHORT = "record_too_short"

@@ -9,6 +9,7 @@ from jointid.common.messages import Message
 from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest
+from jointid.diagnostics.in_time import Part
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, StribeckFriction
 from jointid.uncertainty.verdict import Reason, Status
@@ -96,6 +97,7 @@ class AxisFaults:
         lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
         suspected: a fault of the mechanics beside those found that is significant at the level of those of the loop,
             not at its own tenth of that: it is not named, but intervals hold what it moves.
+        part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
     """
 
     findings: tuple[Finding, ...]
@@ -110,11 +112,12 @@ class AxisFaults:
     excluded: tuple[FaultTest, ...] = ()
     lacking: Mapping[str, float] = field(default_factory=dict)
     suspected: Finding | None = None
+    part: Part | None = None
 
     @property
     def as_declared(self) -> bool:
         """True if no fault was found."""
-        return not self.findings
+        return not self.findings and self.part is None
 
     @property
     def status(self) -> Status:
@@ -124,6 +127,8 @@ class AxisFaults:
     @property
     def reasons(self) -> tuple[Message, ...]:
         """The faults found, one message each; one that says so where there are none."""
+        if self.part is not None:
+            return (self.part.reason,)
         undecided = () if self.undecided is None else (self._state_open_law(self.undecided),)
         if self.findings or undecided:
             return (*map(self._describe, self.findings), *undecided)

@@ -1,0 +1,63 @@
+"""A force that acts for a part of the time is found there, and no fault is named for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.in_time import find_part
+from jointid.uncertainty.verdict import Reason, Status, Subject
+from studies.robot_mistakes import judge
+
+STEP = 1e-3
+LOOP = ji.ClosedLoop(
+    ji.RigidJoint("revolute"), ji.controller.Cascade(position_gain=25.0, velocity_gain=2.0, integral_gain=2.0)
+)
+TRUTH = {"inertia": 0.02, "viscous": 0.05, "coulomb": 0.3, "offset": 0.05}
+BEGIN, END = 3.0, 3.8  # s
+
+
+def pushed(size: float) -> ji.Record:
+    """Return the record of a joint that is pushed by so much, N m, from 3 to 3.8 s."""
+    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 40.0, 2.0, STEP, duration=8.0)
+    time = STEP * np.arange(reference.size)
+    push = np.where((time > BEGIN) & (time < END), size * np.sin(np.pi * (time - BEGIN) / (END - BEGIN)) ** 2, 0.0)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(time.size)
+    made = ji.simulated_record(LOOP, reference, TRUTH, sample_time=STEP, disturbance=push, torque_noise=noise)
+    return made.without("motor_position")
+
+
+@pytest.mark.parametrize("size", [0.2, -0.3])
+def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: float) -> None:
+    found = ji.identify(pushed(size), LOOP)
+    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
+    assert loop.status is Status.FAILED
+    assert [one.code for one in loop.reasons] == [Reason.MISFIT_IN_PART]
+    begin, end = loop.reasons[0].values["begin"], loop.reasons[0].values["end"]
+    assert BEGIN - 0.1 < begin < end < END + 0.1
+    assert not found.answer.reliable
+    assert isinstance(found.checks.diagnosis, Diagnosis)
+    assert not found.checks.diagnosis.axes[0].faults.findings
+
+
+def test_a_joint_that_nothing_touches_has_no_such_part() -> None:
+    found = ji.identify(pushed(0.0), LOOP)
+    assert found.answer.reliable
+
+
+def test_noise_that_comes_back_is_no_part() -> None:
+    time = STEP * np.arange(8000)
+    white = np.random.default_rng(0).standard_normal(time.size)
+    assert find_part(white, time) is None
+    assert find_part(white * (1.0 + 9.0 * (np.sin(2 * np.pi * time) > 0.7)), time) is None
+    found = find_part(white * (1.0 + 9.0 * ((time > 2.0) & (time < 2.8))), time)
+    assert found is not None
+    assert (found.begin, found.end) == pytest.approx((2.0, 2.8), abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_is_leaned_on_has_no_other_fault(seed: int) -> None:
+    assert judge(seed, "contact")[0] == ("misfit_in_part", 2)
