@@ -13,7 +13,6 @@ import pytest
 
 import jointid as ji
 from jointid.output.json import dumps, load_estimate, read_report, to_dict, write
-from tests.apps.cli.test_commands import run
 from tests.output.report import reports
 
 
@@ -78,16 +77,6 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
     assert rows["viscous"].reason == "fixed in B"
     assert rows["viscous"].difference is not None
     assert rows["inertia"].p_value is rows["viscous"].p_value is None
-
-
-def test_the_command_writes_the_answer(tmp_path: Path) -> None:
-    out = tmp_path / "drift.json"
-    assert run("compare", of_rigid(1, tmp_path), of_rigid(2, tmp_path, inertia=0.05), "--json", out) == 0
-    answer = json.loads(out.read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.EstimateComparison/2"
-    changed = {one["name"] for one in answer["changed"]}
-    assert "inertia" in changed and "viscous" not in changed
-    assert run("compare", out, out) == 2
 
 
 @pytest.mark.slow

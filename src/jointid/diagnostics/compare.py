@@ -159,12 +159,6 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
     notes = ["A record of one is also of the other, and they share its errors: differences are not tested."] * same
     if not all(prints):
         notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
-    mine, other = map(_describe_settings, both)
-    notes += [
-        f"They differ in {name}, {value} in A and {other[name]} in B, which alone may change the values."
-        for name, value in mine.items()
-        if value != other[name]
-    ]
     records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
     errors = tuple(read(float | None, one["fit"]["relative_error"]) for one in both)
     rows = _adjust_p_values([_compare(one, other, same) for one, other in pairs])
@@ -181,17 +175,6 @@ def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
         return {"model": "robot", "robot": f"{system['name']} of {names}", "torque unit": unit}
     said = {"model": system["model"], "kind": system["kind"], "friction law": system["friction"]["name"]}
     return said | {"transmission": side, "torque unit": unit}
-
-
-def _describe_settings(answer: Mapping[str, Any]) -> dict[str, str]:
-    """Return the settings that may change the values."""
-    settings, filtering = answer["settings"], answer["settings"]["filtering"]
-    return {
-        "method": str(settings["variant"]),
-        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
-        "samples left out": " + ".join(str(int(border)) for border in filtering["borders"]),
-        "controller": str(answer["controller_sha256"] or "none")[:12],
-    }
 
 
 def _fingerprints(answer: Mapping[str, Any]) -> set[str]:

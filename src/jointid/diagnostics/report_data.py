@@ -43,14 +43,12 @@ class Spectra:
     Attributes:
         frequency: (lines,) Hz, 0 left out.
         measured, predicted, error: (lines,) in the signal's unit per square root of Hz.
-        resolution: Hz between two lines.
     """
 
     frequency: FloatArray
     measured: FloatArray
     predicted: FloatArray
     error: FloatArray
-    resolution: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +165,7 @@ def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: f
         frequency, power = welch(signal, 1.0 / sample_time, nperseg=window, detrend="constant")
         densities.append(np.sqrt(power[1:]))
     measured_, predicted_, error = densities
-    return Spectra(frequency[1:], measured_, predicted_, error, float(frequency[1]))
+    return Spectra(frequency[1:], measured_, predicted_, error)
 
 
 def compute_response(estimate: Estimate) -> FrequencyResponse:

@@ -7,6 +7,7 @@ mass: a record with this torque is of an axis at rest.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -130,17 +131,18 @@ def find_parts_off(record: Record) -> Message | None:
     q = np.convolve(motor.values, np.ones(_MEAN) / _MEAN, "same")
     v = np.gradient(q, T)
     a, travel = np.gradient(v, T), float(np.ptp(motor.values))
-    off = list[list[float]]()
+    off, place, pulled = list[list[float]](), math.inf, False
     for first in range(0, u.size - size + 1, size):
         part = slice(first, first + size)
-        rests = np.ptp(motor.values[part]) < _RESTS * travel
-        if rests and np.sqrt(np.mean(u[part] ** 2)) < _NOTHING * np.std(u):
-            near = (np.abs(q - np.mean(motor.values[part])) < _NEAR_BY * travel) & (
-                np.abs(v) > _RESTS * np.max(np.abs(v))
-            )
-            if _pulls(u[near], np.sign(v[near]), a[near], 0.1 * float(np.std(u))):
-                joins = bool(off) and abs(off[-1][1] - first * T) < T
-                off = [*off[:-1], [off[-1][0], part.stop * T]] if joins else [*off, [first * T, part.stop * T]]
+        if np.ptp(motor.values[part]) > _RESTS * travel or np.sqrt(np.mean(u[part] ** 2)) > _NOTHING * np.std(u):
+            continue
+        here = float(np.mean(motor.values[part]))
+        if abs(here - place) > _RESTS * travel:  # else it still stands at the same place
+            near = (np.abs(q - here) < _NEAR_BY * travel) & (np.abs(v) > _RESTS * np.max(np.abs(v)))
+            place, pulled = here, _pulls(u[near], np.sign(v[near]), a[near], 0.1 * float(np.std(u)))
+        if pulled:
+            joins = bool(off) and abs(off[-1][1] - first * T) < T
+            off = [*off[:-1], [off[-1][0], part.stop * T]] if joins else [*off, [first * T, part.stop * T]]
     if not off:
         return None
     parts = join([f"from {number(begin, 3)} to {number(end, 3)} s" for begin, end in off[:_SAID]])

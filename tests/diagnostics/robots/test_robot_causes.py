@@ -14,15 +14,12 @@ from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.faults.other_laws import AVERAGED
-from jointid.diagnostics.identify import identify
 from jointid.diagnostics.robot_causes import RobotCause, find_robot_cause
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
-from tests.robots_plants import two
 
 FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
 
@@ -147,14 +144,3 @@ def test_of_two_zeros_of_encoders_one_is_named() -> None:
 def test_an_axis_without_a_residual_takes_nothing_from_what_faults_explain() -> None:
     before, after = np.array([1e-9, 1.0, 1.0]), np.array([1e-3, 0.0, 0.5])
     assert _explained(before, after, [slice(0, 1), slice(1, 3)]) == pytest.approx(0.875)
-
-
-def test_a_copied_reference_is_named() -> None:
-    twin = two((9.0, None))
-    loop = replace(twin.loop(), robot=twin.loop().robot.rigid)
-    records, _ = recorded(twin.loop(), twin.records(4.0, multisine=0.01), 0.005)
-    copied = [replace(one, motor_position=one.reference) for one in records]
-    estimate = identify(copied, loop, checks=False)
-    assert estimate.fit.filtered_error > 0.15
-    cause = diagnose_robot(estimate, copied).cause
-    assert cause is not None and cause.name == "reference_is_position"
