@@ -288,9 +288,7 @@ def test_motor_position_shows_a_number_of_the_law(runs: dict[str, Any], fault: A
 
 
 def test_number_that_the_position_shows_is_the_verdict_where_no_simulation_shows_it() -> None:
-    part: Any = SimpleNamespace(
-        model=SimpleNamespace(links=[SimpleNamespace(kind="revolute")]), setup=SimpleNamespace(controllers=(DRIVE,))
-    )
+    part: Any = SimpleNamespace(setup=SimpleNamespace(loops=[ClosedLoop(RigidJoint("revolute"), DRIVE)]))
     record = late_drive(law=replace(DRIVE, position_gain=72.0))
     wrong, held = (SimpleNamespace(axes=[SimpleNamespace(name="elbow", law_holds=one)]) for one in (False, True))
     (shown,) = identifying._numbers_by_position(part, [record], wrong)  # type: ignore[arg-type]

@@ -34,7 +34,7 @@ from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
-from jointid.models.joints import ClosedLoop, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
@@ -172,13 +172,9 @@ def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedL
     """
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
         robot = model if isinstance(model, Robot) else model.robot
-        laws = model.controllers if isinstance(model, RobotLoop) else (None,) * len(robot)
         if not isinstance(record, Sequence) or len(record) != len(robot):
             raise MethodError(f"A robot of {len(robot)} joints is examined with as many records: give one a joint.")
-        loops = [
-            None if law is None else ClosedLoop(RigidJoint(link.kind), law)
-            for link, law in zip(robot.links, laws, strict=True)
-        ]
+        loops = model.loops if isinstance(model, RobotLoop) else [None] * len(robot)
         return list(zip(robot.names, record, loops, strict=True))
     if not (isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | Joint)):
         raise MethodError("A record is examined with the ClosedLoop or DriveSide of its joint, or with the joint.")

@@ -36,7 +36,7 @@ from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.robot import IdentifiedRobot
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
@@ -315,12 +315,11 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
 def _numbers_by_position(part: IdentifiedRobot, records: Sequence[Record], found: Diagnosis) -> list[Message]:
     """Return the numbers of refuted laws that the motor positions show to differ."""
     told = []
-    laws = getattr(part.setup, "controllers", ())
-    for link, axis, record, law in zip(part.model.links, found.axes, records, laws, strict=False):
+    for axis, record, loop in zip(found.axes, records, getattr(part.setup, "loops", ()), strict=False):
         causes = None
         if axis.law_holds is False:
             with contextlib.suppress(*_OF_RECORD):  # the verdict stands
-                causes = find_law_causes(record, ClosedLoop(RigidJoint(link.kind), law))
+                causes = find_law_causes(record, loop)
         if causes is not None:
             said = causes.message
             told.append(replace(said, words=f"{axis.name}: {said}", clause=f"{axis.name}: {said.brief}"))
