@@ -19,7 +19,6 @@ from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.limits import find_excess
 from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.predict import find_maxima
 from jointid.simulation.loop_input import prepare
 
 _ENOUGH = 1e-6  # relative: far below a deviation
@@ -63,14 +62,15 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, search_time: float) -> 
     known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
     design = ji.design(estimate, record, noise=known, goal=goal, search_time=search_time)
     told = design.proposed
-    assert design.present is not None and told.reference is not None
+    played = design.records()[0]
+    assert design.present is not None and played.reference is not None
     own = [p.name for p in axis.loop.joint.parameters]
     rows = [i for i, p in enumerate(q for q in estimate.params.rows if q.free) if p.of_joint]
     return ProposedTest(
         design.description, design.present.std_of(design.goal.weights), told.std_of(design.goal.weights), design.floor,
         dict(design.goal.weights), design.axes[0].limits.stated, {name: float(estimate.values[name]) for name in own},
-        estimate.params.covariance[np.ix_(rows, rows)].tolist(), told.reference.tolist(),
-        None if told.injected is None else told.injected.tolist(),
+        estimate.params.covariance[np.ix_(rows, rows)].tolist(), played.reference.values.tolist(),
+        None if played.injected is None else played.injected.channel.values.tolist(),
     )  # fmt: skip
 
 
@@ -124,7 +124,9 @@ def make_test(seed: int, loop: LoopName, noise: NoiseName, asked: ProposedTest) 
     )  # fmt: skip
     assert record.torque is not None
     run = ji.simulate(axis.loop, prepare(axis.loop, record), truth)
-    found = find_maxima(run, reference, record.torque.values, SAMPLE_TIME)
+    assert run.load_position is not None
+    places, torque = np.concatenate([reference, run.motor_position, run.load_position]), record.torque.values
+    found = {"stroke": np.ptp(places), "torque": np.abs(torque).max(), "rms_torque": np.sqrt(np.mean(torque**2))}
     over = max(find_excess(ji.AxisLimits(**asked.limits), found).values(), default=0.0)
     problem = torque_problem(record, axis.loop, ji.Filtering(cutoff=60.0), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})

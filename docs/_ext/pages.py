@@ -47,8 +47,6 @@ BY_MODULE = (
     "config.file.File",
     "diagnostics.validation.Validation",
     "output.json.read_report",
-    "planning.predict.planned_record",
-    "planning.predict.predict_test",
     "records.record.Injection",
     "records.record.InjectionPoint",
     "records.record.Tap",

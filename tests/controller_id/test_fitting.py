@@ -9,22 +9,17 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from jointid.common.arrays import FloatArray
-from jointid.controller_id.columns import coefficient_columns, columns
 from jointid.controller_id.fitting import Fitter, order_rates
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error, position_response
 from jointid.controller_id.structures import (
-    INTERPOLATIONS,
-    LATE,
-    RATES,
-    SLOWER,
     Structure,
     canonical,
     controller,
     list_frames,
     list_laws,
 )
-from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
+from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, run
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Timing
 from jointid.simulation.excitation import pulses, trapezoids
@@ -72,18 +67,6 @@ def test_gains_are_solved_for(seed: int) -> None:
     assert np.std((exact - fitter.predict(found)) * fitter.kept) < 1e-8 * np.std(fitter.log.torque)
 
 
-def test_a_search_finds_the_numbers_of_a_filter() -> None:
-    twin = loop_twin(342)
-    fitter = Fitter(prepare_loop_record(twin.record))
-    far = {name: 1.1 * value for name, value in twin.numbers.items() if "filter" in name}
-    here, there = (fitter.fit(twin.structure, far, fitter.shared, n) for n in (0, 8))
-    right = fitter.law(twin.structure, twin.numbers)
-    assert here is not None and there is not None
-    costs = [float(np.linalg.norm(one.whiten(fitter.shared))) for one in (here, there, right)]
-    assert costs[0] > 1.5 * costs[1]
-    assert costs[1] == pytest.approx(costs[2], rel=0.05)
-
-
 def test_of_two_rates_that_may_be_exchanged_the_larger_is_the_position_loop_s() -> None:
     """On the reference's full velocity two gains are two roots of one equation: the same torque, to rounding."""
     twin = loop_twin(117)
@@ -116,26 +99,6 @@ def test_an_encoder_s_rounding_is_made_again() -> None:
     assert np.var(logged - position) < error.most < 2 * np.var(logged - position)
 
 
-def test_a_clock_is_charged_for_how_many_there_are() -> None:
-    """Else the best of many chances wins; a part of which there is one is charged log(rows) alone."""
-    plain, rows = Structure(), 1000.0
-    part = plain.weight(rows) / plain.parts
-    assert part == pytest.approx(np.log(rows))
-    assert Structure(feedforward=frozenset({"acceleration"})).weight(rows) == pytest.approx((plain.parts + 1) * part)
-    choices = {"rate": (2, len(INTERPOLATIONS) * len(RATES)), "every": (2, sum(SLOWER)), "late": (1, len(LATE))}
-    for name, (value, count) in choices.items():
-        clocked = replace(plain, **{name: value})
-        assert clocked.weight(rows) == pytest.approx(clocked.parts * part + 2.0 * np.log(count)), name
-
-
-def test_lines_between_samples_have_no_acceleration_but_rounding() -> None:
-    """A column of rounding would be as good as any to a regression, with a gain beyond all numbers."""
-    twin = loop_twin(300)
-    fast = Structure(feedforward=frozenset({"acceleration"}), rate=8)
-    found = columns(prepare_loop_record(twin.record), fast, {})
-    assert not np.any(found[:, np.argmax(coefficient_columns(fast, 0.0)["acceleration_feedforward"])])
-
-
 def test_what_a_law_faster_than_the_log_sees_of_the_log_s_error() -> None:
     """An error of one sample, through the spline and the law, and back to the log's samples."""
     size, rate = 1000, 4
@@ -164,14 +127,6 @@ def test_every_law_has_one_name_and_every_part_can_go() -> None:
         assert replace(filtered, **less) in near  # type: ignore[arg-type]
     plain = Structure("P-P", "full", torque_filter="first order")  # also a PD with its filter on the difference
     assert Structure("PD", "difference", "first order") in list_frames(plain)
-
-
-def test_near_half_the_rate_a_response_ends_in_its_zero() -> None:
-    """Second order by the bilinear rule: (pi - w)^2 there, which a line between two far points would make too large."""
-    law = PD(position_gain=0.0, derivative_gain=1.0, velocity_filter=SecondOrder(200.0)).law(T)
-    found, hertz = position_response(law.feedback, T, 4000, 1), np.fft.rfftfreq(4000, T)
-    high = (hertz > 430.0) & (hertz < 495.0)
-    assert np.allclose(found[high], np.abs(law.feedback(hertz[high])), rtol=0.1, atol=0.1)
 
 
 def test_a_stretch_keeps_the_phase_of_a_slower_loop() -> None:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.controller_id.fitting import Fitter
 from jointid.controller_id.loop_record import LoopRecord, prepare_loop_record
 from jointid.controller_id.noise import band_means, band_power, band_widths
-from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.simulation.excitation import trapezoids
@@ -53,44 +51,6 @@ def test_noise_is_not_heard() -> None:
     assert np.mean(louder > 10.0) > 0.05 and np.mean(louder < 1.0) > 0.5
     assert np.mean(informative[louder > 10.0]) > 0.9
     assert np.mean(informative[louder < 1.0]) < 0.02
-
-
-def test_a_position_that_is_all_rounding_is_heard_if_the_controller_saw_it() -> None:
-    """The drive's own counts, as they are in its own log; an encoder that only the log rounds tells nothing there."""
-    law = Cascade(position_gain=60.0, velocity_gain=500.0)
-    reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, 6.0)
-    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
-    record = simulated_record(
-        ClosedLoop(RigidJoint("prismatic"), law), reference, values, sample_time=1e-3, encoder_step=1e-6
-    )
-    assert record.motor_position is not None and record.torque is not None
-    unseen = prepare_loop_record(record)
-    saw = run_law(unseen, Structure(), {"position_gain": 60.0, "velocity_gain": 500.0})  # on the rounded position
-    noise = 1e-3 * np.std(saw) * np.random.default_rng(1).standard_normal(saw.size)
-    seen = prepare_loop_record(replace(record, torque=replace(record.torque, values=saw + noise)))
-    high = slice(unseen.informative.size // 3, None)
-    assert np.mean(unseen.informative[high]) < 0.05
-    assert np.mean(seen.informative[high]) > 0.9
-
-
-def test_a_wrong_law_silences_nothing() -> None:
-    """Else the evidence against it would be left out with the frequencies that it does not explain."""
-    twin = loop_twin(134)
-    fitter = Fitter(prepare_loop_record(twin.record))
-    wrong = replace(twin.structure, torque_filter="none")
-    numbers = {name: value for name, value in twin.numbers.items() if name in wrong.names}
-    right, other = fitter.law(twin.structure, twin.numbers).noise, fitter.law(wrong, numbers).noise
-    assert other.torque > 1.2 * right.torque
-    assert other.rows == right.rows
-
-
-def test_a_slower_position_loop_is_heard_by_its_images() -> None:
-    """Every second period: what moves slowly is in the torque again near half the rate."""
-    twin = loop_twin(57)
-    assert twin.structure.every == 2
-    informative = prepare_loop_record(twin.record).informative
-    assert np.mean(informative[-informative.size // 20 :]) > 0.8
-    assert np.mean(informative[informative.size // 2 : -informative.size // 4]) < 0.1
 
 
 def test_a_long_record_needs_no_memory_for_all_columns_at_once() -> None:

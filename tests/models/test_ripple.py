@@ -14,7 +14,7 @@ from jointid.models.linear import frequency_response, linear_joints
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import ElasticLoad, find_spring
 from jointid.paper.twin import TABLE_2
-from jointid.planning.predict import _holding_torque
+from jointid.planning.joints import _holding_torque
 from jointid.simulation.prescribed import DriveSide, prescribed_motion, simulate_drive_side
 
 RIGID = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}

@@ -13,7 +13,6 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli import main
-from jointid.common.text import number
 from jointid.config import load, loads
 from jointid.models.limits import AxisLimits
 from jointid.output.test_layout import lay_out
@@ -85,13 +84,9 @@ def run(*words: object) -> None:
     assert ended.value.code == 0
 
 
-def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(folder: Path, tmp_path: Path) -> None:
     out, answer = tmp_path / "out", tmp_path / "a.json"
     run("design", folder / "robot.toml", "-q", "--search-time", "0.5", "--out", out, "--json", answer)
-    said = " ".join(capsys.readouterr().out.split())
-    assert "as the first record's residual" in said, "the file's own record is used"
     told = json.loads(answer.read_text(encoding="utf-8"))
     columns = read_table(out / "test.csv").columns
     assert list(columns) == ["t", "s.reference", "e.reference"]
@@ -102,22 +97,7 @@ def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
     peaks = np.abs(played(robot, q, 2)).max(axis=0)
     stated = np.array([axis["reached"]["torque"] for axis in told["axes"]])
     assert np.all(np.abs(np.log(peaks / stated)) < math.log(1.1)), "friction is in the predicted torque"
-    assert told["peaks"][0] == f"s {number(stated[0] / 10.0, 3)} A of the motor ({number(stated[0], 3)} N m)"
-
-
-@pytest.mark.slow
-def test_a_goal_and_limits_of_a_robot_are_kept(folder: Path, tmp_path: Path) -> None:
-    answers = []
-    for k, goal in enumerate(("all", "s.coulomb")):
-        answer = tmp_path / f"{k}.json"
-        jerk = [word for k in (1, 2) for word in ("--set", f"joints.{k}.limits.jerk=40")]
-        run("design", folder / "robot.toml", "-q", "--search-time", "1", "--goal", goal, *jerk, "--json", answer)
-        answers.append(json.loads(answer.read_text(encoding="utf-8")))
-    stds = [one["tests"]["proposed"]["std"]["s.coulomb"] for one in answers]
-    assert stds[1] < 0.95 * stds[0]
-    assert all(axis["reached"]["jerk"] <= 40.0 for one in answers for axis in one["axes"])
-    assert not any(one["passed"] for one in answers)
-    assert "tells s.coulomb to ±" in answers[1]["sentence"]
+    assert "present" in told["tests"], "the file's own record is used"
 
 
 JOINT_FILE = """
@@ -149,8 +129,6 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     columns, reference = read_table(tmp_path / "test.csv").columns, record.reference
     assert reference is not None and list(columns) == ["t", "demand"]
     np.testing.assert_allclose(columns["demand"], np.degrees(20.0 * reference.values), atol=1e-9)
-    peak = found.axes[0].reached["torque"]
-    assert found.peaks == (f"{number(peak / 10.0, 3)} A of the motor ({number(peak, 3)} N m)",)
     again = file.record(tmp_path / "test.csv", driving=True).reference
     assert again is not None
     np.testing.assert_allclose(again.values, reference.values, atol=1e-12)
@@ -176,8 +154,16 @@ def test_a_trajectory_of_a_coupled_wrist_is_of_its_joints() -> None:
     shafts = q @ np.array([[1.0, 0.5], [0.0, 1.0]])
     driven = [ji.Record(reference=ji.Channel(one, "rad", 2e-3)) for one in shafts.T.copy()]
     motion = design(robot, limits=[AxisLimits()] * 2, noise=[0.1] * 2, motion=driven).trajectory()
-    assert motion is not None
-    np.testing.assert_allclose(motion.positions, q[np.round(motion.time / 2e-3).astype(int)], atol=1e-9)
+    rows, at = read_trajectory(motion)
+    np.testing.assert_allclose(rows, q[np.round(at / 2e-3).astype(int)], atol=1e-8)
+
+
+def read_trajectory(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions of a JointTrajectory, and their times."""
+    lines = text.splitlines()
+    rows = np.array([json.loads(one.removeprefix("- positions: ")) for one in lines if one.startswith("- positions")])
+    ends = [re.findall(r"\d+", one) for one in lines if "time_from_start" in one]
+    return rows, np.array([int(seconds) + 1e-9 * int(rest) for seconds, rest in ends])
 
 
 def test_a_motion_is_written_as_robots_play_it() -> None:
@@ -185,10 +171,8 @@ def test_a_motion_is_written_as_robots_play_it() -> None:
     q = twin.home + 0.3 * np.sin(np.outer(period * np.arange(1000), np.arange(1, 7)))
     driven = [ji.Record(reference=ji.Channel(one, "rad", period)) for one in q.T]
     found = design(twin.robot, limits=[AxisLimits()] * 6, noise=[0.1] * 6, motion=driven)
-    lines = found.files()["trajectory.yaml"].decode().splitlines()
-    assert json.loads(lines[0].removeprefix("joint_names: ")) == list(twin.robot.names)
-    rows = np.array([json.loads(one.removeprefix("- positions: ")) for one in lines if one.startswith("- positions")])
-    ends = [re.findall(r"\d+", one) for one in lines if "time_from_start" in one]
-    at = np.array([int(seconds) + 1e-9 * int(rest) for seconds, rest in ends])
+    text = found.files()["trajectory.yaml"].decode()
+    assert json.loads(text.splitlines()[0].removeprefix("joint_names: ")) == list(twin.robot.names)
+    rows, at = read_trajectory(text)
     np.testing.assert_allclose(rows, twin.home + 0.3 * np.sin(np.outer(at, np.arange(1, 7))), atol=1e-3)
     assert at[-1] == pytest.approx(1.998) and 50 < len(at) < 1000

@@ -13,12 +13,12 @@ from jointid.config import load
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.predict import Noise, planned_record, predict_test, rebuild_declared_problem
-from jointid.records.record import Tap
+from jointid.paper.twin import twin
+from jointid.planning.predict import Noise
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
 from jointid.simulation.synthesis import simulated_record
+from tests.planning.planned import planned_record, predict_test
 
 LOOP = ClosedLoop(
     RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
@@ -56,48 +56,25 @@ def test_intervals_scale_as_they_must() -> None:
     assert [roughly.reached[0][name] for name in ("stroke", "acceleration")] == pytest.approx([2.0, 8.0], rel=0.02)
 
 
-def test_a_fixed_parameter_is_not_predicted_and_narrows_the_others() -> None:
-    test, noise = planned_record(LOOP, REFERENCE, T), Noise(log=0.01)
-    free = predict_test(LOOP, TRUTH, test, noise)
-    fixed = {p.name: p.fix(0.05) for p in LOOP.joint.parameters if p.name == "viscous"}
-    told = predict_test(LOOP, TRUTH, test, noise, parameters=fixed)
-    assert "viscous" not in told.joint
-    assert told.std["coulomb"] < free.std["coulomb"]
-
-
-def test_a_load_encoder_parts_the_frictions() -> None:
-    axis = twin("L19", noise="disturbance")
-    assert axis.record.reference is not None and axis.record.injected is not None
-    test = planned_record(axis.loop, axis.record.reference.values, SAMPLE_TIME, axis.record.injected.channel.values)
-    alone = predict_test(axis.loop, axis.truth, test, Noise(force=axis.noise), runs=40)
-    beside = predict_test(axis.loop, axis.truth, test, Noise(force=axis.noise), runs=40, encoders=(None, 5e-8))
-    apart = {"motor_viscous": 1.0, "load_viscous": -1.0}
-    assert beside.std_of(apart) < 0.2 * alone.std_of(apart)
-    assert all(beside.std[name] <= alone.std[name] * 1.0001 for name in alone.joint)
-
-
 def test_the_noise_of_a_first_record_gives_its_own_intervals_back() -> None:
     axis = twin("L19", noise="disturbance")
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
     noise = Noise.of(estimate, record)
-    problem, _ = rebuild_declared_problem(estimate, record)
-    told = predict_test(axis.loop, estimate.values, record, noise, filtering=problem.filtering, parameters={})
+    told = predict_test(axis.loop, estimate.values, record, noise, filtering=estimate.settings.filtering)
     for name in told.joint:
         assert told.std[name] == pytest.approx(estimate[name].stderr, rel=0.02), name
-    twice = predict_test(axis.loop, estimate.values, record, replace(noise, left=2 * noise.left), parameters={})  # type: ignore[operator]
+    twice = predict_test(axis.loop, estimate.values, record, replace(noise, left=2 * noise.left))  # type: ignore[operator]
     assert twice.std["stiffness"] == pytest.approx(2 * told.std["stiffness"], rel=0.02)
 
 
-def test_a_force_is_in_no_measured_current() -> None:
-    """Without a delay a drive's measured current is what its controller asked for, whatever pushes the motor."""
-    push = 0.5 * np.random.default_rng(1).standard_normal(REFERENCE.size)
-    asked, measured = (
-        simulated_record(LOOP, REFERENCE, TRUTH, sample_time=T, disturbance=push, tap=tap).torque
-        for tap in (Tap.COMMAND, Tap.MEASURED)
-    )
-    assert asked is not None and measured is not None
-    assert measured.values == pytest.approx(asked.values, abs=1e-12)
+def test_what_a_test_does_not_tell_has_no_bound() -> None:
+    """At rest nothing is told, and in one direction an offset is friction, too."""
+    still, one_way = (planned_record(LOOP, reference, T) for reference in (np.zeros(3000), np.arange(3000) * 2e-4))
+    assert np.all(np.isinf(list(predict_test(LOOP, TRUTH, still, Noise(log=0.01)).std.values())[:3]))
+    told = predict_test(LOOP, TRUTH, one_way, Noise(log=0.01))
+    assert np.isinf([told.std["coulomb"], told.std["offset"]]).all()
+    assert told.std_of({"offset": 1.0}) == np.inf
 
 
 def test_the_pulsed_record_of_a_real_axis_is_predicted_from_the_other(data_dir: Path) -> None:

@@ -16,14 +16,10 @@ from jointid.models.linear import (
     LinearJoints,
     SampledDrive,
     discretise,
-    frequency_response,
     linear_joints,
-    sampled_position,
-    state_response,
 )
-from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.tuning.margins import NAMES, Margins, all_margins, grid, joint_set, spectral_radius
+from jointid.tuning.margins import NAMES, Margins, all_margins, joint_set, spectral_radius
 from studies.margins import random_drive
 
 SERVO = Cascade(
@@ -146,48 +142,11 @@ def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
     assert not stable(replace(law, delay=law.delay + 1.04 * margins.delay))
 
 
-def test_a_denser_grid_says_the_same() -> None:
-    drive = random_drive(1)
-    law = drive.loop.controller.law(drive.period)
-    linear = linear_joints(drive.loop.joint, [drive.truth])
-    usual = joint_set(drive.loop.joint, [drive.truth], law)
-    hertz = np.unique(np.concatenate([grid(linear, law.period), np.geomspace(usual.hertz[0], usual.hertz[-1], 40_000)]))
-    turned = np.asarray(2j * math.pi * hertz * law.period)
-    response = (
-        -law.split()[0].feedback(hertz) * sampled_position(usual.drive, turned) * np.exp(-usual.drive.whole * turned)
-    )
-    np.testing.assert_allclose(usual.margins(law), all_margins(response, hertz), rtol=3e-3)
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.7e-3, 1.3e-3])
-def test_positions_of_all_joints_at_once_are_those_solved_point_by_point(delay: float) -> None:
-    chance = np.random.default_rng(4)
-    several = [{name: v * 10 ** chance.uniform(-1, 1) for name, v in TABLE_2.items()} for _ in range(20)]
-    for joint, values in ((FlexibleJoint("prismatic"), several), (RigidJoint("prismatic"), [RIGID])):
-        linear = linear_joints(joint, values)
-        drive = discretise(linear.A, linear.B, PERIOD, delay)
-        hertz = grid(linear, PERIOD)
-        found = sampled_position(drive, np.asarray(2j * math.pi * hertz * PERIOD))
-        z = np.exp(2j * math.pi * hertz * PERIOD)
-        for one, A, new, old in zip(found, drive.transition, drive.new, drive.old, strict=True):
-            expected = state_response(A, new + old / z[:, np.newaxis], z)[:, 0]
-            np.testing.assert_allclose(one, expected, rtol=1e-9, atol=1e-9 * float(np.min(np.abs(expected[:-1]))))
-
-
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
     law = scale(CONTROLLERS["L19"].law(PERIOD), 20.0)
     found = Margins(*joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law).margins(law)[0])
     assert not found.stable
     assert tuple(getattr(found, name) for name in NAMES) == (0.0,) * 5
-
-
-def test_an_integral_of_no_weight_does_not_make_a_loop_unstable() -> None:
-    law, without = (
-        PID(position_gain=8e5, derivative_gain=1.2e4, integral_gain=0.0).law(PERIOD),
-        PID(position_gain=8e5, derivative_gain=1.2e4, integral_gain=1e-3).law(PERIOD),
-    )
-    for one in (law, without):
-        assert Margins(*joint_set(RigidJoint("prismatic"), [RIGID], one).margins(one)[0]).stable
 
 
 def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
@@ -213,30 +172,6 @@ def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
         for way in ("forwards", "backwards")
     ]
     np.testing.assert_allclose(both[0], np.min([one.margins(law)[0] for one in each], axis=0), rtol=3e-3)
-
-
-def test_a_spring_that_carries_the_load_is_in_the_answer() -> None:
-    joint = RigidJoint("revolute", gravity=Gravity("link", Counterbalance(rate=-800.0)))
-    values = {p.name: 0.0 for p in joint.parameters} | {"inertia": 2.0, "viscous": 3.0, "counterbalance_rate": -800.0}
-    s = 2j * math.pi * np.array([0.5])
-    found = frequency_response(joint, values, np.array([0.5]), "motor_position")
-    np.testing.assert_allclose(found, 1 / (2.0 * s**2 + 3.0 * s + 800.0), rtol=1e-9)
-    flexible = FlexibleJoint("revolute", gravity=joint.gravity)
-    stiff = {p.name: 0.0 for p in flexible.parameters} | {
-        "motor_inertia": 1.0, "load_inertia": 1.0, "load_viscous": 3.0, "stiffness": 1e9, "counterbalance_rate": -800.0,
-    }  # fmt: skip
-    np.testing.assert_allclose(frequency_response(flexible, stiff, np.array([0.5]), "load_position"), found, rtol=1e-5)
-
-
-def test_a_load_answers_through_spring_and_damper() -> None:
-    hertz, v = np.array([1.0, 30.0, 100.0]), TABLE_2
-    s = 2j * math.pi * hertz
-    tied = v["damping"] * s + v["stiffness"]
-    ratio = tied / (v["load_inertia"] * s**2 + (v["load_viscous"] + v["damping"]) * s + v["stiffness"])
-    motor = frequency_response(FlexibleJoint("prismatic"), v, hertz, "motor_position")
-    np.testing.assert_allclose(
-        frequency_response(FlexibleJoint("prismatic"), v, hertz, "load_position"), ratio * motor, rtol=1e-9
-    )
 
 
 def test_a_crossing_above_minus_one_bears_nearly_a_turn_of_delay_and_one_outside_bounds_the_reduction() -> None:

@@ -18,12 +18,12 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import dumps, to_dict
-from jointid.paper.twin import TABLE_2, twin
+from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.margins import NAMES, ellipsoid_radius, joint_set, possible_joints
+from jointid.tuning.margins import NAMES, joint_set, possible_joints
 from jointid.tuning.proposals import Tuning, with_gains
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
@@ -58,6 +58,7 @@ def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | N
 @pytest.mark.slow
 def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
     interval = possible_joints(estimate, 0.95)
+    assert "3.55 standard deviations" in interval.description  # the root of the quantile of chi-square with 6 degrees
     points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))
     points /= np.linalg.norm(points, axis=1)[:, np.newaxis]
     for loop in (tuned.present, tuned.proposed):
@@ -67,20 +68,6 @@ def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate
         stated = np.array([getattr(loop.worst, name) for name in NAMES])
         assert np.all(margins >= 0.98 * stated)
         assert np.all(np.min(margins, axis=0) <= 1.05 * stated)  # and it is no smaller than it must be
-
-
-def test_the_interval_reaches_where_chi_square_says() -> None:
-    assert ellipsoid_radius(1, 0.95) == pytest.approx(1.95996, abs=1e-4)
-    assert ellipsoid_radius(6, 0.95) == pytest.approx(math.sqrt(12.5916), abs=1e-4)
-
-
-def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
-    truth = dict(TABLE_2)
-    for loop in (tuned.present, tuned.proposed):
-        assert loop is not None
-        law = loop.controller.law(PERIOD)
-        true = joint_set(FlexibleJoint("prismatic"), [truth], law).margins(law)[0]
-        assert np.all(true >= np.array([getattr(loop.worst, name) for name in NAMES]))
 
 
 def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estimate: Estimate, tuned: Tuned) -> None:
@@ -147,7 +134,6 @@ def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
     assert stiffness[0] > 1.2 * stiffness[1]
     true = true_margins(drive, with_it.proposed.controller)
     assert all(value >= getattr(with_it.proposed.worst, name) for value, name in zip(true, NAMES, strict=True))
-    np.testing.assert_allclose((with_it.numerator, with_it.denominator), with_it.notch.coefficients(drive.period))
 
 
 @pytest.mark.parametrize("damping", [0.5, 1.0])
@@ -220,17 +206,10 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     assert json.loads(dumps(to_dict(found)))["present"]["worst"]["modulus"] == 0.0
 
 
-def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:
-    answer = json.loads(dumps(to_dict(tuned)))
-    assert answer["schema"] == "jointid.Tuned/2"
-    assert answer["present"]["worst"]["gain"] < answer["present"]["estimate"]["gain"]
-    assert answer["present"]["worst"]["reduction"] is None  # it may fall as far as it likes
-
-
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
     wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params.rows)
     interval = possible_joints(amended(estimate, params={"rows": wide}), 0.95)
-    joints = interval.at(interval.points(0))
+    joints = interval.at(np.concatenate([np.eye(len(interval.names)), -np.eye(len(interval.names))]))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
     law = Cascade(position_gain=10.0, velocity_gain=10.0, gain=35.0).law(PERIOD)
     assert np.all(np.isfinite(joint_set(interval.joint, joints, law).margins(law)[:, -1]))
@@ -252,7 +231,7 @@ def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) ->
     reason = Message(Reason.LOOP_NOT_AS_DECLARED, "velocity_gain is larger than declared")
     tuned = tune(amended(estimate, checks={"verdicts": (Verdict(Subject.LOOP, Status.FAILED, (reason,)),)}))
     assert tuned.sentence.startswith("Beware: ") and len(tuned.doubts) == 1
-    assert any(reason.words in note for note in tuned.notes)
+    assert reason.words in tuned.doubts[0]
 
 
 @pytest.mark.parametrize(

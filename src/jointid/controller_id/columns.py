@@ -16,11 +16,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.controller_id.loop_record import LoopRecord
-from jointid.controller_id.noise import position_response
 from jointid.controller_id.structures import ACCELERATION, COULOMB, FIELDS, INTEGRAL, VELOCITY, Structure, filters_of
 from jointid.controller_id.structures import CONSTANT as BALANCE
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
@@ -72,27 +70,6 @@ def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str,
     rate, (_, torque) = structure.rate, filters_of(structure, numbers)
     signal = log.inputs(rate, structure.interpolation)[:, [INJECTED]]
     return log.to_log(_filter_signals(torque, signal, log.period / rate), rate)
-
-
-def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
-    """|G| from position error to torque, (frequencies,), times the shape of the error.
-
-    A position loop N times slower responds to a frequency f by ``H(f) / N``, H = 1 + z^-1 + ... of N terms; what it
-    makes of the N - 1 aliases is left out. For a loop faster than the log, the position loop is assumed as fast as the
-    velocity loop.
-    """
-    period, filters = log.period / structure.rate, filters_of(structure, numbers)
-    held = structure.every if structure.rate == 1 else 1
-
-    def law(hertz: FloatArray) -> NDArray[np.complex128]:
-        back = np.exp(-2j * np.pi * hertz * period)
-        slope = np.where(back == 1.0, 1e-300, (1.0 - back) / period)
-        velocity, torque = (_filter_response(one, back, period) for one in filters)
-        holding = np.polyval(np.ones(held), back) / held
-        inner = velocity * (gains[_SPEED] * slope + gains[_FILTERED] * back)
-        return np.asarray(torque * (inner - holding * (gains[_ERROR] + gains[_SUM] * back / slope)))
-
-    return position_response(law, log.period, log.samples, structure.rate) * log.error.shape
 
 
 def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray]:
@@ -157,8 +134,3 @@ def _filter_signals(one: Filter | Sequence[float], signals: FloatArray, period: 
         return np.asarray(signals * (b[0] / a[0]))
     settled = lfilter_zi(b, a)[:, np.newaxis] * signals[:1]
     return np.asarray(lfilter(b, a, signals, axis=0, zi=settled)[0])
-
-
-def _filter_response(one: Filter | Sequence[float], back: FloatArray, period: float) -> FloatArray:
-    b, a = as_filter(one).coefficients(period)
-    return np.asarray(np.polyval(b[::-1], back) / np.polyval(a[::-1], back))

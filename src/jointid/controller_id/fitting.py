@@ -19,17 +19,10 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.controller_id.columns import (
-    COLUMNS,
-    coefficient_columns,
-    columns,
-    injected_torque,
-    law_coefficients,
-    response,
-)
-from jointid.controller_id.loop_record import LoopRecord
-from jointid.controller_id.noise import Noise, estimate_noise
-from jointid.controller_id.structures import INTEGRAL, LATE, Structure, bounds, may_be_negative, starts
+from jointid.controller_id.columns import COLUMNS, coefficient_columns, columns, injected_torque, law_coefficients
+from jointid.controller_id.loop_record import LoopRecord, shift
+from jointid.controller_id.noise import Noise, estimate_noise, position_response
+from jointid.controller_id.structures import INTEGRAL, LATE, Structure, bounds, controller, may_be_negative, starts
 from jointid.uncertainty.covariance import Covariance, Influence, covariance_of, larger
 
 _STEP, _ENOUGH = 1e-4, 1e-5  # of a filter's number, for its difference; of the cost, for the end of a search
@@ -58,7 +51,9 @@ class FittedLaw:
     @cached_property
     def response(self) -> FloatArray:
         """|G| from position to torque, times the shape of the position's error, (frequencies,)."""
-        return response(self.log, self.structure, self.numbers, self.coefficients)
+        log, feedback = self.log, {name: x for name, x in self.numbers.items() if not name.endswith("feedforward")}
+        law = controller(self.structure, feedback, log.period, 1.0).law(log.period)
+        return position_response(law.feedback, log.period, log.samples, self.structure.rate) * log.error.shape
 
     @cached_property
     def noise(self) -> Noise:
@@ -89,7 +84,7 @@ class Fitter:
         """Take a record, and the delays of its log that laws may have; all frequencies weigh alike."""
         self.log, self._late, self.kept = log, late, np.ones(log.samples)
         for n in late:
-            self.kept *= _advance(log.free, n)
+            self.kept *= shift(log.free, -n)
             self.kept[log.samples - n :] = 0.0
         self.shared = Noise(1.0, 0.0, log.informative)
         self._held: dict[tuple[object, ...], tuple[NDArray[np.complex128], FloatArray]] = {}
@@ -164,15 +159,17 @@ class Fitter:
         for _ in range(2):  # the noise follows the law
             found, J, white = fitter._search(fitter.law, one.structure, one.numbers, one.noise, max_nfev=_STEPS)
             one = fitter.law(one.structure, found)
-        return one, larger(Influence(J, white).robust(), covariance_by_frequency(J, white))
+        seen = Influence(J, white)
+        # Quantisation noise is largest at slow motion, where the signal is: unequal over frequencies (White 1980).
+        moved = seen.by_frequency()
+        return one, larger(seen.robust(), covariance_of(moved.T @ moved))
 
     def predict(self, one: FittedLaw) -> FloatArray:
         """Torque of a law, (samples,), as logged, without limit."""
         log, structure = self.log, one.structure
         shown = columns(log, structure, one.numbers) @ one.coefficients
         shown = shown + log.added + injected_torque(log, structure, one.numbers)[:, 0]
-        late = structure.late
-        return np.concatenate([np.full(late, shown[0]), shown[: shown.size - late]]) - log.added
+        return shift(shown, structure.late) - log.added
 
     def _columns(self, structure: Structure, numbers: Mapping[str, float]) -> tuple[NDArray[np.complex128], FloatArray]:
         """Transform of columns and torques, and the triangle of both when whitened, of the structure's filters.
@@ -186,7 +183,7 @@ class Fitter:
                 self._held.clear()
             added = self.log.added
             X, known = columns(self.log, structure, own), injected_torque(self.log, structure, own)
-            torques = [_advance(self.log.torque + added, n) - added - known[:, 0] for n in self._late]
+            torques = [shift(self.log.torque + added, -n) - added - known[:, 0] for n in self._late]
             Z = np.fft.rfft(np.column_stack([X, *torques]) * self.kept[:, np.newaxis], axis=0)
             Z /= math.sqrt(float(np.sum(self.kept)))
             weights = self.shared.weights(np.zeros(len(Z)))
@@ -206,12 +203,7 @@ class Fitter:
     ) -> tuple[dict[str, float], FloatArray, FloatArray]:
         """Minimise a law's whitened residual over numbers; return them, with sensitivities and residual over time.
 
-        Args:
-            make: a law of its numbers.
-            structure: of it.
-            numbers: that the search begins from.
-            noise: by which the law's own residual is weighted.
-            options: of `least_squares`.
+        `make` returns a law, with its gains from the others or with all numbers; `options` are of `least_squares`.
         """
         from scipy.optimize import least_squares  # itself: a search takes a few steps from each of hundreds of starts
 
@@ -249,21 +241,3 @@ def order_rates(one: FittedLaw, period: float) -> dict[str, float]:
     other = integral / ((slope + proportional * period) * ki)
     gain = slope / (1.0 - other * period)
     return known | {"position_gain": integral / (gain * other), "velocity_gain": gain, "integral_gain": other}
-
-
-def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
-    """Covariance from the scores by frequency: J (samples, numbers), white residual.
-
-    Quantisation noise is largest at slow motion, where the signal is. Heteroscedasticity over frequencies (White 1980,
-    real transform) covers that; a smoothed spectrum would not.
-    """
-    norms = column_norms(J)
-    products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]
-    scores = 2.0 / white.size * np.real(products)
-    spread = np.linalg.pinv((J / norms).T @ (J / norms))
-    found = covariance_of(spread @ (scores.T @ scores) @ spread.T)
-    return Covariance(found.std / norms, found.correlation)
-
-
-def _advance(signal: FloatArray, samples: int) -> FloatArray:
-    return np.concatenate([signal[samples:], np.full(samples, signal[-1])])

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
-from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Fitter
-from jointid.controller_id.learned_controller import Alternative, LearnedController, LearnedNumber, LimitationCode
+from jointid.controller_id.learned_controller import LearnedController, LearnedNumber
 from jointid.controller_id.loop_record import LoopRecord, prepare_loop_record
 from jointid.controller_id.search import ALIKE, search
 from jointid.controller_id.structures import INTEGRAL, Structure, controller, per_controller_unit
@@ -61,7 +59,8 @@ def learn_controller(
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
     the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
-    for none. What the record leaves open is in `LearnedController.limitations`.
+    for none. What is kept from a declaration is in
+    `LearnedController.kept`.
 
     Example:
         >>> import jointid as ji, numpy as np
@@ -84,6 +83,8 @@ def learn_controller(
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
     log = prepare_loop_record(record)
+    assert record.torque is not None and record.motor_position is not None
+    torque_unit, position_unit = record.torque.unit, record.motor_position.unit
     fitter, likeliest, rivals = search(log, progress)
     best, known = fitter.finish(likeliest)
     limit = _find_limit(fitter, best)
@@ -103,66 +104,47 @@ def learn_controller(
         known.std[-1] = deviation = math.sqrt(best.noise.torque / max(float(np.sum(log.kept - log.free)), 1.0))
         best.numbers.update(limits)
         spans["limit"] = limit - 2 * deviation, limit + 2 * deviation
-    made, declared_ones = fill_from_declaration(build(best), declared)
+    made, kept = fill_from_declaration(build(best), declared)
+    by, units = per_controller_unit(best.structure, dict.fromkeys(best.numbers, 1.0), gain), []
+    for name in best.numbers:
+        held = name if name != INTEGRAL else "constant_feedforward"  # both are held in the controller's output
+        units.append(unit_of_number(made, held, position_unit, torque_unit))
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(log.kept)))
     informative = np.flatnonzero(log.informative)
-    assert record.torque is not None and record.motor_position is not None
     return LearnedController(
         controller=made,
         structure=best.structure,
-        numbers=tuple(_name_numbers(record, made, best, known.std, spans, gain)),
+        numbers=tuple(
+            LearnedNumber(name, by[name] * value, by[name] * float(std), unit, *(by[name] * end for end in spans[name]))
+            for (name, value), std, unit in zip(best.numbers.items(), known.std, units, strict=True)
+        ),
         correlation=known.correlation,
-        alternatives=tuple(Alternative(one.fitted.structure, build(one.fitted), one.worse, one.apart) for one in alike),
-        limitations=(*_list_limitations(log, best.structure, limit, residual), *declared_ones),
+        alternatives=tuple(alike),
+        regression=_find_better_regression(log, residual),
+        kept=kept,
         rms=rms,
         share=rms / float(np.sqrt(np.mean(log.torque**2))),
         torque_noise=math.sqrt(best.noise.torque),
         position_noise=math.sqrt(best.noise.position),
         band=float(informative[-1]) / (log.samples * log.period) if informative.size else 0.0,
         residual=residual,
-        torque_unit=record.torque.unit,
-        position_unit=record.motor_position.unit,
+        torque_unit=torque_unit,
+        position_unit=position_unit,
         record=record.name,
         transmission=transmission,
         resampled=record.resampled,
     )
 
 
-def _name_numbers(
-    record: Record,
-    made: Controller,
-    best: FittedLaw,
-    std: FloatArray,
-    spans: Mapping[str, tuple[float, float]],
-    gain: float,
-) -> Iterator[LearnedNumber]:
-    """Yield the numbers of a law with their units."""
-    assert record.torque is not None and record.motor_position is not None
-    by = per_controller_unit(best.structure, dict.fromkeys(best.numbers, 1.0), gain)
-    for (name, value), deviation in zip(best.numbers.items(), map(float, std), strict=True):
-        held = name if name != INTEGRAL else "constant_feedforward"  # both are held in the controller's output
-        unit = unit_of_number(made, held, record.motor_position.unit, record.torque.unit)
-        low, high = spans[name]
-        yield LearnedNumber(name, by[name] * value, by[name] * deviation, unit, by[name] * low, by[name] * high)
-
-
-def fill_from_declaration(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
-    """Take limit and delay from the declaration where the record hides them."""
+def fill_from_declaration(made: Controller, declared: Controller | None) -> tuple[Controller, dict[str, float]]:
+    """Take limit and delay from the declaration where the record hides them; return also which, by name."""
     said = {} if declared is None else numbers_of(declared)
     if "limit" in said:  # in the units of the law that was learned, which is on the joint's side
-        said["limit"] *= abs(_torque_per_unit(declared) / _torque_per_unit(made))
-    open_ones = {"limit": math.inf, "delay": 0.0}
-    own = numbers_of(made)
+        there, here = (getattr(one, "gain", 1.0) * getattr(one, "ratio", 1.0) for one in (declared, made))
+        said["limit"] *= abs(there / here)
+    open_ones, own = {"limit": math.inf, "delay": 0.0}, numbers_of(made)
     kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
-    if not kept:
-        return made, ()
-    words = f"As declared, and not from this record: {' and '.join(f'{n} = {v:g}' for n, v in kept.items())}."
-    return with_numbers(made, kept), (Message(LimitationCode.AS_DECLARED, words, {"numbers": kept}),)
-
-
-def _torque_per_unit(controller: Any) -> float:
-    """Return the torque on the joint's side per unit of a controller."""
-    return float(getattr(controller, "gain", 1.0) * getattr(controller, "ratio", 1.0))
+    return with_numbers(made, kept) if kept else made, kept
 
 
 def _find_limit(fitter: Fitter, best: FittedLaw) -> float:
@@ -186,44 +168,23 @@ def _require_explained(log: LoopRecord, best: FittedLaw, known: Covariance, resi
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
         if name.rpartition(".")[2] in _GAINS and not 2 * std < value
     ]
-    if poor:
-        fact = (
-            f"leaves {100 * share:.3g} % of it, {100 * lasts:.3g} % averaged over {_LASTING} samples (at most "
-            f"{100 * _LEFT:g} % expected of noise)"
+    if poor or open_ones:
+        fact = f"leaves {100 * share:.3g} % of it, {100 * lasts:.3g} % averaged over {_LASTING} samples"
+        fact = fact if poor else f"leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma)"
+        raise MethodError(
+            f"No law that is searched for gives the torque of {log.record.name}: the best, {best.structure}, {fact}. "
+            "Check units, signs and sides of torque, reference and motor_position, and that all are of one clock; log "
+            "them as fast as the controller runs, with more reversals and speeds, and with what is injected; or state "
+            "the law."
         )
-    elif open_ones:
-        fact = f"leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma)"
-    else:
-        return
-    searched = f"No law that is searched for gives the torque of {log.record.name}"
-    raise MethodError(
-        f"{searched}: the best, {best.structure}, {fact}. Check units, signs and sides of torque, reference and "
-        "motor_position, and that all are of one clock; log them as fast as the controller runs, with more reversals "
-        "and speeds; give what is injected as the channel injected; or declare the law."
-    )
 
 
-def _list_limitations(log: LoopRecord, structure: Structure, limit: float, residual: FloatArray) -> Iterator[Message]:
-    """Yield the limitations of the learned law."""
+def _find_better_regression(log: LoopRecord, residual: FloatArray) -> float | None:
+    """Share of the torque that a plain regression leaves, if that is so much less as to exclude the law."""
     both = np.fft.rfft(np.column_stack([residual, log.unexplained]) * log.free[:, np.newaxis], axis=0)
     heard = np.fft.irfft(both * (log.informative > 0)[:, np.newaxis], log.samples, axis=0)
     law, regression = np.sqrt(np.mean(heard**2, axis=0) / np.mean((log.torque * log.free) ** 2))
-    if law > max(_MUCH * regression, _MATERIAL):
-        yield Message(
-            LimitationCode.ANOTHER_LAW,
-            f"The best law that is searched for, {structure}, leaves {100 * law:.2g} % of the torque, a plain "
-            f"regression on the past of reference and position {100 * regression:.2g} %: the drive's law is another, "
-            "and what is left is no noise; declare the law from the drive's documentation.",
-            {"law": float(law), "regression": float(regression)},
-        )
-    if math.isinf(limit):
-        assert log.record.torque is not None
-        largest, unit = float(abs(log.torque).max()), log.record.torque.unit
-        yield Message(
-            LimitationCode.LIMIT_NOT_REACHED,
-            f"The limit is not reached in this record; it is above {number(largest, 4)} {unit}, the largest torque.",
-            {"torque": largest, "unit": unit},
-        )
+    return float(regression) if law > max(_MUCH * regression, _MATERIAL) else None
 
 
 def _span(best: FittedLaw, alike: Sequence[tuple[FittedLaw, Covariance]]) -> dict[str, tuple[float, float]]:

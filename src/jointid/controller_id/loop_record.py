@@ -103,11 +103,12 @@ class LoopRecord:
         assert self.record.torque is not None
         if self.record.torque.timing is not Timing.AVERAGED:
             return signals[::rate]
-        return _delay_samples(signals.reshape(-1, rate, signals.shape[1]).mean(axis=1), 1)
+        return shift(signals.reshape(-1, rate, signals.shape[1]).mean(axis=1), 1)
 
 
-def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
-    return np.concatenate([np.repeat(signals[:1], samples, axis=0), signals[: len(signals) - samples]])
+def shift(signals: FloatArray, samples: int) -> FloatArray:
+    """Return signals so many samples later, the first ones held; of a negative number earlier."""
+    return np.asarray(signals[np.clip(np.arange(len(signals)) - samples, 0, len(signals) - 1)])
 
 
 def prepare_loop_record(record: Record) -> LoopRecord:
@@ -123,14 +124,7 @@ def prepare_loop_record(record: Record) -> LoopRecord:
     assert record.torque is not None and record.motor_position is not None and record.reference is not None
     period = record.torque.sample_time
     samples = math.floor(record.duration / period + 1e-6)
-    if samples < _FEWEST:
-        raise RecordError(
-            f"A controller is learned from {_FEWEST} samples or more; this record has {samples}: use a longer one."
-        )
     torque = record.torque.values[:samples].copy()
-    for name, channel in (("motor position", record.motor_position), ("reference", record.reference)):
-        if np.ptp(channel.values) == 0.0:
-            raise RecordError(f"The {name} does not move in this record, so no law shows; use one with a motion.")
     injected, added = record.injected, np.zeros(samples)
     if (
         injected is not None
@@ -139,11 +133,14 @@ def prepare_loop_record(record: Record) -> LoopRecord:
     ):
         added = at_period(injected.channel, period, samples, "injected")
         if record.torque.timing is Timing.AVERAGED:  # as the torque, a sample shows the mean of the one before it
-            added = _delay_samples(added, 1)
+            added = shift(added, 1)
     torque -= added
-    if np.ptp(torque) <= _ROUNDING * np.max(np.abs(record.torque.values)):
+    still = [name for name in ("reference", "motor_position") if np.ptp(getattr(record, name).values) == 0.0]
+    still += ["torque, less what was injected,"] * bool(np.ptp(torque) <= _ROUNDING * np.max(np.abs(torque + added)))
+    if samples < _FEWEST or still:
+        said = f"{', '.join(still)} constant" if still else f"{samples} samples"
         raise RecordError(
-            "The torque, less what was injected, is constant in this record, so no law shows; use one with a motion."
+            f"A controller is learned from {_FEWEST} samples or more, with a motion; this one has {said}: use another."
         )
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0

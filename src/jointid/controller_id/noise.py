@@ -101,11 +101,7 @@ def position_response(
     T the log's sample time (Unser 1999, IEEE Signal Processing Magazine 16(6)). The torque's samples alias the images:
     ``G(f) = sum over m of C(f + m / T) G_law(f + m / T)``. A biased |G| would favour or penalise all fast laws.
 
-    Args:
-        response: of the law, at frequencies in Hz.
-        sample_time: of the log, seconds.
-        samples: of the log.
-        rate: of the law, in periods per sample of the log.
+    `response` is the law's at frequencies in Hz, and `rate` its periods per sample of the log.
     """
 
     def cardinal(turns: FloatArray) -> FloatArray:
@@ -131,12 +127,8 @@ def estimate_noise(
 ) -> Noise:
     """Estimate the noise that explains a residual: the Whittle likelihood, ``sum log S + I / S``, by scoring.
 
-    Args:
-        power: (frequencies,) periodogram I of the residual.
-        response: (frequencies,) |G| of the law, times the shape of the position's error.
-        torque: mean square of the logged torque.
-        most: bound of the variance of the position's error.
-        informative: (frequencies,) 1 where informative, else 0.
+    `power`, (frequencies,), is the residual's periodogram I, `response` |G| times the shape of the position's error;
+    `torque` is the mean square of the logged torque, and `most` bounds the variance of the position's error.
     """
     from scipy.optimize import lsq_linear
 
@@ -159,10 +151,7 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     Quantisation at constant speed is a spectral line, so it is repeated on the smoothed position at several offsets.
     Without a visible step, or on a noisier position, the error is white, bounded by the quietest quarter of the
     spectrum.
-
-    Args:
-        position: (samples,) logged.
-        step: of its encoder; None if not visible.
+    `step` is that of its encoder.
     """
     from scipy.signal import savgol_filter
 
@@ -213,12 +202,8 @@ def informative_frequencies(
     Frequencies where the position does not exceed its quantisation count only if they show in the torque: if the
     controller saw the same quantisation, or a slower position loop makes images there.
 
-    Args:
-        inputs: (samples, INPUTS) of a law as fast as the log.
-        torque: (samples,) logged, without what was added after the limit.
-        added: (samples,) that addition; it remains visible in a late log.
-        kept: (samples,) 1 where the torque is within the limit, else 0.
-        error: of the position.
+    `inputs`, (samples, INPUTS), are of a law as fast as the log; `torque`, (samples,), is without what was `added`
+    after the limit, which remains visible in a late log; `kept` is 1 where the torque is within the limit, else 0.
     """
     r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
     asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *_signal_and_past(r), *_images(_difference(r))]

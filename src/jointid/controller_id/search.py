@@ -6,8 +6,7 @@ A stretch of the record gives the candidates, the whole record judges them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,17 +25,25 @@ _ROUNDS = 24  # of such changes: what goes on longer leads to no law
 _SCREENING, _FITTING = 3, 8  # evaluations in the search for a law's filters, when it is tried and when it is likely
 
 
-class Rival(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
     """A structure compared with the best.
 
     Attributes:
+        fitted: with the numbers that fit best.
         worse: how much larger its criterion is.
         apart: by how much the torques differ that the two predict, in rms, as a share of the torque's rms.
     """
 
+    in_json = "structure -fitted"
     fitted: FittedLaw
     worse: float
     apart: float
+
+    @property
+    def structure(self) -> Structure:
+        """Its structure."""
+        return self.fitted.structure
 
 
 def search(log: LoopRecord, progress: Progress = ignore_progress) -> tuple[Fitter, FittedLaw, list[Rival]]:
@@ -80,7 +87,7 @@ def simplest(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw:
     good = (
         rival.fitted
         for rival in rivals
-        if _is_same(rival, best) or (rival.worse < ALIKE and 2 * rival.fitted.structure.parts <= own.parts)
+        if _is_same(rival, best) or (rival.worse < ALIKE and 2 * rival.structure.parts <= own.parts)
     )
     found = min(good, key=lambda one: one.structure.parts, default=best)
     return found if found.structure.parts < own.parts else best
@@ -169,11 +176,11 @@ def _compare(fitter: Fitter, best: FittedLaw, laws: Mapping[Structure, FittedLaw
     order = (one for one in _sort(laws, best.noise) if one is not best)
     rivals = (Rival(one, one.score(best.noise) - own, apart(one)) for one in order)
     most = best.structure.parts
-    return [one for one in rivals if one.fitted.structure.parts <= most or not _is_same(one, best)]
+    return [one for one in rivals if one.structure.parts <= most or not _is_same(one, best)]
 
 
 def _is_same(rival: Rival, best: FittedLaw) -> bool:
     """Test for the same filters and the same torque."""
-    own, other = best.structure, rival.fitted.structure
+    own, other = best.structure, rival.structure
     alike = (own.velocity_filter, own.torque_filter) == (other.velocity_filter, other.torque_filter)
     return alike and rival.apart < MATERIAL

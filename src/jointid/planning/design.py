@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,10 +19,12 @@ from jointid.models.joints import ClosedLoop
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import Design
-from jointid.planning.joint_tests import JointTests, joint_tests
+from jointid.planning.goals import parse_goal
+from jointid.planning.joints import RUNS, JointModel, joint_model
+from jointid.planning.objective import ASTRAY, Objective, complete
 from jointid.planning.predict import Noise
-from jointid.planning.robot_tests import FirstRecord, RobotTests, combine_with_nominal, first_record, robot_tests
-from jointid.planning.search import choose, look
+from jointid.planning.robots import FeedForward, RobotModel, robot_model
+from jointid.planning.search import find_best
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
@@ -30,6 +32,8 @@ from jointid.simulation.robots import RobotLoop
 _FEWEST = 200  # samples of a test
 _DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where nothing states them
 _DOUBTFUL = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
+
+One = TypeVar("One")
 
 
 @one_thread()
@@ -49,7 +53,7 @@ def design(
     parameters: Mapping[str, Parameter] | None = None,
     injection: bool = True,
     loop: RobotLoop | None = None,
-    feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
+    feed_forward: FeedForward = "none",
     search_time: float = 60.0,
     seed: int = 0,
     progress: Progress = ignore_progress,
@@ -59,8 +63,7 @@ def design(
     Args:
         model: an estimate, of a joint by DIDIM with every parameter identified; or a joint in its loop, a robot or a
             robot in its loop that is roughly known. A robot in its loop is planned a test by DIDIM, a robot alone one
-            by IDIM. Of an estimate of a robot the identified bodies, friction and springs are used where the record
-            determines them.
+            by IDIM. Of an estimate of a robot the bodies nearest to the model are used, with its friction and springs.
         record: the test there is already, which an estimate was identified from. Its motion is compared; it states the
             limits of stroke and torque that are not given, of a robot those of positions and speed. Of a robot one for
             each joint.
@@ -84,7 +87,7 @@ def design(
         seed: of the search.
         progress: receives messages.
 
-    A joint's test is one of several families (see `planning.search`), a robot's a Fourier series of all joints with a
+    A joint's test is one of several families (see `planning.plans`), a robot's a Fourier series of all joints with a
     multisine about the mode of each spring. Neither knows obstacles: play it slowly first.
 
     Raises:
@@ -102,143 +105,98 @@ def design(
         >>> found.floor < found.proposed.std["stiffness"]
         True
     """
-    _require_numbers({"duration": duration, "sample time": sample_time, "time of the search": search_time})
-    _require_numbers({"tolerance in percent": within}, 0.0)
-    played = None if motion is None else (motion,) if isinstance(motion, Record) else tuple(motion)
-    tests: JointTests | RobotTests
-    common: dict[str, Any] = {"goal": goal, "within": within, "seed": seed}
+    times = {"duration": duration, "sample time": sample_time, "time of the search": search_time}
+    wrong = [f"{what} {size:g} s" for what, size in times.items() if size is not None and not 0.0 < size < math.inf]
+    if wrong or (within is not None and not 0.0 <= within < math.inf):
+        said = ", ".join([*wrong, *([] if within is None else [f"tolerance {within:g} %"])])
+        raise MethodError(f"Times are positive, and a tolerance is 0 or more; received {said}.")
+    present, played, bounds = _as_tuple(record), _as_tuple(motion), _as_tuple(limits)
+    for one in played:
+        one.require(("reference",), "A test of your own")
+    part = model.robot if isinstance(model, Estimate) else model
+    declared = part if isinstance(part, Robot) else getattr(part, "model", getattr(part, "robot", None))
+    count = 1 if declared is None else len(declared)
+    if {len(present), len(played), len(bounds)} - {0, count}:
+        raise MethodError(
+            f"A test of {count} axes has as many records, limits and references, or none; received {len(present)} "
+            f"records, {len(bounds)} limits and {len(played)} references."
+        )
+    of_joint: dict[str, Any] = {"values": values, "parameters": parameters}
+    common: dict[str, Any] = {"within": within, "filtering": filtering, "seed": seed}
+    known: JointModel | RobotModel
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
-        if any(isinstance(one, Sequence) for one in (record, limits, motion)) or not isinstance(noise, Noise | None):
-            raise MethodError("The test of a joint has one record, AxisLimits, one motion and a Noise; give each so.")
-        _refuse_unread("joint", loop=isinstance(loop, RobotLoop), feed_forward=feed_forward != "none")
-        present = record if isinstance(record, Record) else None
-        if isinstance(model, Estimate):
-            own = {"values": values, "filtering": filtering, "parameters": parameters}
-            _refuse_unread("joint by its estimate", **{name: one is not None for name, one in own.items()})
-            known = _read_estimate(model, present, noise)
-        elif values is None or noise is None:
-            raise MethodError("A joint that is roughly known has values and a noise; give both, or an estimate.")
-        else:
-            known = {"loop": model, "values": values, "noise": noise, "covariance": None}
-            known |= {"parameters": parameters or {}, "filtering": filtering or Filtering()}
-        step, samples = _times(present, played, sample_time, duration)
-        tests = joint_tests(
-            **known, **common, limits=cast("AxisLimits", limits or AxisLimits()), samples=samples, sample_time=step,
-            present=present, injection=injection, searched=played is None,
-        )  # fmt: skip
+        own = of_joint | {"filtering": filtering} if isinstance(model, Estimate) else {}
+        _refuse_unread("joint", own | {"loop": loop, "feed_forward": None if feed_forward == "none" else feed_forward})
+        at = _read_times(present, played, duration, sample_time)
+        common |= of_joint | {"noise": noise, "injection": injection}
+        known = joint_model(model, present, at, **common)
     else:
-        if any(isinstance(one, Record | AxisLimits | Noise) for one in (record, limits, motion, noise)):
-            raise MethodError("The test of a robot has records, limits, noise and motion of each joint; give each so.")
-        _refuse_unread("robot", values=values is not None, parameters=parameters is not None)
-        robot, loop, first = _read_robot(model, cast("Sequence[Record] | None", record), loop)
-        times = () if played is None else [one.reference for one in played if one.reference is not None]
-        step = times[0].sample_time if times else sample_time or (_SAMPLE_TIME if first is None else first.sample_time)
-        lasts = duration or (_DURATION if first is None else first.duration)
-        samples = len(times[0]) if times else _require_samples(round(lasts / step))
-        tests = robot_tests(
-            robot, loop, **common, limits=cast("Sequence[AxisLimits] | None", limits), samples=samples,
-            sample_time=step, first=first, filtering=filtering, feed_forward=feed_forward, motion=played,
-            noise=None if noise is None else np.asarray(noise, dtype=np.float64),
-        )  # fmt: skip
-    if played is not None:
-        predicted, best, tried, interrupted = tests.predict(played), tests.take(played), 0, False
-    else:
-        found, cut = look(tests.rough, tests.begin, search_time, seed, progress)
-        best, ended = choose(tests, found, progress)
-        tried, interrupted = len(found), cut or ended
-        played = tests.record(best.plan)
-        predicted = tests.predict(played, best.plan)
-    if any(np.any(one != best.stds[0]) for one in best.stds):
-        predicted["at worst"] = predicted["proposed"].widen(best.stds)
-    design = Design(
-        model.data.record if isinstance(model, Estimate) else "", tests.goal, tests.describe(best.plan),
-        tests.axes(played, best, predicted["proposed"]), predicted, tests.noise, tried=tried, interrupted=interrupted,
-        notes=(_DOUBTFUL,) if math.isinf(best.over) else (),
-    )  # fmt: skip
-    if isinstance(tests, JointTests):
-        return replace(design, floor=None if tests.floor is None else tests.floor.deviation)
-    joints = np.asarray(np.linalg.inv(tests.robot.coupling))
-    return replace(design, notes=(*design.notes, *tests.doubts), assumed=tests.assumed, from_shafts=joints)
+        _refuse_unread("robot", of_joint)
+        at = _read_times(present, played, duration, sample_time, (_DURATION, _SAMPLE_TIME))
+        common |= {"loop": loop, "feed_forward": feed_forward}
+        known = robot_model(model, present, at, noise=None if noise is None else np.asarray(noise), **common)
+    return _design(known, goal, bounds or (AxisLimits(),) * count, played, (search_time, seed), progress)
 
 
-def _require_numbers(given: Mapping[str, float | None], least: float | None = None) -> None:
-    for what, value in given.items():
-        if (value is not None and not (value > 0.0 if least is None else value >= least)) or value == math.inf:
-            said = "a positive number of seconds" if least is None else f"{least:g} or more"
-            raise MethodError(f"The {what} is {said}; received {value:g}.")
-
-
-def _refuse_unread(kind: str, **given: bool) -> None:
-    if unread := [name for name, stated in given.items() if stated]:
-        raise MethodError(f"The test of a {kind} does not read {', '.join(unread)}; leave it out.")
-
-
-def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | None) -> dict[str, Any]:
-    """Prior knowledge of a joint for the design of its test."""
-    if record is None or estimate.settings.loop is None:
-        raise MethodError("A test is designed from an estimate by DIDIM and its record; give both.")
-    loop, rows = estimate.settings.loop, [p for p in estimate.params.rows if p.free]
-    own = [i for i, p in enumerate(rows) if p.of_joint]
-    free = [p.name for p in rows if p.of_joint]
-    return {
-        "loop": loop,
-        "values": estimate.values,
-        "noise": noise or Noise.of(estimate, record),
-        "covariance": estimate.params.covariance[np.ix_(own, own)],
-        "parameters": {p.name: p.fix(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free},
-        "filtering": estimate.settings.filtering,
-    }
-
-
-def _read_robot(
-    model: Estimate | Robot | RobotLoop, records: Sequence[Record] | None, loop: RobotLoop | None
-) -> tuple[Robot, RobotLoop | None, FirstRecord | None]:
-    """Prior knowledge of a robot for the design of its test: its numbers, controllers and a first record."""
-    if not isinstance(model, Estimate):
-        if records is not None:
-            raise MethodError(
-                "The records of a robot are read with its estimate; give the estimate in place of the robot."
-            )
-        own = loop if isinstance(model, Robot) else model
-        return model if isinstance(model, Robot) else model.robot, own, None
-    part, first = model.require_robot(), None if records is None else first_record(model, records)
-    if model.settings.method == "didim" and isinstance(part.setup, RobotLoop):
-        loop = loop or part.setup
-    robot = combine_with_nominal(part)
-    if loop is not None and robot.flexible != loop.robot.flexible:
-        robot = _with_springs(robot, loop.robot)  # IDIM knows none
-    return robot, None if loop is None else replace(loop, robot=robot), first
-
-
-def _with_springs(found: Robot, declared: Robot) -> Robot:
-    """Return a robot of rigid joints with its declared springs and divided friction."""
-    joints = []
-    for own, other in zip(found.joints, declared.joints, strict=True):
-        spring = other.spring
-        left = () if spring is None else (("viscous", spring.viscous), ("coulomb", spring.coulomb))
-        friction = {name: max(getattr(own, name) - of_link, 0.0) for name, of_link in left}
-        joints.append(replace(own, spring=spring, **friction))
-    return replace(found, joints=tuple(joints))
-
-
-def _times(
-    present: Record | None, played: Sequence[Record] | None, sample_time: float | None, duration: float | None
-) -> tuple[float, int]:
-    """Sample time and samples of a joint's test: those that are given, or of the record that there is."""
-    if present is not None:
-        present.require(("reference",), "A design from a test there is already")
-    motion = played[0] if played else None
-    known, lasts = present or motion, motion or present
-    if lasts is None and (duration is None or sample_time is None):
+def _read_times(
+    present: Sequence[Record], played: Sequence[Record], duration: float | None, sample_time: float | None,
+    usual: tuple[float | None, float | None] = (None, None),
+) -> tuple[int, float]:  # fmt: skip
+    """Return how many samples a test has, and their time: those that are given, of a record, or the usual ones."""
+    known, lasts = (*present, *played), (*played, *present)
+    if known and sample_time is None:
+        sample_time = next(one.sample_time for one in (known[0].torque, known[0].reference) if one is not None)
+    duration = (lasts[0].duration if lasts and duration is None else duration) or usual[0]
+    sample_time = sample_time or usual[1]
+    if duration is None or sample_time is None:
         raise MethodError(
             "A test has a duration and a sample time; give both, or the record of a test there is already."
         )
-    log = None if known is None else known.torque or known.reference
-    step = sample_time or (log.sample_time if log is not None else 0.0)
-    return step, _require_samples(math.floor((duration or (0.0 if lasts is None else lasts.duration)) / step + 1e-9))
-
-
-def _require_samples(samples: int) -> int:
+    samples = math.floor(duration / sample_time + 1e-9)
     if samples < _FEWEST:
         raise MethodError(f"A test of {samples} samples tells nothing; expected {_FEWEST} or more: plan a longer one.")
-    return samples
+    return samples, sample_time
+
+
+def _design(
+    known: JointModel | RobotModel, goal: str, given: tuple[AxisLimits, ...], played: tuple[Record, ...],
+    search: tuple[float, int], progress: Progress,
+) -> Design:  # fmt: skip
+    """Judge a motion that is given, or search for the best one."""
+    wanted, limits, interrupted = parse_goal(goal, known.units), given, False
+    before = next(known.predict(known.present, RUNS)) if known.present else None
+    families: Sequence[Any] = ()
+    floor: float | None = None
+    if not played:
+        limits = complete(given, known.names, known.needed, known.kept, None if before is None else before.reached)
+        families, floor = known.families(limits, wanted, before)
+    tests = Objective(known, wanted, limits, families)
+    if played:
+        best = tests.judge(None, known.predict(played))
+    else:
+        best, interrupted = find_best(tests, *search, progress)
+        assert best.plan is not None
+        played = known.records(best.plan)
+    predicted = {} if before is None else {"present": before}
+    predicted["proposed"] = next(known.predict(played, RUNS))
+    if any(np.any(one != best.stds[0]) for one in best.stds):
+        with np.errstate(invalid="ignore"):  # of what no joint or robot tells
+            factors = np.nan_to_num(np.max(best.stds, axis=0) / best.stds[0], nan=1.0, posinf=np.inf)
+        known_one = predicted["proposed"].covariance
+        widest = replace(known_one, std=known_one.std * factors)
+        predicted["at worst"] = replace(predicted["proposed"], covariance=widest)
+    doubtful = (_DOUBTFUL,) if best.score >= ASTRAY else ()
+    return Design(
+        wanted, known.describe(played, best.plan), known.axes(played, limits, given, best.reached), predicted,
+        known.noise, floor, interrupted, (*doubtful, *known.doubts), from_shafts=known.from_shafts,
+    )  # fmt: skip
+
+
+def _as_tuple(given: One | Sequence[One] | None) -> tuple[One, ...]:
+    """Return what is given of each axis."""
+    return () if given is None else tuple(given) if isinstance(given, Sequence) else (given,)
+
+
+def _refuse_unread(kind: str, given: Mapping[str, object]) -> None:
+    if unread := [name for name, stated in given.items() if stated is not None]:
+        raise MethodError(f"The test of a {kind} does not read {', '.join(unread)}; leave it out.")

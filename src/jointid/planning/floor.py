@@ -18,14 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.limits import AxisLimits
+from jointid.models.linear import ComplexArray, frequency_response
 from jointid.planning.goals import Goal
 from jointid.planning.predict import Noise
 
@@ -36,8 +35,6 @@ _STEPS = 400  # of the search for the powers
 _LEFT = 0.1  # of a signal that is injected, at least
 _CLOSE = 0.08  # of the logarithm of a frequency
 _OF_ALL = 0.02  # of the power: frequencies with less matter little
-
-Complexes: TypeAlias = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,11 +100,16 @@ def least_deviation(
         return None
     hertz = np.geomspace(limits.lowest, cutoff, _LINES)
     law = loop.controller.law(sample_time)
-    s = 2j * math.pi * hertz
-    H = -law.feedback(hertz)
-    P = _position(values, s)
-    S = 1 / (1 + P * H * np.exp(-s * (law.delay + 0.5 * law.period)))
-    g = H * S * np.array([_slope(values, name, s) for name in _PARAMETERS])
+
+    def respond(name: str, by: float) -> ComplexArray:
+        """Return the motor's position per force on it, sliding."""
+        return frequency_response(loop.joint, {**values, name: values[name] + by}, hertz, "motor_position")
+
+    H, P = -law.feedback(hertz), respond("stiffness", 0.0)
+    S = 1 / (1 + P * H * np.exp(-2j * math.pi * hertz * (law.delay + 0.5 * law.period)))
+    steps = {name: _STEP * (abs(values[name]) or 1.0) for name in _PARAMETERS}
+    slopes = [(respond(name, by) - respond(name, -by)) / (2 * by) for name, by in steps.items()]
+    g = H * S * np.array(slopes)
     force = noise.force if noise.left is None else float(np.sqrt(np.mean(noise.left**2)))
     spectrum = noise.log**2 + force**2 * np.abs(H * P * S) ** 2
     information = samples * np.real(np.conj(g)[:, np.newaxis] * g[np.newaxis]) / spectrum  # (parameters, parameters, f)
@@ -116,20 +118,6 @@ def least_deviation(
     variance, found = _least_variance(information, allowed, np.array([weights.get(name, 0.0) for name in _PARAMETERS]))
     known = noise.left is None and goal.weights
     return Floor(math.sqrt(variance) if known else None, hertz, found, np.abs(S))
-
-
-def _position(values: Mapping[str, float], s: Complexes) -> Complexes:
-    """Return the motor's position per force on it, sliding."""
-    spring = values["stiffness"] + values["damping"] * s
-    motor = values["motor_inertia"] * s**2 + values["motor_viscous"] * s + spring
-    load = values["load_inertia"] * s**2 + values["load_viscous"] * s + spring
-    return np.asarray(load / (motor * load - spring**2))
-
-
-def _slope(values: Mapping[str, float], name: str, s: Complexes) -> Complexes:
-    step = _STEP * (abs(values[name]) or 1.0)
-    high, low = (_position({**values, name: values[name] + by}, s) for by in (step, -step))
-    return (high - low) / (2 * step)
 
 
 def _least_variance(information: FloatArray, allowed: FloatArray, w: FloatArray) -> tuple[float, FloatArray]:

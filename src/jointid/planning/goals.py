@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.intervals import weights_of
+from jointid.planning.predict import PredictedTest
 
 ALL = "all"
 """The goal beside those that name a quantity: the volume of the intervals (D-optimal)."""
@@ -30,34 +30,28 @@ class Goal:
     name: str
     weights: Mapping[str, float]
 
-    def score(self, covariance: FloatArray, names: Sequence[str], values: Mapping[str, float]) -> float:
-        """Logarithmic objective; lower is better, differences are relative. Offsets do not count beside others.
+    def score(self, test: PredictedTest) -> float:
+        """Logarithmic objective of a test; lower is better, differences are relative.
 
-        Args:
-            covariance: (parameters, parameters).
-            names: of the parameters, in their order.
-            values: of them, the scale of deviations if the goal is all of them.
+        If the goal is all parameters, deviations are scaled by the values, and offsets do not count beside others.
         """
-        if self.weights:
-            asked = [i for i, name in enumerate(names) if name in self.weights]
-            w, own = np.array([self.weights[names[i]] for i in asked]), covariance[np.ix_(asked, asked)]
-            return 0.5 * math.log(max(float(w @ own @ w), _TINY)) if np.all(np.isfinite(own)) else math.inf
-        if not np.all(np.isfinite(covariance)):
+        covariance, names, values = test.covariance, test.joint, test.values
+        own = [i for i, name in enumerate(names) if (name in self.weights if self.weights else "offset" not in name)]
+        own = own or [*range(len(names))]
+        if not np.all(np.isfinite(covariance.std[own])):
             return math.inf
-        size = np.array([abs(values[name]) if abs(values[name]) > _ZERO else 1.0 for name in names])
-        kept = [i for i, name in enumerate(names) if "offset" not in name] or [*range(len(names))]
-        relative = (covariance / np.outer(size, size))[np.ix_(kept, kept)]
-        found = np.maximum(np.linalg.eigvalsh(relative), _TINY)
+        std = covariance.std[own]
+        matrix = np.outer(std, std) * covariance.correlation[np.ix_(own, own)]
+        if self.weights:
+            w = np.array([self.weights[names[i]] for i in own])
+            return 0.5 * math.log(max(float(w @ matrix @ w), _TINY))
+        size = np.array([abs(values[names[i]]) if abs(values[names[i]]) > _ZERO else 1.0 for i in own])
+        found = np.maximum(np.linalg.eigvalsh(matrix / np.outer(size, size)), _TINY)
         return 0.5 * float(np.mean(np.log(found)))
 
 
 def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
-    """Parse a goal.
-
-    Args:
-        name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", or "all".
-        units: of the free parameters, by name.
-    """
+    """Parse a goal: the name of a free parameter, a sum or a difference of them, or "all"; `units` are of these."""
     if name == ALL:
         return Goal(name, {})
     weights = weights_of(name)

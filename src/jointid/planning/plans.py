@@ -1,7 +1,16 @@
-"""Parametrised tests that a drive can play: a motion with a signal added to the torque.
+"""Tests that a search draws: a motion of a joint with a signal on its torque, or a Fourier series of a robot's joints.
 
-Drives generate trapezoids (with a jerk limit) and sums of sines; test benches play tables. A family
-combines one motion with one added signal; the axis limits or the present test bound its numbers.
+A test is a family and numbers between 0 and 1. Drives generate trapezoids (with a jerk limit) and sums of sines; test
+benches play tables. A joint's family combines one such motion with one added signal.
+
+J. Swevers, C. Ganseman, D. B. Tükel, J. De Schutter and H. Van Brussel (Optimal robot excitation and identification,
+IEEE Transactions on Robotics and Automation 13, 1997) move every joint of a robot along::
+
+    q(t) = c + s sum_h a_h sin(h w t) + b_h cos(h w t),      w = 2 pi / T
+
+The motion is periodic and differentiable exactly. Here velocity and acceleration are also 0 at the first instant,
+``sum h a_h = sum h^2 b_h = 0``. The search varies the remaining freedom of a and b, the share of the limits and the
+position between them: s is the largest that keeps the limits, times that share.
 """
 
 from __future__ import annotations
@@ -14,7 +23,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import number
+from jointid.models.limits import AxisLimits
 from jointid.simulation import excitation
 
 _SPEEDS = 3  # of the trapezoids of one cycle
@@ -22,245 +31,188 @@ _REST = 0.4  # s before each way at most
 _INSIDE = 0.985  # of the stroke, that a reference takes at most: the motor passes where it was asked to stop
 _LINES = 24  # of a sum of sines
 
+_SHARE = 0.98  # of speed and acceleration of a series: a motor passes where its reference turns round
+_MARGIN = 0.01  # of the room, at each end, likewise
+_LEAST = 0.3  # of what the limits let it, that a joint moves at least
+_POINTS = 32  # of a period, for each harmonic, at which limits are held
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Signal:
-    """A signal of a test, which can be made smaller.
-
-    Attributes:
-        make: returns its values from a count of samples and their time.
-        words: describe it in a unit, and by the factor that its sizes are smaller.
-        center: value about which it is made smaller.
-        factor: by which it is smaller than made.
-        fixed: whether it keeps its size.
-    """
-
-    make: Callable[[int, float], FloatArray]
-    words: Callable[[str, float], str]
-    center: float = 0.0
-    factor: float = 1.0
-    fixed: bool = False
-
-    def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return its values, (samples,)."""
-        return np.asarray(self.center + self.factor * (self.make(samples, sample_time) - self.center))
-
-    def describe(self, unit: str) -> str:
-        """Return it in words."""
-        return self.words(unit, self.factor)
-
-    def scale(self, factor: float) -> Signal:
-        """Return the signal, smaller by a factor."""
-        return self if self.fixed else replace(self, factor=factor * self.factor)
+Numbers: TypeAlias = Sequence[float]
 
 
-def trapezoids(
-    speeds: Sequence[float], acceleration: float, travel: float, rest: float = 0.0, smoothing: float = 0.0,
-    start: float = 0.0,
-) -> Signal:  # fmt: skip
-    """Move back and forth from `start` at each speed; `smoothing` is the jerk time, s."""
-
-    def make(samples: int, sample_time: float) -> FloatArray:
-        lasts = samples * sample_time
-        played = excitation.trapezoids(speeds, acceleration, travel, sample_time, rest=rest, duration=lasts)[:samples]
-        # A way that would exceed the time is left out: the axis rests at the last reversal.
-        ends = np.flatnonzero(np.minimum(played, travel - played) <= acceleration * sample_time**2)
-        ends = ends[ends < samples - round(smoothing / sample_time)]
-        last = int(ends[-1]) if ends.size else 0
-        kept = np.append(played[: last + 1], np.full(samples - 1 - last, played[last]))
-        return start + excitation.smooth(kept, sample_time, smoothing)
-
-    def words(unit: str, factor: float) -> str:
-        each = ", ".join(number(factor * one, 3) for one in speeds)
-        ramps = f", the acceleration rising in {number(1e3 * smoothing, 3)} ms" if smoothing else ""
-        return (
-            f"trapezoids from {number(start, 3)} {unit} over {number(factor * travel, 3)} {unit} and back, at "
-            f"{each} {unit}/s, {number(factor * acceleration, 3)} {unit}/s2{ramps}, {number(rest, 2)} s of rest "
-            "before each way"
-        )
-
-    return Signal(make, words, start)
-
-
-def sines(amplitude: float, lowest: float, highest: float, start: float = 0.0) -> Signal:
-    """Sum position sines with equal accelerations, between two frequencies, Hz."""
-
-    def make(samples: int, sample_time: float) -> FloatArray:
-        wave = excitation.multisine(samples, sample_time, amplitude, lowest, highest, lines=_LINES, tilt=2.0)
-        return start + wave
-
-    def words(unit: str, factor: float) -> str:
-        return (
-            f"a sum of {_LINES} sines of the position, {number(lowest, 2)} to {number(highest, 2)} Hz, "
-            f"within {number(factor * amplitude, 3)} {unit} of {number(start, 3)} {unit}"
-        )
-
-    return Signal(make, words, start)
-
-
-def positions(values: FloatArray) -> Signal:
-    """Return positions of a table; a short one is repeated, reversed in time, and none is made smaller."""
-
-    def make(samples: int, sample_time: float) -> FloatArray:
-        del sample_time
-        whole = values
-        while whole.size < samples:
-            whole = np.concatenate([whole, whole[::-1]])
-        return np.asarray(whole[:samples])
-
-    def words(unit: str, factor: float) -> str:
-        del factor
-        return f"the reference as given, {number(float(np.ptp(values)), 3)} {unit} of travel"
-
-    return Signal(make, words, fixed=True)
-
-
-def torque_sines(amplitude: float, lowest: float, highest: float) -> Signal:
-    """Sum equal torque sines between two frequencies, Hz, with a peak of `amplitude`."""
-
-    def words(unit: str, factor: float) -> str:
-        return (
-            f"a sum of {_LINES} sines of up to {number(factor * amplitude, 3)} {unit} on the torque, "
-            f"{number(lowest, 2)} to {number(highest, 2)} Hz"
-        )
-
-    return Signal(lambda n, T: excitation.multisine(n, T, amplitude, lowest, highest, lines=_LINES), words)
-
-
-def torque_lines(frequencies: Sequence[float], amplitudes: Sequence[float]) -> Signal:
-    """Sum torque sines of given frequencies, Hz, and amplitudes, with low peaks."""
-
-    def words(unit: str, factor: float) -> str:
-        pairs = zip(frequencies, amplitudes, strict=True)
-        each = ", ".join(f"{number(factor * size, 2)} {unit} at {number(f, 3)} Hz" for f, size in pairs)
-        return f"sines on the torque: {each}"
-
-    return Signal(lambda n, T: excitation.sines(n, T, frequencies, amplitudes), words)
-
-
-def torques(values: FloatArray) -> Signal:
-    """Return an added signal of a table, one value each sample; a short one is repeated."""
-
-    def words(unit: str, factor: float) -> str:
-        size = number(factor * float(np.max(np.abs(values))), 3)
-        return f"the signal as given on the torque, of up to {size} {unit}"
-
-    return Signal(lambda n, _: np.asarray(np.resize(values, n)), words)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """A test: a motion, and optionally a signal added to the torque."""
-
-    motion: Signal
-    added: Signal | None = None
-
-    def play(self, samples: int, sample_time: float) -> tuple[FloatArray, FloatArray | None]:
-        """Return reference and injected signal, (samples,) each."""
-        injected = None if self.added is None else self.added.play(samples, sample_time)
-        return self.motion.play(samples, sample_time), injected
-
-    def describe(self, position_unit: str, torque_unit: str) -> str:
-        """Return it in words."""
-        said = self.motion.describe(position_unit)
-        return said if self.added is None else f"{said}; {self.added.describe(torque_unit)}"
-
-    def scale(self, factor: float) -> Plan:
-        """Scale the added signal and the motion; a table of positions stays."""
-        if self.motion.fixed and self.added is None:
-            return self
-        return Plan(self.motion.scale(factor), None if self.added is None else self.added.scale(factor))
-
-
-@dataclass(frozen=True, slots=True)
-class Room:
-    """Ranges of a search: largest values, and frequencies in Hz.
-
-    Attributes:
-        stroke, speed, acceleration, torque: in the joint's units.
-        low: end of the stroke from which it is reckoned.
-        jerk: None where the drive limits none.
-        lowest, highest: frequencies of a sum of sines.
-        mode: about where the joint's resonance is; a rigid one's half of the highest.
-        lines: frequencies, Hz, of sines that would tell most of a joint without friction, and their amplitudes, the
-            largest 1; none where that is not known.
-    """
-
-    stroke: float
-    speed: float
-    acceleration: float
-    torque: float
-    jerk: float | None
-    low: float
-    lowest: float
-    highest: float
-    mode: float
-    lines: tuple[tuple[float, float], ...] = ()
+Signal: TypeAlias = Callable[[Numbers, "Family", int, float], FloatArray]
+"""Values, (samples,), from numbers between 0 and 1, a family with its ranges, a count of samples and their time."""
 
 
 def _log(low: float, high: float, share: float) -> float:
     return low * math.pow(high / low, share)
 
 
-_Numbers: TypeAlias = Sequence[float]
+def _trapezoids(u: Numbers, of: Family, samples: int, sample_time: float) -> FloatArray:
+    room, jerk = of.room.stated, of.room.jerk
+    speeds = tuple(_log(0.05, 1.0, one) * room["speed"] for one in u[:_SPEEDS])
+    acceleration = _log(0.05, 1.0, u[_SPEEDS]) * room["acceleration"]
+    travel, rest = _log(0.05, _INSIDE, u[_SPEEDS + 1]) * room["stroke"], _REST * u[_SPEEDS + 2]
+    smoothing = 0.0 if jerk is None else 2 * acceleration / jerk  # from full ahead to full back
+    lasts = samples * sample_time
+    played = excitation.trapezoids(speeds, acceleration, travel, sample_time, rest=rest, duration=lasts)[:samples]
+    # A way that would exceed the time is left out: the axis rests at the last reversal.
+    ends = np.flatnonzero(np.minimum(played, travel - played) <= acceleration * sample_time**2)
+    ends = ends[ends < samples - round(smoothing / sample_time)]
+    last = int(ends[-1]) if ends.size else 0
+    kept = np.append(played[: last + 1], np.full(samples - 1 - last, played[last]))
+    return room["lower"] + 0.5 * (room["stroke"] - travel) + excitation.smooth(kept, sample_time, smoothing)
 
 
-def _trapezoids(u: _Numbers, room: Room) -> Signal:
-    speeds = tuple(_log(0.05, 1.0, one) * room.speed for one in u[:_SPEEDS])
-    acceleration = _log(0.05, 1.0, u[_SPEEDS]) * room.acceleration
-    smoothing = 0.0 if room.jerk is None else 2 * acceleration / room.jerk  # from full ahead to full back
-    travel = _log(0.05, _INSIDE, u[_SPEEDS + 1]) * room.stroke
-    start = room.low + 0.5 * (room.stroke - travel)
-    return trapezoids(speeds, acceleration, travel, _REST * u[_SPEEDS + 2], smoothing, start)
+def _sines(u: Numbers, of: Family, samples: int, sample_time: float) -> FloatArray:
+    """Sum position sines with equal accelerations."""
+    stroke, least = of.room.stated["stroke"], of.room.lowest
+    lowest = _log(least, max(0.3 * of.highest, least), u[1])
+    highest = min(max(_log(least, of.highest, u[2]), 1.05 * lowest), of.highest)
+    amplitude = 0.5 * _log(0.02, _INSIDE, u[0]) * stroke
+    wave = excitation.multisine(samples, sample_time, amplitude, lowest, highest, lines=_LINES, tilt=2.0)
+    return of.room.stated["lower"] + 0.5 * stroke + wave
 
 
-def _sines(u: _Numbers, room: Room) -> Signal:
-    lowest = _log(room.lowest, max(0.3 * room.highest, room.lowest), u[1])
-    highest = min(max(_log(room.lowest, room.highest, u[2]), 1.05 * lowest), room.highest)
-    return sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest, room.low + 0.5 * room.stroke)
+def _torque_sines(u: Numbers, of: Family, samples: int, sample_time: float) -> FloatArray:
+    least = max(of.room.lowest, 0.05 * of.mode)
+    lowest = _log(least, max(0.9 * of.highest, least), u[1])
+    highest = min(lowest * _log(1.02, 10.0, u[2]), of.highest)
+    amplitude = _log(0.02, 1.0, u[0]) * of.room.stated["torque"]
+    return excitation.multisine(samples, sample_time, amplitude, lowest, highest, lines=_LINES)
 
 
-def _torque_sines(u: _Numbers, room: Room) -> Signal:
-    least = max(room.lowest, 0.05 * room.mode)
-    lowest = _log(least, max(0.9 * room.highest, least), u[1])
-    return torque_sines(_log(0.02, 1.0, u[0]) * room.torque, lowest, min(lowest * _log(1.02, 10.0, u[2]), room.highest))
-
-
-def _torque_lines(u: _Numbers, room: Room) -> Signal:
-    size, tilt = _log(0.02, 0.7, u[0]) * room.torque, 2.0 * u[1]
-    frequencies, shares = zip(*room.lines, strict=True)
+def _torque_lines(u: Numbers, of: Family, samples: int, sample_time: float) -> FloatArray:
+    size, tilt = _log(0.02, 0.7, u[0]) * of.room.stated["torque"], 2.0 * u[1]
+    frequencies, shares = zip(*of.lines, strict=True)
     # Friction wants more at low frequencies than a joint without it, or less: the shares may be levelled.
-    return torque_lines(frequencies, [size * share**tilt for share in shares])
+    return excitation.sines(samples, sample_time, frequencies, [size * share**tilt for share in shares])
 
 
-_MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Signal]]] = {
-    "trapezoids": (_SPEEDS + 3, _trapezoids), "sines": (3, _sines),
-}  # fmt: skip
-_ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Signal] | None]] = {
+_MOTIONS: Mapping[str, tuple[int, Signal]] = {"trapezoids": (_SPEEDS + 3, _trapezoids), "sines": (3, _sines)}
+_ADDED: Mapping[str, tuple[int, Signal | None]] = {
     "nothing": (0, None), "sines": (3, _torque_sines), "lines": (2, _torque_lines),
 }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """One kind of motion, "trapezoids" or "sines", with one added signal, "nothing", "sines" or "lines"."""
+    """Tests of a joint.
+
+    Attributes:
+        motion: "trapezoids" or "sines".
+        added: to the torque: "nothing", "sines" or "lines".
+        room: their ranges, all stated, the stroke from `lower` on; None only of a jerk that is not limited.
+        highest: frequency of sines, Hz.
+        mode: about where the joint's resonance is, Hz; of a rigid one half of the highest.
+        lines: frequencies, Hz, of sines that would tell most of a joint without friction, and their amplitudes, the
+            largest 1; none where that is not known.
+    """
 
     motion: str
     added: str
+    room: AxisLimits
+    highest: float
+    mode: float
+    lines: tuple[tuple[float, float], ...] = ()
 
     @property
     def size(self) -> int:
         """How many numbers say one of its tests."""
         return _MOTIONS[self.motion][0] + _ADDED[self.added][0]
 
-    def plan(self, u: Sequence[float], room: Room) -> Plan:
-        """Return the test for numbers between 0 and 1, (size,)."""
+    def play(self, numbers: Numbers, time: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the reference and, unless nothing is added, what is, (samples,) each."""
+        at = self, time.size, float(time[1] - time[0])
         count, motion = _MOTIONS[self.motion]
-        make = _ADDED[self.added][1]
-        return Plan(motion(u[:count], room), None if make is None else make(u[count:], room))
+        added = _ADDED[self.added][1]
+        return motion(numbers[:count], *at), *(() if added is None else (added(numbers[count:], *at),))
 
 
-def families_in(room: Room, *, injection: bool = True) -> tuple[Family, ...]:
+def families_in(
+    room: AxisLimits, highest: float, mode: float, lines: tuple[tuple[float, float], ...], *, injection: bool = True
+) -> tuple[Family, ...]:
     """Return the families that a search tries; without `injection` those that add nothing to the torque."""
-    possible = [one for one in _ADDED if injection or one == "nothing"]
-    return tuple(Family(motion, one) for motion in _MOTIONS for one in possible if one != "lines" or room.lines)
+    possible = [one for one in _ADDED if (injection or one == "nothing") and (one != "lines" or lines)]
+    return tuple(Family(motion, one, room, highest, mode, lines) for motion in _MOTIONS for one in possible)
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Tests of a robot: the Fourier series of its n joints.
+
+    Attributes:
+        limits: of each joint; positions and speed must be given.
+        period: T of the module, s.
+        harmonics: of it.
+        share: of speed and acceleration that they may use; below 1 something is added, which has a margin of its own.
+    """
+
+    limits: tuple[AxisLimits, ...]
+    period: float
+    harmonics: int
+    share: float = 1.0
+
+    @property
+    def size(self) -> int:
+        """Number of search variables: coefficients, share and position of each joint."""
+        return len(self.limits) * (2 * self.harmonics)
+
+    def _bases(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Basis of position, velocity and acceleration, (instants, 2 harmonics - 2)."""
+        h = np.arange(1, self.harmonics + 1, dtype=np.float64)
+        w = 2.0 * math.pi / self.period * h
+        sines, cosines = np.sin(np.outer(time, w)), np.cos(np.outer(time, w))
+        # Amplitudes that fall with the frequency: the same speed of all harmonics.
+        null_spaces = (np.linalg.svd(row[np.newaxis])[2][1:].T for row in (np.ones(h.size), h))
+        a, b = (space / h[:, np.newaxis] for space in null_spaces)
+        return (
+            np.hstack([sines @ a, cosines @ b]),
+            np.hstack([cosines * w @ a, -sines * w @ b]),
+            np.hstack([-sines * w**2 @ a, -cosines * w**2 @ b]),
+        )
+
+    def play(self, numbers: Numbers, time: FloatArray) -> tuple[FloatArray, ...]:
+        """Return positions, velocities and accelerations of all joints, (instants, n) each.
+
+        Args:
+            numbers: (size,) of the motion, between 0 and 1.
+            time: (instants,) s.
+        """
+        count = _POINTS * self.harmonics
+        seen, whole = self._bases(time), self._bases(np.linspace(0.0, self.period, count, endpoint=False))
+        found = [np.empty((len(time), len(self.limits))) for _ in range(3)]
+        rows = np.array(numbers).reshape(len(self.limits), -1)
+        for k, (limit, row) in enumerate(zip(self.limits, rows, strict=True)):
+            weights, (share, place) = 2.0 * row[:-2] - 1.0, row[-2:]
+            q, v, a = (basis @ weights for basis in whole)
+            assert limit.lower is not None and limit.upper is not None
+            margin = (_MARGIN if self.share == 1.0 else 2.0 * _MARGIN) * (limit.upper - limit.lower)
+            room = limit.upper - limit.lower - 2.0 * margin
+            jerk = np.diff(a) * count / self.period
+            sizes = ((limit.speed, v), (limit.acceleration, a), (limit.jerk, jerk))
+            scales = [self.share * _SHARE * most / np.max(np.abs(one)) for most, one in sizes if most is not None]
+            strokes = (room, math.inf if limit.stroke is None else limit.stroke - 2.0 * margin)
+            scale = min(*scales, min(strokes) / np.ptp(q)) * (_LEAST + (1.0 - _LEAST) * share)
+            spare = room - scale * np.ptp(q)
+            centre = limit.lower + margin + spare * place - scale * q.min()
+            for out, basis, shift in zip(found, seen, (centre, 0.0, 0.0), strict=True):
+                out[:, k] = shift + scale * (basis @ weights)
+        return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A test of a family with these numbers, made smaller about its first position."""
+
+    family: Family | Series
+    numbers: tuple[float, ...]
+    factor: float = 1.0
+
+    def scale(self, factor: float) -> Plan:
+        """Return the test with smaller signals."""
+        return replace(self, factor=factor * self.factor)
+
+    def play(self, time: FloatArray) -> tuple[FloatArray, ...]:
+        """Return its signals at instants from 0 on, the positions first; see the families."""
+        position, *others = self.family.play(self.numbers, time)
+        return position[0] + self.factor * (position - position[0]), *(self.factor * one for one in others)

@@ -37,8 +37,7 @@ _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
 _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode
 _DIRECTIONS = 300  # random ones
 
-NAMES = ("gain", "reduction", "phase", "delay", "modulus")
-"""The margins in the order of the arrays."""
+NAMES = ("gain", "reduction", "phase", "delay", "modulus")  # of the margins, in the order of the arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,35 +128,16 @@ def all_margins(response: ComplexArray, hertz: FloatArray) -> FloatArray:
         hertz: (frequencies,) rising, the last at Nyquist, where a response is real.
     """
     before, after = response[:, :-1], response[:, 1:]
-    gain, reduction = _compute_gain_margins(before, after, response[:, -1].real)
-    phase, delay = _compute_phase_margins(before, after, hertz)
-    step = after - before
-    size = np.maximum(_square(step), 1e-300)
-    along = np.clip(-((before + 1) * step.conj()).real / size, 0.0, 1.0)
-    modulus = np.sqrt(np.min(_square(before + along * step + 1), axis=1))
-    return np.column_stack([gain, reduction, phase, delay, modulus])
-
-
-def _compute_gain_margins(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Factors by which gains may grow and fall until the response reaches -1."""
-    grow, fall = (np.full(len(before), np.inf) for _ in range(2))
+    grow, fall, turn, late = (np.full(len(response), np.inf) for _ in range(4))
+    # Where the imaginary part changes its sign the response crosses the real axis, and at Nyquist it is on it.
     loop, at = np.nonzero(np.signbit(before.imag) != np.signbit(after.imag))
     first, then = before[loop, at], after[loop, at]
     size = -(first.real + first.imag / (first.imag - then.imag) * (then.real - first.real))
-    loop, size = np.concatenate([loop, np.arange(len(before))]), np.concatenate([size, -last])
+    loop, size = np.concatenate([loop, np.arange(len(before))]), np.concatenate([size, -response[:, -1].real])
     inside, outside = (size > 0) & (size < 1), size >= 1
     np.minimum.at(grow, loop[inside], 1 / size[inside])
     np.minimum.at(fall, loop[outside], size[outside])
-    return grow, fall
-
-
-def _compute_phase_margins(
-    before: ComplexArray, after: ComplexArray, hertz: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Phase margins and admissible additional delays."""
-    turn, late = (np.full(len(before), np.inf) for _ in range(2))
-    inside = _square(before) < 1.0, _square(after) < 1.0
-    loop, at = np.nonzero(inside[0] != inside[1])
+    loop, at = np.nonzero((_square(before) < 1.0) != (_square(after) < 1.0))
     first, then = before[loop, at], after[loop, at]
     sizes = np.log(np.abs(first)), np.log(np.abs(then))
     share = sizes[0] / (sizes[0] - sizes[1])
@@ -165,7 +145,10 @@ def _compute_phase_margins(
     rate = 2 * math.pi * (hertz[at] + share * (hertz[at + 1] - hertz[at]))
     np.minimum.at(turn, loop, np.abs(lead))
     np.minimum.at(late, loop, np.mod(lead, 2 * math.pi) / rate)
-    return turn, late
+    step = after - before
+    along = np.clip(-((before + 1) * step.conj()).real / np.maximum(_square(step), 1e-300), 0.0, 1.0)
+    modulus = np.sqrt(np.min(_square(before + along * step + 1), axis=1))
+    return np.column_stack([grow, fall, turn, late, modulus])
 
 
 def _square(response: ComplexArray) -> FloatArray:
@@ -223,7 +206,7 @@ class Interval:
     loops designed from the same record.
 
     Attributes:
-        nominal: the parameters of the estimate, by name.
+        joint, nominal: of the estimate, and its parameters by name.
         names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
         description: what it is, in a sentence.
     """
@@ -242,29 +225,22 @@ class Interval:
         return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
 
     def sample(self, seed: int, law: SampledLaw) -> JointSet:
-        """Sample the joints for a law: the estimate first, then those at `points`."""
-        return joint_set(self.joint, self.at(self.points(seed)), law)
-
-    def points(self, seed: int) -> FloatArray:
-        """Centre, both ends of every axis and random surface points, (points, names)."""
+        """Sample for a law the estimate, then the joints at the ends of every axis and random ones of the surface."""
         count = len(self.names)
-        if not count:
-            return np.zeros((1, 0))
-        drawn = np.random.default_rng(seed).standard_normal((_DIRECTIONS, count))
+        drawn = np.random.default_rng(seed).standard_normal((_DIRECTIONS if count else 0, count))
         drawn /= np.linalg.norm(drawn, axis=1)[:, np.newaxis]
-        return np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count), drawn])
+        points = np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count), drawn])
+        return joint_set(self.joint, self.at(points), law)
 
 
 def possible_joints(estimate: Estimate, confidence: float) -> Interval:
-    """Determine the joints that an estimate allows.
-
-    Args:
-        estimate: with deviations and correlations.
-        confidence: of all its parameters together.
+    """Determine the joints that an estimate allows, with a confidence of all its parameters together.
 
     Raises:
         MethodError: the estimate has no deviations or no correlations.
     """
+    from scipy.special import gammaincinv
+
     joint, values = estimate.settings.joint, estimate.require_values()
     free = [p.name for p in estimate.params.rows if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
@@ -276,23 +252,13 @@ def possible_joints(estimate: Estimate, confidence: float) -> Interval:
             f"of {estimate.data.record} has none; identify by least squares."
         )
     std = np.array([p.stderr for p in chosen], dtype=np.float64)
-    radius = ellipsoid_radius(len(chosen), confidence)
+    radius = math.sqrt(2.0 * float(gammaincinv(len(chosen) / 2.0, confidence))) if chosen else 0.0
     size, axes = np.linalg.eigh(estimate.params.correlation[np.ix_(at, at)])
     factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
     lower = [
         max(moving[p.name].lower, 0.0) if moving[p.name].quantity is Quantity.VISCOUS else _LEAST * values[p.name]
         for p in chosen
     ]
-    symbols = ", ".join(p.symbol for p in chosen)
-    description = (
-        f"the {100 * confidence:g} % confidence ellipsoid of {symbols} together: {number(radius, 3)} standard "
-        "deviations in every direction"
-    )
+    symbols, deviations = ", ".join(p.symbol for p in chosen), f"{number(radius, 3)} standard deviations"
+    description = f"the {100 * confidence:g} % confidence ellipsoid of {symbols} together: {deviations} every way"
     return Interval(joint, values, tuple(p.name for p in chosen), factor, np.array(lower), description)
-
-
-def ellipsoid_radius(parameters: int, confidence: float) -> float:
-    """Return the radius of a confidence ellipsoid in standard deviations."""
-    from scipy.special import gammaincinv
-
-    return math.sqrt(2.0 * float(gammaincinv(parameters / 2.0, confidence))) if parameters else 0.0

@@ -22,8 +22,9 @@ joint, valid below about a fifth of the first resonance.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,14 +32,13 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT, Quantity, unit_of
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
+from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw, unit_of_number
+from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw, numbers_of, unit_of_number
 from jointid.models.friction import PARTS
 from jointid.tuning.margins import JointSet, crossover
 
-DAMPINGS = (0.7, 0.6, 0.5, 0.85, 1.0)
-"""Damping ratios that are tried."""
-
+_DAMPINGS = (0.7, 0.6, 0.5, 0.85, 1.0)  # ratios that are tried
 _RATES = np.geomspace(64.0, 1 / 64.0, 37)  # times the present rate, from the fastest
 _HALVINGS = 5  # of the last step
 _WIDTHS, _DEPTHS = (0.3, 0.6, 1.2), (0.05, 0.2, 0.5)  # of a notch: bandwidth by frequency; what is left
@@ -53,8 +53,7 @@ _ROWS: tuple[tuple[str, str, Quantity, int], ...] = (
     ("constant", "constant_feedforward", Quantity.FORCE, 1),
 )
 
-TunableController: TypeAlias = Cascade | PD
-"""The laws that gains are proposed for; a PID is a PD, too."""
+TunableController: TypeAlias = Cascade | PD  # a PID is a PD, too
 
 
 @add_settings_to_docstring
@@ -77,9 +76,9 @@ class Tuning:
         """Required margins, in the order of `margins.NAMES`; none of the delay."""
         return np.array([self.gain_margin, self.gain_margin, math.radians(self.phase_margin), 0.0, self.modulus])
 
-    def is_met(self, margins: FloatArray, by: float = 1.0) -> bool:
-        """Test all margins, (joints, 5), against the required ones times a factor."""
-        return bool(np.all(margins >= by * self.asked) and np.all(margins[:, -1] > 0))
+    def is_met(self, margins: FloatArray) -> bool:
+        """Test all margins, (joints, 5), against the required ones."""
+        return bool(np.all(margins >= self.asked) and np.all(margins[:, -1] > 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,19 +134,19 @@ class StiffestLoop:
 
     def find(self, controller: TunableController, mode: float | None) -> Layout | None:
         """Find the stiffest loop, with a notch at a mode, in Hz, if it helps."""
-        best = self._improve(None, controller, None)
+        best = self._find_stiffest([(controller, None)])
         if mode is None or mode * (controller.period or self.sample_time) >= _HIGHEST:
             return best
-        found: Layout | None = None
-        for notch in (Notch(mode, width * mode, depth) for width in _WIDTHS for depth in _DEPTHS):
-            found = self._improve(found, replace(controller, torque_filters=(*controller.torque_filters, notch)), notch)
+        notches = [Notch(mode, width * mode, depth) for width in _WIDTHS for depth in _DEPTHS]
+        filters = controller.torque_filters
+        found = self._find_stiffest([(replace(controller, torque_filters=(*filters, one)), one) for one in notches])
         helps = found is not None and (best is None or found.stiffness >= _WORTH * best.stiffness)
         return found if helps else best
 
-    def _improve(self, best: Layout | None, controller: TunableController, notch: Notch | None) -> Layout | None:
-        for damping in DAMPINGS:
-            rate = self._find_fastest(controller, damping, best)
-            if rate is not None:
+    def _find_stiffest(self, choices: Iterable[tuple[TunableController, Notch | None]]) -> Layout | None:
+        best: Layout | None = None
+        for (controller, notch), damping in product(choices, _DAMPINGS):
+            if (rate := self._find_fastest(controller, damping, best)) is not None:
                 best = Layout(with_gains(controller, self.inertia, rate, damping), rate, damping, notch)
         return best
 
@@ -177,79 +176,81 @@ class StiffestLoop:
         return self.settings.is_met(self.joints.first.margins(law))
 
     def _keeps(self, law: SampledLaw) -> bool:
-        if not self._first_keeps(law):  # what the estimate itself does not bear is most of what is tried
+        # What the estimate itself does not bear is most of what is tried.
+        if not self._first_keeps(law):
             return False
-        if self.band is not None and crossover(self.joints.response(law), self.joints.hertz) > self.band:
-            return False
-        return self.settings.is_met(self.joints.margins(law))
+        within = self.band is None or crossover(self.joints.response(law), self.joints.hertz) <= self.band
+        return within and self.settings.is_met(self.joints.margins(law))
 
 
 @dataclass(frozen=True, slots=True)
-class FeedForward:
-    """One feed-forward.
+class Gain:
+    """A gain or a feed-forward of the controller.
 
     Attributes:
-        key: its name in a joint file's [controller]. formula: the sum of parameters that gives it, in symbols.
-        value, std: in SI, on the joint's side; unit: of these. std is None where nothing of it was free.
-        before, after, after_std: in the unit `shown_in`, as the drive shows it.
+        key: its name in a joint file's [controller]. formula: that gave it.
+        before, after, unit: in the law's units.
+        std: standard deviation of a feed-forward, in that unit; None where nothing of it was free, and of a gain.
     """
 
     key: str
     formula: str
-    value: float
-    std: float | None
-    unit: str
     before: float
     after: float
-    after_std: float | None
-    shown_in: str
+    unit: str
+    std: float | None = None
 
 
 def lumped_parameters(estimate: Estimate) -> dict[str, tuple[str, float, float | None]]:
     """Return total inertia, viscous and Coulomb friction and constant force: formula, value and deviation.
 
-    Direction-dependent friction is averaged; half the difference of the Coulomb forces belongs to the constant.
+    Direction-dependent friction is averaged; half the difference of the Coulomb forces belongs to the constant. The
+    deviation is None where nothing was free.
     """
     sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
-    law = estimate.settings.joint.friction
+    law, found = estimate.settings.joint.friction, {}
     wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}}
     wanted |= {part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS}
     wanted["constant"] = {n: w for side in sides for n, w in law.constant(side).items()}
     names = {p.name for p in estimate.params.rows}
     wanted["constant"] |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
-    return {name: _add_up(estimate, weights) for name, weights in wanted.items()}
+    for name, weights in wanted.items():
+        kept = {n: w for n, w in weights.items() if estimate[n].free or estimate.values.get(n)} or weights
+        terms = [f"{'' if w == 1.0 else f'{w:g} '}{estimate[n].symbol}" for n, w in kept.items()]
+        spread = {n: weight * std for n, weight in weights.items() if (std := estimate[n].stderr)}
+        sizes, known = np.array(list(spread.values())), list(spread)
+        square = float(sizes @ estimate.params.correlation_of(known) @ sizes) if spread else 0.0
+        deviation = math.sqrt(max(square, 0.0)) if spread else None
+        value = sum(weight * estimate.values[n] for n, weight in weights.items())
+        found[name] = (" + ".join(terms).replace("+ -", "- ") or "0", value, deviation)
+    return found
 
 
-def _add_up(estimate: Estimate, weights: Mapping[str, float]) -> tuple[str, float, float | None]:
-    """Return a weighted sum of parameters: in symbols, its value, and its deviation; None where nothing was free."""
-    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
-    factors = {1.0: "", -1.0: "- ", 0.5: "0.5 ", -0.5: "- 0.5 "}
-    terms = [f"{factors.get(w, f'{w:g} ')}{estimate[name].symbol}" for name, w in kept.items()]
-    formula = " + ".join(terms).replace("+ -", "-") or "0"
-    value = sum(weight * estimate.values[name] for name, weight in weights.items())
-    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
-    if not spread:
-        return formula, value, None
-    sizes, correlation = np.array(list(spread.values())), estimate.params.correlation_of(list(spread))
-    return formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0))
-
-
-def feedforward(estimate: Estimate, controller: Any) -> tuple[FeedForward, ...]:
-    """Compute the feed-forwards of an estimate.
-
-    Args:
-        estimate: of the joint.
-        controller: a `ServoController` with the intended units, on the joint's side.
-    """
+def list_feedforward(estimate: Estimate, controller: Any) -> tuple[Gain, ...]:
+    """Compute the feed-forwards of an estimate for a controller."""
     found, kind, torque = [], estimate.settings.joint.kind, estimate.data.torque_unit
     whole = lumped_parameters(estimate)
     for name, key, quantity, power in _ROWS:
         formula, value, std = whole[name]
         ratio = controller.ratio if name == "constant" else abs(controller.ratio)
-        per = 1.0 / (controller.gain * ratio**power)
-        unit = unit_of_number(controller, key, POSITION_UNIT[kind], torque)
-        before, spread = float(getattr(controller, key, 0.0)), None if std is None else abs(per) * std
-        found.append(
-            FeedForward(key, formula, value, std, unit_of(quantity, kind, torque), before, per * value, spread, unit)
-        )
+        per, unit = 1.0 / (controller.gain * ratio**power), unit_of_number(controller, key, POSITION_UNIT[kind], torque)
+        before = float(getattr(controller, key, 0.0))
+        stated = f"{formula} = {number(value)} {unit_of(quantity, kind, torque)}"
+        found.append(Gain(key, stated, before, per * value, unit, None if std is None else abs(per) * std))
     return tuple(found)
+
+
+def list_gains(estimate: Estimate, before: Any, layout: Layout) -> tuple[Gain, ...]:
+    """Return the gains of a designed loop beside those there are."""
+    after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
+    velocity, slow = ("velocity_gain", "w") if isinstance(after, Cascade) else ("derivative_gain", "kd w")
+    rows = {"position_gain": f"{slow} / (4 d^2), d = {layout.damping:g}"}
+    rows[velocity] = f"w J / (g r^2), w = {number(layout.rate, 4)}/s"
+    if isinstance(after, PID) or (isinstance(after, Cascade) and after.integral_gain):
+        rows["integral_gain"] = "as before, in units of w"
+    old, new = numbers_of(before), numbers_of(after)
+    gains = []
+    for key, formula in rows.items():
+        unit = unit_of_number(before, key, position, estimate.data.torque_unit)
+        gains.append(Gain(key, formula, old[key], new[key], unit))
+    return tuple(gains)
