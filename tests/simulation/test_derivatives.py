@@ -99,12 +99,13 @@ def test_of_random_plants(make: Callable[[int], Case], seed: int) -> None:
 def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By every number of the joint, of its beginning and of its controller; of the positions, too.
 
-    Where friction grows with a torque it bends where that goes through nothing, which is no event of the run. What a
-    step makes of a bend depends on where in the step it lies: differences of runs need finer steps than derivatives.
+    Where friction grows with a torque it bends where that goes through nothing, which is no event of the run; the steps
+    behind an event depend on when it is. Differences of such runs need finer steps than the derivatives, which are
+    within 0.5 % of those in fine steps.
     """
     case = make(1)
     loop, values = with_law(case, law)
-    if "load-dependent" in law:
+    if "load-dependent" in law or law == "stribeck":
         monkeypatch.setattr(engine, "REACH", 0.1 * engine.REACH)
     experiment = prepare(loop, case.clean)
     speed = 0.2 * float(np.ptp(simulate(case.loop, experiment, case.truth).motor_velocity))
