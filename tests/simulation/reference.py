@@ -241,7 +241,7 @@ def of_joint(
     at, plant = initial or Initial(), plant_of(loop.joint, values)
     position = float(experiment.inputs[0, 0]) if at.position is None else at.position
     velocity = at.velocity or 0.0
-    sliding = wound_up(experiment, velocity) if at.wound_up is None else at.wound_up
+    sliding = wound_up(experiment, velocity)
     state, first = first_state(experiment, position, velocity, at.torque)
     start = start_state(loop, values, position, velocity, sliding)
     side = 2 * np.minimum(np.arange(len(plant.masses)), 1)

@@ -109,7 +109,7 @@ def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest
         monkeypatch.setattr(engine, "REACH", 0.1 * engine.REACH)
     experiment = prepare(loop, case.clean)
     speed = 0.2 * float(np.ptp(simulate(case.loop, experiment, case.truth).motor_velocity))
-    begin = Initial(position=float(experiment.inputs[0, 0]), velocity=speed, wound_up=1.0)
+    begin = Initial(position=float(experiment.inputs[0, 0]), velocity=speed)
     of_law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
     names = (*(p.name for p in loop.joint.parameters), *of_law)
     check(loop, case.clean, values, names, begin, 1e-2 if law in PIECES else 5e-3, (3e-6, 3e-7))

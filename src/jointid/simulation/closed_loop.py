@@ -43,27 +43,15 @@ OUTCOMES = tuple(Outcome)
 _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
 
 
-class Simulated(Protocol):
-    """One candidate's run along a record."""
+class _Ended(Protocol):
+    @property
+    def outcome(self) -> Outcome: ...
 
     @property
-    def torque(self) -> FloatArray:
-        """Torque as logged, (samples,), or (samples, n) for a robot; held after a failure."""
-
-    @property
-    def outcome(self) -> Outcome:
-        """How the run ended."""
-
-    @property
-    def finished(self) -> float:
-        """Simulated share of the record."""
-
-    @property
-    def events(self) -> int:
-        """Number of located reversals, stops and starts."""
+    def finished(self) -> float: ...
 
 
-Run = TypeVar("Run", bound=Simulated)
+Run = TypeVar("Run", bound=_Ended)
 
 
 def require_success(run: Run, of_what: str = "The simulation") -> Run:
@@ -84,14 +72,12 @@ def require_success(run: Run, of_what: str = "The simulation") -> Run:
 class Initial:
     """Motor position and velocity at the first sample; None: on the reference, at rest.
 
-    `torque` is the output of an integral there; None: its content is 0. `wound_up`, 1 or -1, is the direction of
-    presliding friction; None: that of the velocity.
+    `torque` is the output of an integral there; None: its content is 0.
     """
 
     position: float | None = None
     velocity: float | None = None
     torque: float | None = None
-    wound_up: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,11 +120,6 @@ class Simulation(Response):
     load_velocity: FloatArray | None
     motor: Motion
     load: Motion | None
-
-    @property
-    def time(self) -> FloatArray:
-        """Instants of the samples, shape (samples,)."""
-        return np.asarray(np.arange(self.torque.size) * self.sample_time, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,7 +237,7 @@ def run(
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
-        sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
+        sliding = wound_up(experiment, velocity)
         start = start_state(loop, values, position, velocity, sliding)
         sampled, far = experiment.sampled, experiment.far + abs(position)
         if plant is None:
