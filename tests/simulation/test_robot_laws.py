@@ -49,7 +49,7 @@ SPRUNG = [FlexibleJoint("revolute", spring=law()) for law in SPRINGS.values() if
 JOINTS = pytest.mark.parametrize(
     "joint",
     [*RIGID, *FLEXIBLE, *SPRUNG[1:]],
-    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.spring_name}",
+    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.laws[-1].name}",
 )
 
 

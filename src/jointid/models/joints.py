@@ -84,11 +84,6 @@ class _JointBase:
         return (self.friction,)
 
     @property
-    def spring_name(self) -> str | None:
-        """Name of the spring's law; None where it has none."""
-        return None
-
-    @property
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return any(law.stepped for law in self.laws) or self.ripple is not None
@@ -105,18 +100,20 @@ class _JointBase:
             there = "" if side is None else f" on the {side}'s side"
             raise MethodError(f"{taker} a joint without a ripple{there}; received one that has it: {instead}.")
 
-    def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
+    def require_linear(self, taker: str, instead: str = _BY_DIDIM, *, spring_alone: bool = False) -> None:
         """Raise a `MethodError` if a law is not linear.
 
         Args:
             taker: who takes it for that, as "Tuning takes".
             instead: what to do where the law is to stay.
+            spring_alone: whether friction may be any.
         """
-        if not self.friction.linear:
-            raise MethodError(
-                f'{taker} friction for one line in each direction; received the law "{self.friction.name}": use '
-                f'friction = "{self.friction.lines.name}", or {instead}.'
-            )
+        for law in self.laws[int(spring_alone) :]:
+            if not law.linear:
+                raise MethodError(
+                    f'{taker} straight lines for laws of friction and spring; received "{law.name}": use '
+                    f'"{law.lines.name}", or {instead}.'
+                )
 
     @property
     def force_unit(self) -> str:
@@ -252,11 +249,6 @@ class FlexibleJoint(_JointBase):
         return self.friction, self.spring
 
     @property
-    def spring_name(self) -> str:
-        """Name of the spring's law."""
-        return self.spring.name
-
-    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity, ripple."""
         return (
@@ -277,21 +269,7 @@ class FlexibleJoint(_JointBase):
     @property
     def linear(self) -> FlexibleJoint:
         """The joint with a linear spring, the lines of its friction alone, and without a ripple."""
-        spring = self.spring if self.spring.linear else LinearSpring()
-        return replace(self, spring=spring, friction=self.friction.lines, ripple=None)
-
-    def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
-        """Raise a `MethodError` if the friction or the spring is not linear; see `RigidJoint`."""
-        _JointBase.require_linear(self, taker, instead)
-        self.require_linear_spring(taker, instead)
-
-    def require_linear_spring(self, taker: str, instead: str = _BY_DIDIM) -> None:
-        """Raise a `MethodError` if the spring is not linear; see `require_linear`."""
-        if not self.spring.linear:
-            raise MethodError(
-                f'{taker} the spring for linear; received one that is "{self.spring.name}": use spring = "linear", or '
-                f"{instead}."
-            )
+        return replace(self, spring=self.spring.lines, friction=self.friction.lines, ripple=None)
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
         """Return the columns of both rows of (2), in the order of `parameters`, shape (2, samples, parameters).

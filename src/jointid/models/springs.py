@@ -73,6 +73,11 @@ class Spring:
         return not self.own
 
     @property
+    def lines(self) -> Spring:
+        """The linear spring that this one is, or is another than."""
+        return self if self.linear else LinearSpring()
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness first, damping last."""
         first = Parameter("stiffness", self.symbol, Quantity.STIFFNESS, lower=0.0)

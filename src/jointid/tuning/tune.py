@@ -51,7 +51,7 @@ def tune(
             "jointid design --goal stiffness plans a test that does; or identify the joint as rigid."
         )
     if isinstance(joint, FlexibleJoint):
-        joint.require_linear_spring("Tuning takes")
+        joint.require_linear("Tuning takes", spring_alone=True)
     controller = None if estimate.settings.loop is None else estimate.settings.loop.controller
     if not isinstance(controller, ServoController):
         raise MethodError(

@@ -49,8 +49,8 @@ def noisy(loop: RobotLoop, records: tuple[Record, ...], share: float = 0.02) -> 
 
 
 def slow(joint: Joint) -> object:
-    name = f"{joint.model} {joint.friction.name} {joint.spring_name}"
-    quick = ("rigid presliding None",)
+    name = f"{joint.model} {joint.friction.name} {joint.laws[-1].name}"
+    quick = ("rigid presliding presliding",)
     return pytest.param(joint, id=name, marks=() if name in quick else pytest.mark.slow)
 
 

@@ -41,7 +41,7 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
         MethodError: a value is refused, no joint can have it, the spring is not linear, or a time is out of range.
     """
     if isinstance(model.joint, FlexibleJoint):
-        model.joint.require_linear_spring("A state space takes")
+        model.joint.require_linear("A state space takes", spring_alone=True)
     masses, values, (_, _, _, rate) = model.masses.values(), model.values, model.weight
     A, b = drive_matrices(
         [mass.inertia for mass in masses], [mass.viscous for mass in masses], values.get("stiffness", 0.0),
