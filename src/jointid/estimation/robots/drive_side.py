@@ -309,8 +309,7 @@ def identify_flexible_drive_side(
         MethodError: as of `search_robot`, or one of several logs begins in motion.
     """
     instead = 'identify the robot by "didim"'
-    robot.require_linear_friction("The drive side of a robot takes", instead)
-    robot.require_linear_springs("The drive side of a robot takes", instead)
+    robot.require_linear("The drive side of a robot takes", instead, springs=True)
     stiff, known = robot.rigid, known or {}
     parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
     logs = each_log(records)

@@ -93,7 +93,7 @@ class SimulatedRobot(IdentifiedRobot):
     def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters)."""
         robot, numbers = self.model, self.numbers()
-        robot.require_linear_friction("A regressor takes", "simulate the robot")
+        robot.require_linear("A regressor takes", "simulate the robot")
         motor = v @ robot.coupling.T
         links, found = inverse_columns(robot, q, v, a), np.zeros((*v.shape, len(self.values)))
         behind = np.linalg.inv(robot.coupling)  # what acts on a link, on the motors

@@ -81,7 +81,7 @@ def friction_terms(robot: Robot) -> tuple[FrictionTerm, ...]:
     Raises:
         MethodError: a law is not linear in its parameters.
     """
-    robot.require_linear_friction("IDIM of a robot takes", 'identify the robot by "didim"')
+    robot.require_linear("IDIM of a robot takes", 'identify the robot by "didim"')
     found = []
     for k, joint in enumerate(robot.joints):
         viscous = (Friction.FORWARDS, Friction.BACKWARDS) if joint.asymmetric else (Friction.VISCOUS,)

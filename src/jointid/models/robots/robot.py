@@ -377,29 +377,22 @@ class Robot:
         """The robot whose springs do not give."""
         return replace(self, joints=tuple(joint.rigid for joint in self.joints))
 
-    def require_linear_friction(self, taker: str, instead: str) -> None:
+    def require_linear(self, taker: str, instead: str, *, springs: bool = False) -> None:
         """Raise a `MethodError` if a friction is not linear in its parameters on a known motion.
 
         One that rises towards standstill is, below a speed that is known.
 
         Args:
-            taker: who takes no other friction, as "IDIM of a robot takes".
+            taker: who takes no other, as "IDIM of a robot takes".
             instead: what else may be done.
+            springs: whether springs are to be linear, too.
         """
         for joint in self.joints:
-            if joint.law.stepped:
+            sprung = [joint.spring.law] if springs and joint.spring is not None else []
+            for law in (*([joint.law] if joint.law.stepped else []), *(one for one in sprung if not one.linear)):
                 raise MethodError(
-                    f"{taker} friction that is linear in its parameters on the measured motion; received the law "
-                    f'"{joint.law.name}" of {joint.name}: declare another friction, or {instead}.'
-                )
-
-    def require_linear_springs(self, taker: str, instead: str) -> None:
-        """Raise a `MethodError` if a spring is not linear; see `require_linear_friction`."""
-        for joint in self.joints:
-            if joint.spring is not None and not joint.spring.law.linear:
-                raise MethodError(
-                    f'{taker} linear springs; received the law "{joint.spring.law.name}" of {joint.name}: declare a '
-                    f"linear one, or {instead}."
+                    f"{taker} laws that are linear in their parameters on the measured motion; received "
+                    f'"{law.name}" of {joint.name}: declare another, or {instead}.'
                 )
 
     def torque_unit(self, number: int) -> str:
