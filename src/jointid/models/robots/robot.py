@@ -388,11 +388,13 @@ class Robot:
             springs: whether springs are to be linear, too.
         """
         for joint in self.joints:
-            sprung = [joint.spring.law] if springs and joint.spring is not None else []
-            for law in (*([joint.law] if joint.law.stepped else []), *(one for one in sprung if not one.linear)):
+            laws = [joint.law.name] if joint.law.stepped else []
+            if springs and joint.spring is not None and not joint.spring.law.linear:
+                laws.append(joint.spring.law.name)
+            if laws:
                 raise MethodError(
                     f"{taker} laws that are linear in their parameters on the measured motion; received "
-                    f'"{law.name}" of {joint.name}: declare another, or {instead}.'
+                    f'"{laws[0]}" of {joint.name}: declare another, or {instead}.'
                 )
 
     def torque_unit(self, number: int) -> str:
