@@ -199,7 +199,8 @@ def build_axis(
         units = replace(units, side=own.controller.side)
         controller = own.controller.law
         ratio = {} if gear is None else {"ratio": gear.torque(units.side)}
-        controller = replace(controller, gain=_make(at(), units.gain, controller, own.controller.gain), **ratio)
+        gain = _make(at(), units.gain, controller, own.controller.gain)
+        controller = replace(controller, gain=gain, output=units.output(controller, gain), **ratio)
     name = given.get("name") or _choose_method(own, file.source, columns, drive)
     method = _make(at(), make_method, name, given, str(own.model))
     joint = _build_joint(own, at("joint"), kind, gear, units.torque)

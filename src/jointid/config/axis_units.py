@@ -98,6 +98,11 @@ class AxisUnits:
             raise JointFileError(fault_at(("controller", "gain"), rest))
         return given or known or 1.0
 
+    def output(self, law: Controller, gain: float) -> str:
+        """Return the unit of a controller's output; empty where it is not known."""
+        plain = "A" if self.drive.torque_constant else "V" if self.drive.torque_per_volt else ""
+        return next(iter(self._outputs(law)), plain if gain == self.plain_gain else "")
+
     def _outputs(self, law: Any) -> dict[str, str]:
         """Return the units of a controller's output, each with a number that says it."""
         found, kind = dict[str, str](), self.kind_of(self.side)

@@ -153,7 +153,7 @@ def controller_text(controller: Controller, axis: Axis | None = None) -> str:
             f"A joint file has no word for the controller {type(controller).__name__} behind a ratio of {ratio:g}; "
             f"give a cascade, a PD or a PID, of one of the ratios {', '.join(f'{one:g}' for one in seen.values())}."
         )
-    table = {key: value for key, value in _plain(controller).items() if key not in ("ratio", "gain")}
+    table = {key: value for key, value in _plain(controller).items() if key not in ("ratio", "gain", "output")}
     plain = 1.0 if axis is None else replace(axis.units, side=side).plain_gain
     if (gain := getattr(controller, "gain", 1.0)) != plain:
         table["gain"] = gain

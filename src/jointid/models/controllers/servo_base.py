@@ -222,8 +222,12 @@ class Controller(Protocol):
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class ServoController:
-    """Common settings of laws; all but the ratio refer to the law's side."""
+    """Common settings of laws; all but the ratio refer to the law's side.
 
+    The unit of the output, `output`, is for reports; empty where it is not known.
+    """
+
+    in_json = "-output"
     gain: float = setting(1.0, "torque per controller unit: what takes the output to N, N m, A or V", above=0)
     limit: float = setting(math.inf, "limit of the output, both ways", unit="controller units", above=0, infinite=True)
     period: float | None = setting(None, "period of the controller; without it that of the log", unit="s", above=0)
@@ -258,6 +262,7 @@ class ServoController:
         "torque is so many times as large on the joint; negative where they count in opposite directions",
         nonzero=True,
     )
+    output: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -358,7 +363,8 @@ def unit_of_number(controller: Controller, name: str, position_unit: str, torque
         position_unit: "m" or "rad".
         torque_unit: of the controller's output behind its gain; without a gain, of the output itself.
     """
-    output = torque_unit if getattr(controller, "gain", 1.0) == 1.0 else CONTROLLER_UNITS
+    is_torque = getattr(controller, "gain", 1.0) == 1.0
+    output = torque_unit if is_torque else getattr(controller, "output", "") or CONTROLLER_UNITS
     return _EITHER.sub(rf"{position_unit}\1", declared_unit(controller, name)).replace(CONTROLLER_UNITS, output)
 
 
