@@ -107,6 +107,7 @@ integral_gain = "20000 A/(m s)"
     estimate = rigid(file.controller)
     tuned = tune(estimate, Tuning(notch=False))
     assert [gain.key for gain in tuned.gains] == ["position_gain", "derivative_gain", "integral_gain"]
+    assert [gain.unit for gain in tuned.gains] == ["A per m", "A per m/s", "A per m s"]
     [_, derivative, integral] = [(gain.before, gain.after) for gain in tuned.gains]
     law = tuned.proposed.controller  # type: ignore[union-attr]
     assert isinstance(law, PID)
