@@ -301,7 +301,7 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *
         columns: (parts of all samples, columns); after the last sample there is none.
         parts: per sample.
         late: lag in samples, not necessarily whole or positive.
-        order: of the derivative by `late`, 0 to 2.
+        order: of the derivative by `late`, 0 or 1.
         curved: whether to put back what a mean over each part takes from a curved signal.
 
     Returns:
@@ -313,7 +313,6 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *
     before_edges = (
         0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window
         (2.0 - np.abs(inside)) / 4.0,
-        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
     )
     weights = np.diff(before_edges[order])
     if curved:
