@@ -104,9 +104,9 @@ def visits(seed: int, force: float) -> list[Place]:
 
 
 def test_what_repeats_at_a_place_is_told_from_noise() -> None:
-    noise = [repeats(visits(seed, 0.0), 8000.0, "N").significant for seed in range(1, 101)]
+    noise = [repeats(visits(seed, 0.0), 8000.0).significant for seed in range(1, 101)]
     assert sum(noise) <= 12  # 5 % of a hundred, and chance
-    found = repeats(visits(1, 0.3), 8 * 40 * 25 * 1.09, "N")
+    found = repeats(visits(1, 0.3), 8 * 40 * 25 * 1.09)
     assert found.significant
     assert found.rms == pytest.approx(0.3 * np.sqrt(np.mean(np.random.default_rng(0).standard_normal(8) ** 2)), rel=0.2)
 

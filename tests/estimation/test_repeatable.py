@@ -49,11 +49,11 @@ def test_the_repeatable_part_is_measured() -> None:
     random = np.random.default_rng(1)
     known = np.sin(2 * np.pi * POSITION / 0.1) * np.where(VELOCITY > 0, 2.0, 1.0)
     noise = 1.5 * random.standard_normal(known.size)
-    found = repeatable(known + noise, WHERE, "N")
+    found = repeatable(known + noise, WHERE)
     assert found.rms == pytest.approx(float(np.sqrt(np.mean(known**2))), rel=0.05)
     assert found.share == pytest.approx(found.rms**2 / np.mean((known + noise) ** 2))
     assert found.p_value == 0.001
-    alone = repeatable(noise, WHERE, "N")
+    alone = repeatable(noise, WHERE)
     assert alone.rms < 0.15
     assert not alone.significant
 
@@ -148,7 +148,7 @@ def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats() -> None:
         assert noisy is not None
         error = problem.filter(noisy.values - problem.measured)
         change = -np.linalg.lstsq(J / np.linalg.norm(J, axis=0), error, rcond=None)[0] / np.linalg.norm(J, axis=0)
-        found = uncertainty(Influence(J, error + J @ change), where, "N")
+        found = uncertainty(Influence(J, error + J @ change), where)
         inside += np.abs(change) <= 2 * found.covariance.std
         repeats += found.repeatable.significant
     share = inside[:-1] / 100  # the initial position rests on the first rows alone

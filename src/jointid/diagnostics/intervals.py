@@ -89,7 +89,7 @@ def intervals(
     residual, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
-    spread = uncertainty(Influence(J, residual), where, problem.torque_unit).covariance
+    spread = uncertainty(Influence(J, residual), where).covariance
     if quantities is None:
         quantities = ("stiffness",) if "stiffness" in names else names[:1]
     if "compliance" in quantities and "stiffness" not in names:

@@ -258,7 +258,7 @@ def judge(
     problem, x = solved.problem, solved.solution.x
     error, slopes = problem.linearise(x)
     names = [p.name for p in problem.free]
-    known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x)), problem.torque_unit)
+    known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x)))
     shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
     std = {n: float(sigma) for n, sigma, stated in zip(names, known.covariance.std, shown, strict=True) if stated}
     values, units = problem.values(x), problem.units

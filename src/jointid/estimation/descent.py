@@ -172,7 +172,7 @@ def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     if "initial_velocity" not in names:
         return True
     history.tally.evaluations += 1
-    known = uncertainty(Influence(J, moving.solution.residual), problem.cells(problem.simulate(x)), problem.torque_unit)
+    known = uncertainty(Influence(J, moving.solution.residual), problem.cells(problem.simulate(x)))
     at = names.index("initial_velocity")
     return bool(abs(x[at]) > _SURELY * known.covariance.std[at])
 

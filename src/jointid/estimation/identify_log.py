@@ -317,7 +317,7 @@ def _answer(starts: Sequence[Start], solved: Solved, warnings: list[str]) -> Est
     problem, found, first, x = solved.problem, solved.found, starts[0], solved.x
     sums, torque, sample_time = found.sums, first.records[0].torque, problem.members[0].log[0].sample_time
     assert torque is not None
-    repeated = repeats(found.places.values(), sums.square, torque.unit)
+    repeated = repeats(found.places.values(), sums.square)
     covariance = _covariance(found, repeated)
     if any(member.model.motion_measured for member in problem.members):
         covariance = _widen_for_motion(covariance, found)

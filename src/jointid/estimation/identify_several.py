@@ -238,7 +238,7 @@ def _judge_together(problem: RecordsProblem, end: Solution, alone: Sequence[BySe
     )
     rows = [one.size for one in at]
     influence = Influence(J, end.residual, series=rows)
-    known = uncertainty(influence, cells(position, velocity), problem.problems[0].torque_unit)
+    known = uncertainty(influence, cells(position, velocity))
     ends = np.cumsum(rows)[:-1]
     answers = np.split(influence.matrix, ends, axis=1)
     for k, (one, slopes, answer) in enumerate(zip(alone, np.split(J, ends), answers, strict=True)):

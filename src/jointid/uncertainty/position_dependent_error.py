@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
-from jointid.common.text import number
 from jointid.uncertainty.covariance import Covariance, Influence, bandwidth, bartlett_sum, larger
 
 IntArray = NDArray[np.intp]
@@ -77,7 +76,6 @@ class Repeatable:
     rms: float
     share: float
     p_value: float | None
-    unit: str = ""
 
     @property
     def significant(self) -> bool:
@@ -88,12 +86,11 @@ class Repeatable:
         """Return the verdict in a sentence."""
         if self.p_value is None:
             return "whether the residual repeats with the motion cannot be said: no place is visited at two times"
-        size = f"{number(self.rms, 3)} {self.unit}".strip()
         if not self.significant:
             return f"no part of the residual repeats with the motion beyond chance (p = {self.p_value:.2g})"
         return (
-            f"part of the residual repeats with position, direction and speed: {size} rms, {100 * self.share:.0f} % of "
-            f"its mean square (p = {self.p_value:.2g}): the model lacks something that is not noise"
+            f"{100 * self.share:.0f} % of the residual's mean square repeat with position, direction and speed "
+            f"(p = {self.p_value:.2g}): the model lacks something that is not noise"
         )
 
 
@@ -155,13 +152,12 @@ def _classify_speeds(speed: FloatArray, moving: NDArray[np.bool_]) -> tuple[IntA
     return kind, means
 
 
-def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
+def repeatable(error: FloatArray, where: Cells) -> Repeatable:
     """Measure the repeatable part of a residual.
 
     Args:
         error: (rows,) the residual, in the order of time.
         where: its rows' cells.
-        unit: of the residual.
     """
     rows = error.size
     length = max(-(-rows // _BLOCKS), 3 * bandwidth(rows))
@@ -188,7 +184,6 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
         rms=float(np.sqrt(max(square, 0.0))),
         share=min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0,
         p_value=p_value,
-        unit=unit,
     )
 
 
@@ -206,18 +201,17 @@ def by_place(influence: Influence, where: Cells) -> Covariance:
     return influence.covariance(bartlett_sum(sums, _LAGS))
 
 
-def widen(covariance: Covariance, influence: Influence, where: Cells, unit: str = "") -> tuple[Covariance, Repeatable]:
-    """Widen a covariance by `by_place` if the residual, of this unit, repeats; return both."""
-    verdict = repeatable(influence.error, where, unit)
+def widen(covariance: Covariance, influence: Influence, where: Cells) -> tuple[Covariance, Repeatable]:
+    """Widen a covariance by `by_place` if the residual repeats; return both."""
+    verdict = repeatable(influence.error, where)
     return larger(covariance, by_place(influence, where)) if verdict.significant else covariance, verdict
 
 
-def uncertainty(influence: Influence, where: Cells, unit: str = "") -> Uncertainty:
+def uncertainty(influence: Influence, where: Cells) -> Uncertainty:
     """Covariance of an estimate's errors, including repeatable ones.
 
     Args:
         influence: the equations of the estimate, and their residual.
         where: the rows' cells.
-        unit: of the residual.
     """
-    return Uncertainty(*widen(influence.robust(), influence, where, unit))
+    return Uncertainty(*widen(influence.robust(), influence, where))

@@ -159,7 +159,7 @@ class DIDIM(Method):
             return build_closed_loop_result(task.record, problem, x, run, end, known, -J, history.tally.evaluations)
         if np.linalg.norm(error) > NOTHING * problem.size:
             end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
-        known = uncertainty(Influence(J, error), problem.cells(run), problem.torque_unit)
+        known = uncertainty(Influence(J, error), problem.cells(run))
         spring = visible(problem, x, J, known, starts, task.progress)
         history.tally.evaluations += spring.simulations
         if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest

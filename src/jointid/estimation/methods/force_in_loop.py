@@ -108,7 +108,7 @@ def uncertainty_of_least_error(
         J: (rows, free) the derivatives of the simulated torque, filtered.
         history: counts the simulations.
     """
-    known = uncertainty(Influence(J, residual), problem.cells(run), problem.torque_unit)
+    known = uncertainty(Influence(J, residual), problem.cells(run))
     known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history))
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known

@@ -445,13 +445,12 @@ def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
     return residual, J
 
 
-def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
+def repeats(places: Iterable[Place], square: float) -> Repeatable:
     """Return the repeatable part of the residual; where nothing is left at all, nothing does.
 
     Args:
         places: over all windows.
         square: of the residual, over all rows.
-        unit: of the residual.
     """
     from scipy.special import chdtrc
 
@@ -463,9 +462,5 @@ def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
         p_value = float(chdtrc(len(known), sum(p.total**2 / p.squares for p in known)))
     again = [p for p in known if p.sums.rows**2 > p.pairs]
     repeated = sum(p.sums.rows * (p.total**2 - p.squares) / (p.sums.rows**2 - p.pairs) for p in again) / max(rows, 1)
-    return Repeatable(
-        rms=math.sqrt(max(repeated, 0.0)),
-        share=min(max(repeated, 0.0) * rows / square, 1.0) if square > 0 else 0.0,
-        p_value=p_value,
-        unit=unit,
-    )
+    share = min(max(repeated, 0.0) * rows / square, 1.0) if square > 0 else 0.0
+    return Repeatable(math.sqrt(max(repeated, 0.0)), share, p_value)

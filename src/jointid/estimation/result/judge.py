@@ -77,7 +77,7 @@ def _of_residual(report: ResidualReport) -> Iterator[Verdict]:
         yield verdict_of(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     else:
         code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
-        sizes = {"rms": repeats.rms, "unit": repeats.unit, "share": repeats.share, "p_value": repeats.p_value}
+        sizes = {"rms": repeats.rms, "share": repeats.share, "p_value": repeats.p_value}
         yield verdict_of(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes)
 
 

@@ -182,7 +182,7 @@ def visible(
     error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
-    judged = uncertainty(Influence(slopes, error), where, problem.torque_unit)
+    judged = uncertainty(Influence(slopes, error), where)
     linear, said, made = with_linear_spring(problem), "", None
     reasons = [*_doubts(problem, x, J, known, error, together)]
     if not reasons:
