@@ -150,8 +150,15 @@ def search_faults(
         lacking={} if findings or last is None else _measure_lacking(state, last),
         suspected=None if last is None else _suspect_mechanics(state, last, settings.level, known),
         part=part,
+        explained=_share_explained(problem, x, state) if len(findings) == settings.most > 1 else None,
     )
     return check, state
+
+
+def _share_explained(problem: ClosedLoopProblem, x: FloatArray, state: SearchState) -> float:
+    """Return by how much the squares of the residual fell with the faults corrected."""
+    before, after = problem.residual(x), state.problem.residual(state.x)
+    return 1.0 - float(after @ after) / float(before @ before)
 
 
 def _list_units(joint: Joint) -> dict[str, str]:

@@ -98,6 +98,8 @@ class AxisFaults:
         suspected: a fault of the mechanics beside those found that is significant at the level of those of the loop,
             not at its own tenth of that: it is not named, but intervals hold what it moves.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
+        explained: share of the squares of the residual that the faults explain together, where so many were found that
+            none of them is likely to be the cause.
     """
 
     findings: tuple[Finding, ...]
@@ -113,6 +115,7 @@ class AxisFaults:
     lacking: Mapping[str, float] = field(default_factory=dict)
     suspected: Finding | None = None
     part: Part | None = None
+    explained: float | None = None
 
     @property
     def as_declared(self) -> bool:
@@ -129,6 +132,8 @@ class AxisFaults:
         """The faults found, one message each; one that says so where there are none."""
         if self.part is not None:
             return (self.part.reason,)
+        if self.explained is not None:
+            return (self._state_unknown_cause(self.explained),)
         undecided = () if self.undecided is None else (self._state_open_law(self.undecided),)
         if self.findings or undecided:
             return (*map(self._describe, self.findings), *undecided)
@@ -153,6 +158,13 @@ class AxisFaults:
     def on_side(self, quantity: str) -> str:
         """Return a quantity's unit with the side of the transmission."""
         return self.units[quantity] if self.side is None else f"{self.units[quantity]} on the {self.side} side"
+
+    def _state_unknown_cause(self, explained: float) -> Message:
+        """Return the message that something else is wrong, with the known faults that look like it."""
+        clause = "something is wrong that is none of the known faults"
+        alike = ", ".join(one.test.fault.phrase for one in self.findings)
+        words = f"{clause}: {alike} together explain {number(100 * explained, 2)} % of the squares of the residual"
+        return Message(Reason.NO_CAUSE_FOUND, words, {"explained": explained}, clause)
 
     def _state_open_law(self, finding: Finding) -> Message:
         """Return the message on another law that the record does not exclude."""
