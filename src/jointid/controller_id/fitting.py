@@ -95,13 +95,9 @@ class Fitter:
         self._held.clear()
 
     def fit(self, structure: Structure, known: Mapping[str, float], noise: Noise, evaluations: int) -> FittedLaw | None:
-        """Fit a law from the best of its starts; None if a filter or a gain is impossible.
+        """Fit a law from the best of its starts, and from what is known of a similar one; None if it is impossible.
 
-        Args:
-            structure: of the law.
-            known: numbers of a similar law.
-            noise: by which the law's own residual is weighted.
-            evaluations: of the search for the numbers that the torque is not linear in; 0 takes those of the start.
+        The numbers that the torque is not linear in take so many evaluations; with 0 they are those of the start.
         """
         tried = []
         for numbers in starts(structure, known, self.log.period):

@@ -110,7 +110,6 @@ def learn_controller(
         held = name if name != INTEGRAL else "constant_feedforward"  # both are held in the controller's output
         units.append(unit_of_number(made, held, position_unit, torque_unit))
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(log.kept)))
-    informative = np.flatnonzero(log.informative)
     return LearnedController(
         controller=made,
         structure=best.structure,
@@ -126,7 +125,6 @@ def learn_controller(
         share=rms / float(np.sqrt(np.mean(log.torque**2))),
         torque_noise=math.sqrt(best.noise.torque),
         position_noise=math.sqrt(best.noise.position),
-        band=float(informative[-1]) / (log.samples * log.period) if informative.size else 0.0,
         residual=residual,
         torque_unit=torque_unit,
         position_unit=position_unit,

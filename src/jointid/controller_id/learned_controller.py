@@ -60,7 +60,6 @@ class LearnedController(Documented):
         kept: numbers that are as declared, and not from this record.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
         torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
-        band: highest informative frequency (the torque exceeds the noise there), Hz.
         residual: (samples,) logged less predicted torque, 0 in the samples that are left out.
         torque_unit, position_unit: of the record.
         record: name of it.
@@ -79,7 +78,6 @@ class LearnedController(Documented):
     share: float
     torque_noise: float
     position_noise: float
-    band: float
     residual: FloatArray
     torque_unit: str
     position_unit: str
@@ -132,7 +130,7 @@ class LearnedController(Documented):
             rows.append((n.name, number(n.value, 6), number(n.spread, 2), n.unit, percent))
         others = [f"{one.structure}: {100 * one.apart:.2g} %" for one in self.alternatives]
         facts = [
-            ("residual", f"{number(self.rms, 3)} {self.torque_unit} rms; informative up to {number(self.band, 3)} Hz"),
+            ("residual", f"{number(self.rms, 3)} {self.torque_unit} rms"),
             ("noise of the torque", f"{number(self.torque_noise, 2)} {self.torque_unit}"),
             ("noise of the position", f"{number(self.position_noise, 2)} {self.position_unit}"),
             *[("as declared, and not from this record", f"{name} = {value:g}") for name, value in self.kept.items()],

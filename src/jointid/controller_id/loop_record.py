@@ -118,19 +118,15 @@ def prepare_loop_record(record: Record) -> LoopRecord:
     if missing:
         raise RecordError(
             f"A controller is learned from torque, reference and the measured motor position; {record.name} is read "
-            f"with {join(list(record.channels))}, without {join(missing)}: name the column of "
-            f"{missing[0]} below [record.channels], or declare the law."
+            f"without {join(missing)}: name its column below [record.channels], or declare the law."
         )
     assert record.torque is not None and record.motor_position is not None and record.reference is not None
     period = record.torque.sample_time
     samples = math.floor(record.duration / period + 1e-6)
     torque = record.torque.values[:samples].copy()
     injected, added = record.injected, np.zeros(samples)
-    if (
-        injected is not None
-        and injected.at is InjectionPoint.AFTER_LIMIT
-        and (injected.in_torque or record.tap is Tap.MEASURED)
-    ):
+    in_log = injected is not None and (injected.in_torque or record.tap is Tap.MEASURED)
+    if injected is not None and in_log and injected.at is InjectionPoint.AFTER_LIMIT:
         added = at_period(injected.channel, period, samples, "injected")
         if record.torque.timing is Timing.AVERAGED:  # as the torque, a sample shows the mean of the one before it
             added = shift(added, 1)

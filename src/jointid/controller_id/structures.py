@@ -281,12 +281,7 @@ def canonical(structure: Structure) -> Structure:
 
 
 def list_laws(structure: Structure, channel: bool) -> list[Structure]:
-    """Canonical laws with the same filters and clocks that differ in one part.
-
-    Args:
-        structure: of the law.
-        channel: whether the record has a reference velocity.
-    """
+    """Canonical laws with the same filters and clocks that differ in one part; `channel`: of a reference velocity."""
     own = ["channel"] if channel else []
     cascades: tuple[Law, ...] = ("P-P", "P-PI")
     others: tuple[Law, ...] = ("PD", "PID")

@@ -236,7 +236,7 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
 
     def learn_controller(record: Record, **_: object) -> LearnedController:
         return LearnedController(
-            controller, "P-P", (), nothing, (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, None,
+            controller, "P-P", (), nothing, (), None, {}, 0.0, 0.0, 0.0, 0.0, nothing, "N m", "rad", record.name, None,
         )  # fmt: skip
 
     monkeypatch.setattr(jointid, "learn_controller", learn_controller, raising=False)

@@ -104,7 +104,7 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     assert answer["axes"][0]["reached"]["upper"] < 1.0 and not answer["passed"]
     run("simulate", joint, "--record", out / "test.csv", "--out", tmp_path / "log.csv")
     run("design", joint, "--motion", out / "test.csv", "--record", tmp_path / "log.csv", "--json", tmp_path / "b.json")
-    assert "residual" in json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))["noise"]
+    assert "present" in json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))["tests"]
     fast = np.array([0.4, 0.3]) * (1 - np.cos(np.outer(1e-3 * np.arange(4000), [3.0, 4.6])))
     np.savetxt(tmp_path / "fast.csv", fast, delimiter=",", header="r1,r2", comments="")
     asked = ("--motion", tmp_path / "fast.csv", "--within", "60")

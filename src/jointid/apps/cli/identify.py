@@ -103,7 +103,7 @@ def tune(
         gain_margin: that the proposed loop keeps in the worst case, a ratio; 2 is 6 dB.
         phase_margin: likewise, degrees.
         notch: whether one may be proposed.
-        figure: also save the responses of joint and loop as PNG, SVG or PDF.
+        figure: also save the response of the loop as PNG, SVG or PDF.
     """
     from jointid import Tuning, figures
     from jointid import tune as run
