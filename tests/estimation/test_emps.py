@@ -85,14 +85,6 @@ def test_didim_identifies_the_axis_from_torque_and_reference_only(torque_only: E
     assert torque_only["initial_velocity"].value == pytest.approx(0.007, abs=0.001)
 
 
-def test_cross_test_on_the_record_with_pulses(emps_pulses: Record, torque_only: Estimate) -> None:
-    cross = validate(torque_only, emps_pulses.without("motor_position"))
-    assert cross.test == "cross"
-    assert cross.relative_error <= 0.055
-    without_pulses = replace(emps_pulses, injected=None)
-    assert validate(torque_only, without_pulses).relative_error > 0.1
-
-
 def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Record) -> None:
     """They are wide enough for what repeats with the motion, and say so; those of a white residual do not agree."""
     first, second = (identify(record, LOOP) for record in (emps, emps_pulses))

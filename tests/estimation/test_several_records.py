@@ -158,26 +158,6 @@ def test_a_torque_constant_from_a_known_mass() -> None:
     assert found["inertia"].unit == "kg"
 
 
-@pytest.mark.slow
-def test_what_is_fixed_and_bounded_is_so_without_the_added_mass() -> None:
-    axis = twins("none")
-    known = {p.name: p for p in axis.loop.joint.parameters}
-    records = [logged(axis.loop, axis.truth), logged(axis.loop, heavier(axis.truth))]
-    fixed = {"load_inertia": known["load_inertia"].fix(axis.truth["load_inertia"])}
-    found = identify(
-        records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=fixed, method=QUICK
-    )
-    assert found["load_inertia"].value == axis.truth["load_inertia"]
-    assert found["load_inertia"].stderr is None
-    assert found["stiffness"].value == pytest.approx(axis.truth["stiffness"], rel=1e-6)
-    bounded = {"load_inertia": replace(known["load_inertia"], upper=30.0)}
-    found = identify(
-        records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=bounded, method=QUICK
-    )
-    assert float(found["load_inertia"].value or 0.0) <= 30.0
-    assert any("load_inertia is at its bound" in warning for warning in found.checks.warnings)
-
-
 # With noise: what a second record is worth
 
 

@@ -53,21 +53,11 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     assert estimate.fit.relative_error < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"),
-    [
-        ("drive_gain", "One record cannot tell the drive_gain from the scale of the joint"),
-        (
-            "derivative_gain",
-            'Nothing around this joint is called "derivative_gain"; what can be freed is initial_position',
-        ),
-        ("integral_gain", "The integral_gain of this controller is 0, so it has no such part; declare a start above 0"),
-        ("limit", "The limit of this controller is inf, where no search can begin; declare a finite one"),
-    ],
-)
-def test_what_cannot_be_freed_is_refused(name: str, sentence: str) -> None:
+@pytest.mark.parametrize("name", ["drive_gain", "derivative_gain", "integral_gain", "limit"])
+def test_what_cannot_be_freed_is_refused(name: str) -> None:
+    """What one record cannot tell, what the law has not, and numbers from which no search begins."""
     loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=5000.0))
-    with pytest.raises(MethodError, match=sentence):
+    with pytest.raises(MethodError, match=name):
         identify(rigid_record(loop), loop, DIDIM(free=(name,)))
 
 
