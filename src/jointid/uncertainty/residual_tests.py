@@ -1,4 +1,4 @@
-"""Tests of the residual: size, whiteness, coupling to other axes.
+"""Tests of the residual: whiteness, coupling to other axes.
 
 **Whiteness.** The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
 taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
@@ -54,47 +54,15 @@ class Whiteness:
 
 @dataclass(frozen=True, slots=True)
 class ResidualReport:
-    """Size and tests of the residual torque.
+    """Tests of the residual torque.
 
     Attributes:
-        relative: norm of the residual over that of the torque, both filtered; a ratio.
-        rms: of the residual, in its unit.
         whiteness: within the pass band; None where the record is too short.
         repeatable: the part of it that repeats with the motion; None where the motion was not given.
     """
 
-    relative: float
-    rms: float
-    unit: str
     whiteness: Whiteness | None
     repeatable: Repeatable | None
-
-
-def residual_report(
-    error: FloatArray,
-    measured: FloatArray,
-    sample_time: float,
-    cutoff: float,
-    unit: str = "N",
-    repeatable: Repeatable | None = None,
-) -> ResidualReport:
-    """Report on a residual torque.
-
-    Args:
-        error: (rows,) measured less predicted torque, filtered and decimated.
-        measured: (rows,) the torque, filtered and decimated.
-        sample_time: seconds between rows.
-        cutoff: Hz, of the filter.
-        unit: of the torque.
-        repeatable: the repeatable part; see `jointid.uncertainty.position_dependent_error`.
-    """
-    return ResidualReport(
-        relative=_ratio(error, measured),
-        rms=float(np.sqrt(np.mean(error**2))),
-        unit=unit,
-        whiteness=whiteness(error, sample_time, cutoff),
-        repeatable=repeatable,
-    )
 
 
 def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness | None:
@@ -124,11 +92,6 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     if kept < 1:
         return np.zeros(0)
     return np.asarray(np.fft.irfft(spectrum[: kept + 1], 2 * kept + 1))
-
-
-def _ratio(error: FloatArray, signal: FloatArray) -> float:
-    size = float(np.linalg.norm(signal))
-    return float(np.linalg.norm(error)) / size if size > 0 else math.inf
 
 
 @dataclass(frozen=True, slots=True)

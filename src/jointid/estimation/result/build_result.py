@@ -23,7 +23,7 @@ from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
-from jointid.uncertainty.residual_tests import residual_report
+from jointid.uncertainty.residual_tests import ResidualReport, whiteness
 
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
@@ -177,12 +177,9 @@ def build_closed_loop_result(
     """
     assert record.torque is not None
     assert problem.filtering.cutoff is not None
-    error, whole = problem.filter_error(run, problem.measured[:, np.newaxis])
+    (error,) = problem.filter_error(run)
     step = problem.sample_time * (problem.filtering.decimation or 1)
-    report = residual_report(
-        error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit,
-        known.repeatable,
-    )  # fmt: skip
+    report = ResidualReport(whiteness(error, step, problem.filtering.cutoff), known.repeatable)
     checks = Checks(
         warnings=warn_of_limit(run.at_limit),
         notes=tuple(map(str, known.warnings)),
