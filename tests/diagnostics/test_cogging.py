@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.diagnostics.faults.forces import COGGING
 from jointid.diagnostics.search_state import LoopTests
+from jointid.diagnostics.suspects import COGGING
 from jointid.models.position_forces import PositionHarmonics
 from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled

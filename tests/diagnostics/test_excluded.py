@@ -12,8 +12,8 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.diagnose_axes import diagnose_joint
 from jointid.diagnostics.find_causes import list_hypotheses
-from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import compare_law, excludes
+from jointid.diagnostics.variants import has_unstated_delay
 from jointid.estimation.identify import fit
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-import jointid as ji
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.models.friction import FRICTIONS
@@ -67,18 +65,6 @@ def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found
 
 
 @pytest.mark.slow
-def test_symmetric_friction_is_told_as_that() -> None:
-    case = rigid(prismatic(1))
-    torque = simulate(case.loop, prepare(case.loop, case.clean), case.truth).torque
-    noise = 0.01 * np.std(torque) * np.random.default_rng(6).standard_normal(torque.size)
-    assert case.clean.torque is not None
-    record = replace(case.clean, torque=replace(case.clean.torque, values=torque + noise))
-    found = compare_frictions(record.without("motor_position", "load_position"), case.loop)
-    assert found.shown.name == "symmetric"
-    assert found.answer.code == "as_declared"
-
-
-@pytest.mark.slow
 def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
     rising: tuple[Record, ClosedLoop, dict[str, float]],
 ) -> None:
@@ -90,11 +76,3 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
     assert found.shown.name == "stribeck"
     both = by_name["asymmetric-stribeck"].values
     assert 0.5 * (both["coulomb_forwards"] - both["coulomb_backwards"]) == pytest.approx(values["offset"], rel=2e-2)
-
-
-def test_the_answer_as_json(found: LawComparison) -> None:
-    told = json.loads(json.dumps(ji.to_dict(found)))
-    assert told["schema"] == "jointid.LawComparison/2"
-    assert told["shown"]["name"] == "stribeck"
-    assert told["answer"]["code"] == "another_friction"
-    assert [one["name"] for one in told["laws"]] == [one.name for one in found.laws]

@@ -9,17 +9,17 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, ParameterShift
-from jointid.diagnostics.faults.other_laws import (
+from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.search_state import LoopTests
+from jointid.diagnostics.variants import (
     AVERAGED,
     LATE,
     MEASURED_VELOCITY,
     PRESENT_SAMPLE,
-    list_other_laws,
+    LawTest,
+    choose_law,
+    list_feedback_laws,
 )
-from jointid.diagnostics.law_tests import OtherLawTest, choose_law
-from jointid.diagnostics.search_state import LoopTests
-from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import (
     INPUTS,
@@ -34,8 +34,7 @@ from jointid.models.controllers import (
 )
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
-from tests.estimates import amended, identify
+from tests.estimates import identify
 from tests.mistakes import Axis, axis, run
 from tests.tested import faults_of
 
@@ -69,12 +68,12 @@ def test_the_other_law_is_backward_eulers(declared: Cascade | PID) -> None:
 
 
 def test_only_a_law_with_an_integral_has_another_one() -> None:
-    assert not list(list_other_laws(PD(position_gain=1.0, derivative_gain=1.0, velocity_filter=FirstOrder(1e-3)), T))
+    assert not list(list_feedback_laws(PD(position_gain=1.0, derivative_gain=1.0, velocity_filter=FirstOrder(1e-3)), T))
     filtered = FirstOrder(1e-3)
-    assert not list(list_other_laws(Cascade(position_gain=1.0, velocity_gain=1.0, velocity_filter=filtered), T))
-    [other, *_] = list_other_laws(Cascade(position_gain=1.0, velocity_gain=1.0, integral_gain=50.0), T)
+    assert not list(list_feedback_laws(Cascade(position_gain=1.0, velocity_gain=1.0, velocity_filter=filtered), T))
+    [other, *_] = list_feedback_laws(Cascade(position_gain=1.0, velocity_gain=1.0, integral_gain=50.0), T)
     assert other.remedy == "velocity_gain 5.0 % larger and the integral time 1.00 ms longer"
-    [other, *_] = list_other_laws(PID(position_gain=1.0, derivative_gain=1.0, integral_gain=50.0), T)
+    [other, *_] = list_feedback_laws(PID(position_gain=1.0, derivative_gain=1.0, integral_gain=50.0), T)
     assert other.remedy == "position_gain 5.0 % larger"
 
 
@@ -90,18 +89,6 @@ def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> No
     assert first.test.fault is MEASURED_VELOCITY
     assert check.sentences[0].startswith("the velocity is measured or observed, half a period earlier")
     assert "declare velocity_filter = [1.5, -0.5]" in check.reasons[0].brief
-
-
-@pytest.mark.slow
-def test_a_law_of_two_parts_is_named_as_both_and_neither_is_looked_for_again() -> None:
-    made = _quiet()
-    declared = replace(made.controller, velocity_filter=(1.0,))
-    true = replace(with_present_sample(declared, made.rate), velocity_filter=(1.5, -0.5))
-    record, loop = run(made, true), ClosedLoop(made.joint, declared)
-    check = faults_of(identify(record, loop), record)
-    [first, *others] = [one.test.name for one in check.findings]
-    assert first == "measured_velocity and present_sample"
-    assert not {"measured_velocity", "present_sample"} & {*others}
 
 
 def _quiet() -> Axis:
@@ -142,38 +129,12 @@ def test_a_law_that_is_as_declared_is_not_blamed() -> None:
     assert check.undecided is None
 
 
-@pytest.mark.slow
-def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_would_move_it() -> None:
-    """The sentence says the other value, and where to look; within the interval nothing is said."""
-    estimate, _, check = _checked(present=True)
-    found, inertia = check.findings[0], estimate.params["inertia"]
-    assert inertia.stderr is not None
-    assert inertia.value is not None
-    for sigmas in (-5.0, 1.0):
-        changes = {"inertia": ParameterShift(sigmas * inertia.stderr, sigmas)}
-        open_ = replace(check, findings=(), undecided=replace(found, changes=changes))
-        assert open_.as_declared
-        assert open_.status is Status.UNKNOWN
-        [reason] = open_.reasons
-        assert reason.code is Reason.LAW_UNDECIDED
-        assert "declare velocity_gain 6.0 % larger" in reason.words
-        verdict = Verdict(Subject.LOOP, open_.status, open_.reasons)
-        answer = amended(estimate, checks={"verdicts": (*estimate.checks.verdicts[:-1], verdict)}).answer
-        if sigmas == -5.0:
-            assert answer.trust.code is Trust.NOT_YET
-            moved = inertia.value + changes["inertia"].by
-            assert f"it would be {moved:.4g}" in str(answer)
-            assert "see the drive's manual" in str(answer)
-        else:
-            assert answer.trust.code is not Trust.NOT_YET
-
-
 @pytest.mark.parametrize(("gains", "chosen"), [((-2.0, -1.0), None), ((-2.0, 1.0), 1), ((1.0, 1.001), 0)])
 def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_one(
     gains: tuple[float, float], chosen: int | None
 ) -> None:
     laws = [
-        OtherLawTest(refit=None, test=FaultTest(fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9), gain=gain)  # type: ignore[arg-type]
+        LawTest(refit=None, test=FaultTest(fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9), gain=gain)  # type: ignore[arg-type]
         for fault, gain in zip((LATE, AVERAGED), gains, strict=True)
     ]
     found = choose_law(laws)

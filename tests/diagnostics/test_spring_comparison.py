@@ -14,6 +14,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics import law_comparison
 from jointid.diagnostics.law_comparison import RIGID, JudgedLaw, LawComparison, compare_laws
+from jointid.estimation.methods import didim
 from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
 from studies.mechanics import spoiled
@@ -61,14 +62,6 @@ def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple
     assert found.answer.code == "another_spring"
 
 
-@pytest.mark.slow
-def test_a_linear_spring_is_told_as_that(plain: tuple[Case, LawComparison]) -> None:
-    case, found = plain
-    assert found.shown.name == "linear"
-    assert found.answer.code == "as_declared"
-    assert abs(found.shown.values["stiffness"] - case.truth["stiffness"]) < 3 * found.shown.std["stiffness"]
-
-
 def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, LawComparison]) -> None:
     _, found = plain
     assert all(one.kept > one.fitted for one in found.laws)
@@ -113,7 +106,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     def fail(*_: object) -> None:
         raise MethodError("The loop runs away.")
 
-    monkeypatch.setattr(law_comparison, "from_linear_laws", fail)
+    monkeypatch.setattr(didim, "from_linear_laws", fail)
     case, _ = plain
     found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.DIDIM(frequency=case.mode))
     assert found.shown.name == "linear"

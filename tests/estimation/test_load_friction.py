@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.faults.friction import LOAD_DEPENDENT_FRICTION
 from jointid.diagnostics.seen import see_loop
+from jointid.diagnostics.suspects import LOAD_DEPENDENT_FRICTION
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.models.controllers import Cascade

@@ -15,9 +15,9 @@ from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
-from jointid.diagnostics.faults.registry import FAULTS as KNOWN
 from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.search_state import LoopTests
+from jointid.diagnostics.suspects import FAULTS as KNOWN
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate

@@ -8,23 +8,23 @@ of a joint's loop (`score`). The most significant fault is taken, and the rest i
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.parallel import in_threads
+from jointid.diagnostics.axis_laws import WHOLE
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
+from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
-from jointid.diagnostics.faults.other_laws import OTHER_LAWS
-from jointid.diagnostics.faults.springs import COMPLIANCE
 from jointid.diagnostics.in_time import find_part
 from jointid.diagnostics.score import score
+from jointid.diagnostics.suspects import COMPLIANCE
+from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.residual_tests import Coupling, coupling
 
@@ -32,6 +32,8 @@ _MOST = 3  # faults of one axis
 _FEWEST = 4  # rows to a column
 _FEWEST_ROWS = 100
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
+_SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
+_AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 _TWO = 2  # axes: of one alone no other tells its sign
 _DRIVES = 5.0  # times the error, along the velocity
 _RANK = 1e-9  # of the largest singular value
@@ -39,15 +41,6 @@ _RANK = 1e-9  # of the largest singular value
 
 Follows: TypeAlias = tuple[str, Coupling] | None
 """What a residual correlates with most, in words."""
-
-
-class _Shape(NamedTuple):
-    """A fault of one axis, and its column among the rows of all axes, (rows,)."""
-
-    axis: int
-    fault: Fault
-    shape: float | None
-    column: FloatArray
 
 
 def find_axis_faults(
@@ -64,82 +57,55 @@ def find_axis_faults(
         level: largest share of records without a fault in which one is found.
         laws: of each axis, the names of those that can replace its own.
     """
-    n = len(units)
-    seen = torques.seen
-    sigma = [
-        float(np.sqrt(np.mean(e[s] ** 2))) if np.any(e[s]) else 1.0 for e, s in zip(torques.error, seen, strict=True)
-    ]
-    ends = np.cumsum([0, *(int(np.count_nonzero(one)) for one in seen)])
-    rows = [slice(*pair) for pair in itertools.pairwise(ends)]
-
-    def stack(each: FloatArray) -> FloatArray:
-        """Return the rows of all axes that are seen, each by the size of its error."""
-        return np.concatenate([part[s] / size for part, s, size in zip(each, seen, sigma, strict=True)])
-
-    def place(axis: int, column: FloatArray) -> FloatArray:
-        found = np.zeros(ends[-1])
-        found[rows[axis]] = column[seen[axis]] / sigma[axis]
-        return found
-
-    own = _drop_idle(stack(torques.own))
-    simple, shapes = _list_shapes(torques, place, stack)
-    found: list[list[Finding]] = [[] for _ in range(n)]
-    first: list[tuple[int, FaultTest]] = []
-    where, speed = places_of(torques)
-    residual, open_ones = stack(torques.error), shapes
-    basis = orthonormal_basis(own, _RANK)
-    before = residual - basis @ (basis.T @ residual)
-    of_axes = [[one for one in simple if one.axis == k and one.fault != LOG_GAIN] for k in range(n)]
-    follows = tuple(in_threads(lambda k: _strongest_coupling(residual, basis, of_axes[k], rows[k]), range(n)))
+    rows, own, residual = torques.rows, _drop_idle(torques.stack(torques.own)), torques.stack(torques.error)
+    simple, open_ones = _list_shapes(torques)
+    where, basis = cells(*places_of(torques)), orthonormal_basis(own, _RANK)
+    before = rest = residual - basis @ (basis.T @ residual)
+    of_axes = [[one for one in simple if one.axis == k and one.fault != LOG_GAIN] for k in range(len(units))]
+    follows = tuple(in_threads(lambda k: _strongest_coupling(residual, basis, of_axes[k], rows[k]), range(len(units))))
+    found: list[list[Finding]] = [[] for _ in units]
+    first: tuple[FaultTest, ...] = ()
     while np.any(residual) and _has_enough_rows(residual, own, open_ones):
-        keys = {_key_of(one): (one.axis, one.fault) for one in open_ones}
-        signatures = [FaultSignature(_key_of(one), one.column, one.shape) for one in open_ones]
-        tested = score(
-            residual, own, signatures, dict.fromkeys(keys, 0.0), lambda: cells(where, speed), blocks=rows,
+        declared = {one.fault: 1.0 if one.fault == LOG_GAIN else 0.0 for one in open_ones}
+        tests = score(
+            residual, own, open_ones, declared, lambda: where, blocks=rows,
             along_measured_motion=torques.along_measured_motion,
         )  # fmt: skip
-        tests = [_of_axis(one, keys) for one in tested]
-        first = [*first, *tests] if len(first) < n else first
-        rest = residual - basis @ (basis.T @ residual)
-        likely = (
-            (_shape_of(one, k, open_ones), one)
-            for k, one in tests
-            if one.p_value <= level and one.fault not in OTHER_LAWS  # these are searched for (`axis_laws`)
+        first = first or tests
+        likely = [one for one in tests if one.p_value <= level and len(found[one.axis]) < _MOST]
+        likely.sort(key=lambda one: -one.strength / (_AS_STRONG if one.name in OTHER_LAWS else 1.0))
+        explaining = (
+            (one, shape.column)
+            for one in likely
+            for shape in open_ones
+            if (shape.axis, shape.fault, shape.shape) == (one.axis, one.fault, one.shape)
+            and (
+                abs(one.size - 1.0) < max(_SURELY * one.std, _NEARLY)
+                if one.name in WHOLE
+                else _gain_of(shape.column, basis, rest) > _MUCH * _squares(rest[rows[one.axis]])
+            )
         )
-        best = next(
-            (
-                (shape, one)
-                for shape, one in likely
-                if len(found[shape.axis]) < _MOST
-                and _gain_of(shape.column, basis, rest) > _MUCH * _squares(rest[rows[shape.axis]])
-            ),
-            None,
-        )
-        if best is None:
+        test, column = next(explaining, (None, None))
+        if test is None or column is None:
             break
-        (taken, test), axis = best, best[0].axis
-        found[axis].append(Finding(test, None, (), {}))
-        own = np.column_stack([own, taken.column])
+        rivals = (one for one in likely if one.axis == test.axis and one is not test)
+        near = tuple(one for one in rivals if one.strength > _AS_STRONG * test.strength)
+        found[test.axis].append(Finding(test, None, near, {}))
+        own = np.column_stack([own, column])
         basis = orthonormal_basis(own, _RANK)
+        rest = residual - basis @ (basis.T @ residual)
         kin = {test.name, test.fault.kin} - {""}
-        open_ones = [o for o in open_ones if o.axis != axis or not kin & {o.fault.name, o.fault.kin}]
-    after = residual - basis @ (basis.T @ residual)
-    explained = _explained(before, after, rows)
-    parts = [find_part(after[rows[k]], torques.time[seen[k]]) for k in range(n)]
+        open_ones = [one for one in open_ones if one.axis != test.axis or not kin & {one.fault.name, one.fault.kin}]
+    parts = [find_part(rest[one], torques.time[seen]) for one, seen in zip(rows, torques.seen, strict=True)]
     faults = tuple(
         AxisFaults(
-            () if any(parts) else tuple(found[k]), tuple(one for at, one in first if at == k), level, {},
-            {"position": units[k][0], "velocity": f"{units[k][0]}/s", "torque": units[k][1]}, laws=laws[k],
-            of_loop=False, part=parts[k],
+            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), level, {},
+            {"position": position, "velocity": f"{position}/s", "torque": torque}, laws=laws[k], of_loop=False,
+            part=parts[k],
         )
-        for k in range(n)
+        for k, (position, torque) in enumerate(units)
     )  # fmt: skip
-    return faults, follows, explained
-
-
-def _key_of(shape: _Shape) -> Fault:
-    """Return the fault of one axis alone."""
-    return replace(shape.fault, name=f"{shape.axis}.{shape.fault.name}")
+    return faults, follows, _explained(before, rest, rows)
 
 
 def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
@@ -148,25 +114,20 @@ def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> 
     return float(sum(max(1.0 - end / begin, 0.0) for begin, end in zip(*squares, strict=True) if begin > 0.0))
 
 
-def _list_shapes(
-    torques: AxisTorques, place: Callable[[int, FloatArray], FloatArray], stack: Callable[[FloatArray], FloatArray]
-) -> tuple[list[_Shape], list[_Shape]]:
+def _list_shapes(torques: AxisTorques) -> tuple[list[FaultSignature], list[FaultSignature]]:
     """Return the faults of each axis along its own torque alone, and those to be tested.
 
     A spring is tested by what it makes of all torques, where that is known: rigid axes behind it follow it, too.
     """
-    n = len(torques.names)
-    shapes = [
-        _Shape(k, one.fault, one.shape, place(k, one.column))
-        for k, all_of in enumerate(torques.shapes)
-        for one in all_of
-    ]
-    shapes += [_Shape(k, LOG_GAIN, None, place(k, torques.predicted[k])) for k in range(n) if n > 1]
+    every = range(len(torques.names))
+    shapes = [replace(one, axis=k, column=torques.place(k, one.column)) for k in every for one in torques.shapes[k]]
+    if len(every) > 1:
+        shapes += [FaultSignature(LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
     shapes = [one for one in shapes if np.any(one.column)]
     if torques.springs is None:
         return shapes, shapes
     bends = [
-        _Shape(k, COMPLIANCE, share, stack(column))
+        FaultSignature(COMPLIANCE, torques.stack(column), share, axis=k)
         for k, columns in enumerate(torques.springs)
         for share, column in zip(ROTORS, columns, strict=True)
     ]
@@ -177,40 +138,24 @@ def _squares(values: FloatArray) -> float:
     return float(values @ values)
 
 
-def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[_Shape]) -> bool:
+def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[FaultSignature]) -> bool:
     """Test whether there are rows enough for the columns, of each fault one shape, and any shape at all."""
     tried = {(one.axis, one.fault) for one in shapes}
     return bool(tried) and residual.size > _FEWEST * (own.shape[1] + len(tried))
 
 
 def find_driving_axes(torques: AxisTorques) -> list[int]:
-    """Return the axes that their friction drives, the clearest first: its torque along the velocity is negative."""
+    """Return the axes that their friction drives: its torque along the velocity is clearly negative."""
     if torques.friction is None or len(torques.names) < _TWO:
         return []
     along = np.sum(torques.friction * torques.velocity * torques.seen, axis=1)
     noise = np.sqrt(np.sum(torques.velocity**2 * torques.seen, axis=1) * np.mean(torques.error**2, axis=1))
-    share = along / np.maximum(noise, np.finfo(float).tiny)
-    return [int(k) for k in np.argsort(share) if share[k] < -_DRIVES]
+    return [int(k) for k in np.flatnonzero(along < -_DRIVES * noise)]
 
 
-def _of_axis(test: FaultTest, keys: dict[Fault, tuple[int, Fault]]) -> tuple[int, FaultTest]:
-    """Return the axis of a test, and the test of its fault there."""
-    axis, fault = keys[test.fault]
-    alike, opposite = (
-        tuple(other for at, other in map(keys.__getitem__, each) if at == axis) for each in (test.alike, test.opposite)
-    )
-    return axis, replace(test, fault=fault, alike=alike, opposite=opposite, declared=1.0 if fault == LOG_GAIN else 0.0)
-
-
-def find_follower(torques: AxisTorques) -> Follows:
-    """Return the shape that a residual correlates with most, or None."""
-    inside = torques.seen[0]
-    shapes = [_Shape(0, one.fault, one.shape, one.column[inside]) for one in torques.shapes[0]]
-    basis = orthonormal_basis(_drop_idle(torques.own[0][inside]), _RANK)
-    return _strongest_coupling(torques.error[0][inside], basis, shapes, slice(None))
-
-
-def _strongest_coupling(residual: FloatArray, basis: FloatArray, shapes: Sequence[_Shape], rows: slice) -> Follows:
+def _strongest_coupling(
+    residual: FloatArray, basis: FloatArray, shapes: Sequence[FaultSignature], rows: slice
+) -> Follows:
     """Return the fault that an axis' residual correlates with most beside the free parameters, or None."""
     error = residual[rows]
     if error.size < _FEWEST_ROWS or not np.any(error):
@@ -233,10 +178,6 @@ def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:
     apart = column - basis @ (basis.T @ column)
     size = float(apart @ apart)
     return float(apart @ rest) ** 2 / size if size > _RANK * float(column @ column) else 0.0
-
-
-def _shape_of(test: FaultTest, axis: int, shapes: Sequence[_Shape]) -> _Shape:
-    return next(one for one in shapes if (one.axis, one.fault, one.shape) == (axis, test.fault, test.shape))
 
 
 def places_of(torques: AxisTorques) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ through the filter of the torques.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,14 +18,14 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
+from jointid.diagnostics.axis_laws import list_reference_laws
 from jointid.diagnostics.faults.fault import FaultSignature
-from jointid.diagnostics.faults.registry import list_signatures
 from jointid.diagnostics.seen import Seen
+from jointid.diagnostics.suspects import list_signatures
 from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
@@ -35,7 +36,7 @@ from jointid.models.robots.friction_terms import Friction, friction_terms
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
-from jointid.simulation.robots import RobotRun, simulation_of
+from jointid.simulation.robots import RobotLoop, RobotRun, simulation_of
 
 _TURN = 1e-4  # rad or m: step of a derivative
 ROTORS = (0.0, 0.25, 0.5, 0.75)
@@ -82,42 +83,58 @@ class AxisTorques:
         """Measured less predicted, (n, rows)."""
         return self.measured - self.predicted
 
+    @property
+    def sigma(self) -> FloatArray:
+        """Sizes of the errors in rows that are seen, (n,); 1 without an error."""
+        each = np.sqrt(np.sum(self.error**2 * self.seen, axis=1) / np.maximum(np.sum(self.seen, axis=1), 1))
+        return np.where(each > 0.0, each, 1.0)
+
+    @property
+    def rows(self) -> list[slice]:
+        """Place of each axis among the rows of all that are seen."""
+        ends = np.cumsum([0, *np.sum(self.seen, axis=1)]).tolist()
+        return [slice(*pair) for pair in itertools.pairwise(ends)]
+
+    def stack(self, each: FloatArray) -> FloatArray:
+        """Return what is of all axes, (n, rows, ...), in the rows that are seen, by the sizes of their errors."""
+        return np.concatenate([part[s] / size for part, s, size in zip(each, self.seen, self.sigma, strict=True)])
+
+    def place(self, axis: int, column: FloatArray) -> FloatArray:
+        """Return a column of one axis, (rows,), among the rows of all, as `stack` has them."""
+        everywhere = np.zeros_like(self.error)
+        everywhere[axis] = column
+        return self.stack(everywhere)
+
 
 def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
-    """Return the torque of a joint's solved problem, beside that of its simulation."""
-    run, slopes = problem.simulate(x), problem.linearise(x)[1]
-    q, v = run.motor_position[:, np.newaxis], run.motor_velocity[:, np.newaxis]
-    motion = q, v, np.gradient(v, problem.sample_time, axis=0)
+    """Return the torque of a joint's solved problem, beside that of its simulation, without shapes of faults."""
+    run, (error, slopes) = problem.simulate(x), problem.linearise(x)
     measured = problem.filter(problem.measured)
-
-    def thin(columns: FloatArray) -> FloatArray:
-        return problem.filter(columns[:, 0])[np.newaxis]
-
-    return _torques(
-        ("",), problem.filtering, problem.sample_time,
-        (measured[np.newaxis], (measured - problem.residual(x))[np.newaxis]),
-        np.ones((1, measured.size), dtype=np.bool_), thin(np.stack([q, v], axis=2)),
-        motion, problem.measured[:, np.newaxis], thin, -slopes[np.newaxis],
+    path = problem.filter(np.column_stack([run.motor_position, run.motor_velocity]))
+    step, rows = problem.sample_time * (problem.filtering.decimation or 1), measured.size
+    return AxisTorques(
+        ("",), step * np.arange(rows, dtype=np.float64), step, problem.filtering.cutoff or math.inf,
+        measured[np.newaxis], (measured - error)[np.newaxis], np.ones((1, rows), dtype=np.bool_),
+        path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], None, ((),),
     )  # fmt: skip
 
 
-def torques_of_robot(estimate: Estimate, records: Sequence[Record], part: IdentifiedRobot | None = None) -> AxisTorques:
+def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorques:
     """Return the torques of the record that a robot's estimate is from, beside its own.
 
     Args:
         estimate: of the robot, by any method.
         records: of each joint, that it was identified from.
-        part: in the place of its own.
 
     Raises:
         RecordError, MethodError: as of the identification.
     """
-    part, filtering = part or estimate.require_robot(), estimate.settings.filtering
+    part, filtering = estimate.require_robot(), estimate.settings.filtering
     if isinstance(part, InverseModelRobot):
         return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
     assert isinstance(part, SimulatedRobot)
     solved = estimate.solved if isinstance(estimate, Estimate) else None
-    return _by_simulation(part, solved or solve_again(part, records, filtering))
+    return _by_simulation(part, records, solved or solve_again(part, records, filtering))
 
 
 def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
@@ -175,7 +192,7 @@ def _bend(part: InverseModelRobot, motion: MeasuredMotion) -> FloatArray:
     return np.stack(found, axis=2)
 
 
-def _by_simulation(part: SimulatedRobot, solved: SolvedRobot) -> AxisTorques:
+def _by_simulation(part: SimulatedRobot, records: Sequence[Record], solved: SolvedRobot) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
     problem = cast("RobotLoopProblem | RobotDriveSideProblem", solved.problem)
     measured = problem.by_joint(problem.decimate(problem.measured))
@@ -191,17 +208,19 @@ def _by_simulation(part: SimulatedRobot, solved: SolvedRobot) -> AxisTorques:
         motion = moved.position, moved.velocity, moved.acceleration
         q, v, a = (one[:, numbers.rotors] for one in motion)
         seen, whole, raw = np.ones(measured.shape, dtype=np.bool_), thin, None
+        laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
     else:
         coupling = robot.coupling.T
         q, v, a = (one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a))
         seen, everywhere = problem.motion.whole_rows, np.ones_like(problem.motion.moving)
         whole = partial(thin, of=replace(problem, motion=replace(problem.motion, moving=everywhere)))
-        raw = problem.motion.raw
-    return _torques(
+        raw, laws = problem.motion.raw, [[] for _ in robot.names]
+    found = _torques(
         robot.names, problem.filtering, problem.sample_time, (measured, predicted), seen,
         whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
         solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1]), raw=raw,
     )  # fmt: skip
+    return replace(found, shapes=tuple((*own, *more) for own, more in zip(found.shapes, laws, strict=True)))
 
 
 def _torques(

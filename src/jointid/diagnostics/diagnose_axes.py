@@ -17,19 +17,18 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import pluralise
-from jointid.diagnostics.axis_faults import Follows, find_axis_faults, find_driving_axes, find_follower
-from jointid.diagnostics.axis_laws import list_axes, screen_laws, search_laws
+from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
+from jointid.diagnostics.axis_laws import find_filled_references
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.model_free import LawOnPosition, compare_law, compare_robot_laws
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
 from jointid.diagnostics.search_state import LoopTests, SearchState
+from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.simulated import SimulatedRobot, parameter_units
 from jointid.models.controllers import Controller
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
@@ -66,7 +65,7 @@ def diagnose_joint(
     torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
     axis = _diagnose_axis(
         "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit),
-        law, faults, find_follower(torques),
+        law, faults, None,
         None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
         else found.significant,
     )  # fmt: skip
@@ -97,7 +96,7 @@ def diagnose_robot(
         list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
         for link, joint in zip(robot.links, robot.joints, strict=True)
     ]
-    faults, follows, explained = _find_faults(estimate, records, torques, units, own, laws)
+    faults, follows, explained = find_axis_faults(torques, units, LoopTests().level, own)
     axes = tuple(
         _diagnose_axis(
             name, k, torques, units[k], laws[k], faults[k], follows[k],
@@ -106,6 +105,9 @@ def diagnose_robot(
         for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
     )  # fmt: skip
     cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
+    if cause is None and isinstance(part.setup, RobotLoop) and part.setup.controllers:
+        left = {one.name: one.left for one in axes}
+        cause = find_filled_references(part.setup, records, estimate.settings.filtering, left)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
     local = any(one.part is not None for one in faults)
     if cause is None and estimate.settings.method == "idim" and not local and not all(one.is_small for one in axes):
@@ -117,49 +119,23 @@ def diagnose_robot(
     return Diagnosis(robot.name, estimate.settings.method, axes, torques, cause)
 
 
+def require_one_each(controllers: Sequence[object], joints: int) -> None:
+    """Refuse controllers that are given and are not one for each joint.
+
+    Raises:
+        MethodError: there are more or fewer.
+    """
+    if controllers and len(controllers) != joints:
+        raise MethodError(
+            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
+            "for one that is not known."
+        )
+
+
 def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
     """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
-    laws = tuple(one for one in axis.faults.findings if one.test.fault in OTHER_LAWS)
+    laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
     return replace(axis, faults=replace(axis.faults, findings=laws, undecided=None), caused=True)
-
-
-def _find_faults(
-    estimate: Estimate,
-    records: Sequence[Record],
-    torques: AxisTorques,
-    units: Sequence[tuple[str, str]],
-    frictions: Sequence[tuple[str, ...]],
-    laws: Sequence[LawOnPosition | None],
-) -> tuple[Sequence[AxisFaults], Sequence[Follows], float]:
-    """Find the faults of each axis, as `find_axis_faults` returns them.
-
-    Where a reference goes another way than declared, the other faults are searched for beside that.
-    """
-    level, part = LoopTests().level, estimate.require_robot()
-    if not isinstance(part, SimulatedRobot) or not isinstance(part.setup, RobotLoop):
-        return find_axis_faults(torques, units, level, frictions)
-    parameters = part.parameters
-    values = part.values[: len(parameters.places)]
-    x, scales = parameters.to_search_variables(values), np.where(parameters.logarithmic, values, 1.0)
-    axes = list_axes(part, part.setup, records, estimate.settings.filtering, torques)
-    screened = screen_laws(axes, x, torques)
-    faults, follows, explained = find_axis_faults(screened, units, level, frictions)
-    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr}
-    known = {name: std[name] / size for name, size in zip(parameters.names, scales, strict=True) if name in std}
-    other = search_laws(axes, x, screened, faults, known, laws)
-    if any(other.found):
-        first = other.axes[0]
-        there = replace(part, setup=first.setup, values=np.append(parameters.values(other.x), part.values[x.size :]))
-        after = torques_of_robot(estimate, first.records, there)
-        faults, follows, explained = find_axis_faults(after, units, level, frictions)
-    symbols, of_parameters = {p.name: p.symbol for p in parameters.parameters}, parameter_units(part.model, parameters)
-    return [
-        replace(
-            one, findings=(*filter(None, [found]), *one.findings), undecided=undecided, symbols=symbols,
-            units={**one.units, **of_parameters},
-        )
-        for one, found, undecided in zip(faults, other.found, other.undecided, strict=True)
-    ], follows, explained  # fmt: skip
 
 
 def _is_seen_through_law(record: Record) -> bool:
@@ -197,16 +173,3 @@ def _diagnose_axis(
         faults,
         repeats,
     )
-
-
-def require_one_each(controllers: Sequence[object], joints: int) -> None:
-    """Refuse controllers that are given and are not one for each joint.
-
-    Raises:
-        MethodError: there are more or fewer.
-    """
-    if controllers and len(controllers) != joints:
-        raise MethodError(
-            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
-            "for one that is not known."
-        )

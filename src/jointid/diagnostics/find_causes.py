@@ -24,7 +24,6 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.hypothesis_fits import (
     ASTRAY,
     MORE,
@@ -45,6 +44,7 @@ from jointid.diagnostics.samples import (
     find_standstill,
     find_torque_scale,
 )
+from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.identify import WINDOW, windows_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import torque_problem

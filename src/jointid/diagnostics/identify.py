@@ -21,10 +21,10 @@ from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.numbers import DELAY
 from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, find_law_causes
 from jointid.diagnostics.in_time import find_part_of_loop
-from jointid.diagnostics.law_tests import has_unstated_delay
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
 from jointid.diagnostics.unmodelled_motion import predict_residual
+from jointid.diagnostics.variants import has_unstated_delay
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Detail, Message, Progress, follow
+from jointid.common.messages import Detail, Message, Progress, follow, ignore_progress
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import Parameter, Quantity, adjust_parameters
+from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more, least_squares
@@ -33,7 +33,6 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.starts.nonlinear_laws import from_linear_laws
 from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
@@ -52,12 +51,6 @@ _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predi
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
 _MORE = 0.002  # of the error that is left: a law that takes less of it where it is fitted adds nothing elsewhere
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
-_UNKNOWN = 10.0  # times its value: a deviation this large means not identifiable
-_MAY_VANISH = (  # a gap, a damping, a share of the torque, a drift, a cube
-    Quantity.POSITION, Quantity.VISCOUS, Quantity.RATIO, Quantity.VISCOUS_DRIFT, Quantity.FORCE_DRIFT,
-    Quantity.CUBIC_STIFFNESS,
-)  # fmt: skip
-_BESIDE = 1e-3  # standard errors: so little is 0
 _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended
 
 
@@ -83,8 +76,7 @@ class JudgedLaw:
         kept: the same on the held-out parts.
         worse, error: logarithm of its squared error over that of the best law, mean over the parts and standard error.
         refusal: why it was not identified, in a sentence; "" if it was.
-        intervals: of the parameters, by name, formatted.
-        words: the same in a sentence.
+        words: its parameters with their intervals, in a sentence.
     """
 
     name: str
@@ -96,7 +88,6 @@ class JudgedLaw:
     worse: float = 0.0
     error: float = 0.0
     refusal: str = ""
-    intervals: Mapping[str, str] = field(default_factory=dict)
     words: str = ""
 
     @property
@@ -133,7 +124,7 @@ class LawComparison(Documented):
     def answer(self) -> Message:
         """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
         found, values = self.shown, {self.kind: self.shown.name, "declared": self.declared}
-        simple = next(one for one in self.laws if one.name == _SIMPLE[f"{self.kind}s"].name)
+        simple = next(one for one in self.laws if one.name == _SIMPLE[self.kind].name)
         beside = "" if found is simple else f", a {simple.name} one {_format_share(simple.kept)}"
         left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted{beside}"
         if found.name == RIGID:
@@ -238,8 +229,7 @@ def parts_of(problem: ClosedLoopProblem, laws: str) -> NDArray[np.intp]:
 
 def judge(
     solved: Solved,
-    name: str,
-    of_law: Sequence[Parameter],
+    law: Spring | Friction | None,
     parts: NDArray[np.intp],
     simple: tuple[JudgedLaw, FloatArray] | None = None,
 ) -> tuple[JudgedLaw, FloatArray]:
@@ -250,31 +240,34 @@ def judge(
 
     Args:
         solved: solution with the law.
-        name: of the law.
-        of_law: its parameters.
+        law: of it; None for a rigid joint.
         parts: (rows,) see `parts_of`.
         simple: the linear law, judged, and its squared errors.
     """
     problem, x = solved.problem, solved.solution.x
     error, slopes = problem.linearise(x)
-    names = [p.name for p in problem.free]
     known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x)))
     shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
-    std = {n: float(sigma) for n, sigma, stated in zip(names, known.covariance.std, shown, strict=True) if stated}
-    values, units = problem.values(x), problem.units
-    unknown = {p.name for p in problem.free} - set(std)
-    words = {
-        p.name: _format_interval(p, values[p.name], std.get(p.name), units[p.name], p.name in unknown) for p in of_law
+    std = {
+        p.name: float(sigma)
+        for p, sigma, stated in zip(problem.free, known.covariance.std, shown, strict=True)
+        if stated
     }
-    size = problem.size
+    of_law, values, units, size = _parameters(problem.joint, law), problem.values(x), problem.units, problem.size
+    said = {}
+    for p in of_law:
+        fixed = f"{number(values[p.name], 4)} {units[p.name]}" if p.name in values and p not in problem.free else ""
+        told = f"{interval(values[p.name], 2 * std[p.name])} {units[p.name]}" if p.name in std else fixed
+        said[p.name] = told or "(not identifiable)"
+    words = "" if law is None else ", ".join(f"{p.symbol} {said[p.name]}" for p in of_law)
     found = JudgedLaw(
-        name,
+        RIGID if law is None else law.name,
         len(of_law),
         {p.name: values[p.name] for p in of_law},
         {p.name: std[p.name] for p in of_law if p.name in std},
         float(np.linalg.norm(error)) / size,
         None,
-        intervals=words,
+        words=law.describe(said) if isinstance(law, Spring) else words,
     )
     if simple is not None and problem.joint.stepped:
         least = simple[0].fitted
@@ -292,17 +285,6 @@ def judge(
     apart = np.sum(in_threads(predict, range(TIMES)), axis=0)
     found = replace(found, kept=float(np.linalg.norm(apart)) / size)
     return found, squares_of(apart, parts, (_NOTHING * size) ** 2 / PARTS)
-
-
-def _format_interval(p: Parameter, value: float, std: float | None, unit: str, unknown: bool) -> str:
-    """Return a value with its interval; "(not identifiable)" unless the value may vanish."""
-    vanishes = p.quantity in _MAY_VANISH
-    if not vanishes and (unknown or (std is not None and std > _UNKNOWN * abs(value))):
-        return "(not identifiable)"
-    if std is None:
-        return f"{number(value, 4)} {unit}"
-    near_none = vanishes and abs(value) < _BESIDE * std  # how near a search comes to a bound at 0 says nothing
-    return f"{interval(0.0 if near_none else value, 2 * std)} {unit}"
 
 
 def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:
@@ -326,92 +308,72 @@ def compare_laws(
     progress: Progress,
 ) -> LawComparison:
     """Identify a joint with every law of its spring or friction."""
-    settings = _check(loop.joint, among, didim)
-    check_record(record)
-    tolerance = settings.stopping_tolerance(loop.joint.model)
-    joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
-    history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
-    adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
-    plain = _with_law(loop, kind, simple)
-    own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
-    parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
-    task = Task(record, plain.joint, plain, own, chosen, progress)
-    solved = settings.solve(task, history)
-    if settings.free:
-        solved = free_more(solved, settings.free, tolerance, history)
-    made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
-    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
-    # A rigid joint is judged beside the laws of a spring.
-    tried = [None, *laws] if among == "springs" else [*laws]
-    found = _judge_laws(solved, record, loop, among, tried, given, tolerance, progress)
-    of: Literal["spring", "friction"] = "spring" if among == "springs" else "friction"
-    return LawComparison(of, record.name, rank(found), getattr(joint, kind).name, joint.transmission)
-
-
-def _judge_laws(
-    solved: Solved,
-    record: Record,
-    loop: ClosedLoop,
-    among: Literal["springs", "frictions"],
-    laws: Sequence[Spring | Friction | None],
-    given: Mapping[str, Parameter],
-    tolerance: float,
-    progress: Progress,
-) -> list[tuple[JudgedLaw, FloatArray | None]]:
-    """Judge laws, and a rigid joint for None, each searched from the solution with the simple law."""
-    joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
-    plain, history = _with_law(loop, kind, simple), History(lambda message: progress(Detail(message)))
-    parts = parts_of(solved.problem, among)
-    found: list[tuple[JudgedLaw, FloatArray | None]] = []
-    line: tuple[JudgedLaw, FloatArray] | None = None
-    for law in follow(laws, progress, f"comparing {among}", len(laws), among):  # the bar says how far it is
-        name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
-        named = f"a {name} spring" if kind == "spring" else f"{name} friction"
-        history.progress(f"fitting {'a rigid joint' if law is None else named}")
-        try:
-            if law is None:
-                end = _rigid(solved, record, plain, tolerance, history)
-            elif law == simple:
-                end = solved
-            else:
-                other = _with_law(loop, kind, law)
-                wanted = adjust_parameters(other.joint.parameters, _of_law(given, joint, other.joint))
-                end = _search(solved, record, other, wanted, tolerance, history)
-            fitted, squares = judge(end, name, of_law, parts, line)
-            line = (fitted, squares) if law == simple else line
-            if isinstance(law, Spring):
-                fitted = replace(fitted, words=law.describe(fitted.intervals))
-            elif law is not None:
-                words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
-                fitted = replace(fitted, words=words)
-            found.append((fitted, squares))
-        except (JointidError, np.linalg.LinAlgError) as error:
-            why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
-            if law == simple:
-                first = "a linear spring" if kind == "spring" else "symmetric friction"
-                raise MethodError(f"The joint cannot be judged with {first}: {why}") from error
-            found.append((JudgedLaw(name, len(of_law), {}, {}, None, None, refusal=why), None))
-    return found
-
-
-_SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "frictions": SymmetricFriction()}
-"""The law that is always identified, from which the others begin."""
-
-
-def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
-    """Return the settings of DIDIM; raise a `MethodError` if the laws of the joint cannot be compared."""
-    if among == "springs" and not isinstance(joint, FlexibleJoint):
+    settings, joint = didim or DIDIM(), loop.joint
+    kind: Literal["spring", "friction"] = "spring" if among == "springs" else "friction"
+    if kind == "spring" and not isinstance(joint, FlexibleJoint):
         raise MethodError(
             'Only a flexible joint has a spring; received a rigid one: declare it with model = "flexible".'
         )
-    settings = didim or DIDIM()
     settings.require_settings_of(joint.model)
     if joint.gravity is not None and joint.gravity.varies:
         raise MethodError(
             f"{among.capitalize()} are not compared beside gravity that follows the position, with which {among} in "
             "pieces are not simulated; expected a constant load or none."
         )
-    return settings
+    check_record(record)
+    given, simple = dict(parameters or {}), _SIMPLE[kind]
+    adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
+    made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
+    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
+    band, found = filtering or Filtering(), list[tuple[JudgedLaw, FloatArray | None]]()
+    line: tuple[JudgedLaw, FloatArray] | None = None
+
+    def identify(law: Spring | Friction, band: Filtering) -> Solved:
+        """Identify the joint with a law."""
+        other = _with_law(loop, kind, law)
+        wanted = adjust_parameters(other.joint.parameters, _of_law(given, joint, other.joint))
+        history = History(lambda message: progress(Detail(message)))
+        end = settings.solve(Task(record, other.joint, other, wanted, band, history.progress), history)
+        if settings.free:
+            end = free_more(end, settings.free, settings.stopping_tolerance(other.joint.model), history)
+        return end
+
+    solved = identify(simple, band)
+    parts, band = parts_of(solved.problem, among), solved.problem.filtering
+    if isinstance(solved.problem.joint, FlexibleJoint):
+        settings = replace(settings, frequency=solved.problem.joint.frequencies(solved.values)["free_free"])
+    # A rigid joint is judged beside the laws of a spring.
+    tried = [None, *laws] if kind == "spring" else [*laws]
+    for law in follow(tried, progress, f"comparing {among}", len(tried), among):  # the bar says how far it is
+        try:
+            if law is None:
+                end = _lump(solved, record, loop, settings.stopping_tolerance("rigid"))
+            else:
+                end = solved if law == simple else identify(law, band)
+            fitted, squares = judge(end, law, parts, line)
+            line = (fitted, squares) if law == simple else line
+            found.append((fitted, squares))
+        except (JointidError, np.linalg.LinAlgError) as error:
+            why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
+            if law == simple:
+                raise MethodError(f"The joint cannot be judged with {simple.name} {kind}: {why}") from error
+            name = RIGID if law is None else law.name
+            found.append((JudgedLaw(name, len(_parameters(joint, law)), {}, {}, None, None, refusal=why), None))
+    return LawComparison(kind, record.name, rank(found), getattr(joint, kind).name, joint.transmission)
+
+
+_SIMPLE: Mapping[str, Spring | Friction] = {"spring": LinearSpring(), "friction": SymmetricFriction()}
+"""The law that is always identified, and by whose mode the others are."""
+
+
+def _lump(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float) -> Solved:
+    """Solve for a rigid joint in the same band, from the lumped parameters of a flexible one."""
+    flexible, problem, values = loop.joint, solved.problem, solved.values
+    assert isinstance(flexible, FlexibleJoint)
+    own, beside = flexible.rigid.parameters, problem.parameters[len(problem.joint.parameters) :]
+    lumped = values | {p.name: of_whole(p, values) for p in own}
+    rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, own, beside)
+    return History(ignore_progress).solve(rigid, least_squares(tolerance), rigid.vector(lumped))
 
 
 def _with_law(loop: ClosedLoop, kind: str, law: Spring | Friction) -> ClosedLoop:
@@ -420,10 +382,10 @@ def _with_law(loop: ClosedLoop, kind: str, law: Spring | Friction) -> ClosedLoop
     return replace(loop, joint=joint)
 
 
-def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
+def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:
     """Return the parameters of a law, of friction on both sides of a joint or of its one inertia."""
-    if isinstance(law, Spring):
-        return law.parameters
+    if law is None or isinstance(law, Spring):
+        return () if law is None else law.parameters
     sides = (("motor_", "1"), ("load_", "2")) if isinstance(joint, FlexibleJoint) else (("", ""),)
     return tuple(p for side in sides for p in law.parameters(*side))
 
@@ -439,62 +401,3 @@ def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> di
     if isinstance(declared, FlexibleJoint) and isinstance(joint, FlexibleJoint) and declared.spring != joint.spring:
         meant -= {p.name for p in (*declared.spring.parameters, *joint.spring.parameters)} - {"damping"}
     return {name: change for name, change in given.items() if name in meant}
-
-
-def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, history: History) -> Solved:
-    """Solve for a rigid joint in the same band, from the lumped parameters of a flexible one.
-
-    A lumped parameter is fixed where those of both sides are.
-    """
-    flexible, problem, values = loop.joint, solved.problem, solved.problem.values(solved.solution.x)
-    assert isinstance(flexible, FlexibleJoint)
-    known, sums = {p.name: p for p in problem.parameters}, dict[str, float]()
-    own = []
-    for p in flexible.rigid.parameters:
-        if p.name in known:
-            own.append(known[p.name])
-            continue
-        sides = [name for side in ("motor", "load") if (name := f"{side}_{p.name}") in known]
-        sums[p.name] = of_whole(p, values)
-        own.append(p if any(known[name].free for name in sides) else p.fix(sums[p.name]))
-    beside = problem.parameters[len(flexible.parameters) :]
-    rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
-    return history.solve(rigid, least_squares(tolerance), rigid.vector(values | sums))
-
-
-def _search(
-    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
-) -> Solved:
-    """Solve with another law, from the solution with the simple one."""
-    friction, lines = loop.joint.friction, loop.joint.friction.lines
-    if friction != solved.problem.joint.friction and lines != SymmetricFriction():
-        linear = _with_law(loop, "friction", lines)
-        by_name = {p.name: p for p in own}
-        of_lines = tuple(by_name[p.name] for p in linear.joint.parameters)
-        solved = _search_lines(solved, record, linear, of_lines, tolerance, history)
-        if friction.linear:
-            return solved
-    problem = torque_problem(record, loop, solved.problem.filtering, own)
-    return from_linear_laws(problem, solved, tolerance, history)
-
-
-def _search_lines(
-    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
-) -> Solved:
-    """Solve with one line for each direction, from the symmetric solution.
-
-    An offset that is no parameter of the law is part of its Coulomb forces.
-    """
-    values = solved.problem.values(solved.solution.x)
-    beside = solved.problem.parameters[len(solved.problem.joint.parameters) :]
-    problem = torque_problem(record, loop, solved.problem.filtering, own, beside)
-    start, joint = dict(values), loop.joint
-    for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
-        for one in joint.friction.coefficients:
-            start[prefix + one.name] = values[f"{prefix}{one.part}"]
-    if not joint.friction.offset_identifiable:
-        side = "motor_" if isinstance(joint, FlexibleJoint) else ""
-        for name, weight in joint.friction.constant(side).items():
-            start[name] += 2 * weight * values["offset"]
-        start["offset"] = 0.0
-    return history.solve(problem, least_squares(tolerance), problem.vector(start))

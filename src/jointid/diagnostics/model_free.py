@@ -13,7 +13,7 @@ law, delay and the gain of the log are tested before a joint is identified. Wher
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -42,7 +42,7 @@ SHORTEST = 2.0
 _WELL_SEEN = 0.1  # of a log's rate, below which a position between two samples is known
 _STANDS = 1e-9  # of the greatest velocity
 _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered signal are nearly the same
-_LATEST = 8.0  # samples: the largest delay, either way, of the torque
+_LATEST = 8  # samples: the largest delay, either way, of the torque
 _PARTS = 4  # of a sample: the steps of the delay
 _BORDER = 20  # samples at each end that are not compared
 _BETTER = 0.8  # of the residual: a delay must reduce it to this
@@ -82,37 +82,17 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     rows, width = torque.size, count * lags + 1
     if rows < 2 * width:
         return 0.0
-    products = np.empty((width, width))
-    projected = np.empty(width)
-    blocks = [slice(k * lags, (k + 1) * lags) for k in range(count)]
-    for one, here in zip(seen.T, blocks, strict=True):
-        for other, there in zip(seen.T, blocks, strict=True):
-            products[here, there] = _multiply_later(one, other, lags)
-        products[here, -1] = products[-1, here] = np.cumsum(one)[rows - lags :][::-1]
-        projected[here] = [torque[late:] @ one[: rows - late] for late in range(lags)]
-    products[-1, -1], projected[-1] = rows, np.sum(torque)
-    sizes = np.sqrt(np.diag(products))
-    sizes[sizes == 0.0] = 1.0
-    products, projected = products / np.outer(sizes, sizes), projected / sizes
-    weights = np.linalg.solve(products + _RIDGE * np.eye(width), projected)
-    square = float(torque @ torque)
-    left = max(square - 2 * float(weights @ projected) + float(weights @ products @ weights), 0.0)
-    return math.sqrt(left / square) * math.sqrt(rows / (rows - width))
+    columns = np.column_stack([*(_lagged(one, lags) for one in seen.T), np.ones(rows)])
+    columns /= column_norms(columns)
+    weights = np.linalg.solve(columns.T @ columns + _RIDGE * np.eye(width), columns.T @ torque)
+    left = float(np.linalg.norm(torque - columns @ weights) / np.linalg.norm(torque))
+    return left * math.sqrt(rows / (rows - width))
 
 
-def _multiply_later(one: FloatArray, other: FloatArray, lags: int) -> FloatArray:
-    """Return the products, (lags, lags), of two signals, each later by 0, 1, ... samples and zero before.
-
-    One sample later, both have lost their last one: that is the next diagonal entry, so no column is written out.
-    """
-    rows = one.size
-    found = np.empty((lags, lags))
-    found[0] = [one[late:] @ other[: rows - late] for late in range(lags)]
-    found[:, 0] = [other[late:] @ one[: rows - late] for late in range(lags)]
-    last, others = one[::-1], other[::-1]
-    for late in range(lags - 1):
-        found[late + 1, 1:] = found[late, :-1] - last[late] * others[: lags - 1]
-    return found
+def _lagged(signal: FloatArray, lags: int, before: float = 0.0) -> FloatArray:
+    """Return a signal later by 0, 1, ... samples, (samples, lags), and a value before it."""
+    whole = np.concatenate([np.full(lags - 1, before), signal])
+    return np.lib.stride_tricks.sliding_window_view(whole, lags)[:, ::-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,29 +131,23 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
         return None
     logged, made, see = followed
     assert record.torque is not None
-    count = logged.size
-    inside = slice(_BORDER, count - _BORDER)
-    columns = np.vstack([made.T, np.ones(count)])  # each in one piece, for speed
+    columns, inside = np.column_stack([made, np.ones(logged.size)]), slice(_BORDER, logged.size - _BORDER)
+    target, noise = logged[inside], _regress_on_past(record, logged, see)
 
-    def delay(shift: float) -> FloatArray:
-        whole = math.floor(shift)
-        first, last = _BORDER - whole, count - _BORDER - whole
-        share = shift - whole
-        return ((1 - share) * columns[:, first:last] + share * columns[:, first - 1 : last - 1]).T
+    def at(late: float) -> tuple[float, FloatArray]:
+        """Return what is left of the torque, and the weights, with the law so many samples later."""
+        whole = math.floor(late)
+        first, last, share = _BORDER - whole, logged.size - _BORDER - whole, late - whole
+        return _regress(target, (1 - share) * columns[first:last] + share * columns[first - 1 : last - 1])
 
-    left, weights = _regress(logged[inside], delay(0.0))
-    whole = np.arange(-_LATEST, _LATEST + 1)
-    near = whole[np.argmin(_regress_roughly(logged[inside], map(delay, whole)))]
-    shifts = near + np.arange(-_PARTS, _PARTS + 1) / _PARTS
-    shifts = shifts[np.abs(shifts) <= _LATEST]
-    shares = _regress_roughly(logged[inside], map(delay, shifts))
-    best, gain = int(np.argmin(shares)), float(weights[0])
-    noise = _regress_on_past(record, logged, see)
-    if shares[best] > _BETTER * left:
-        return LawOnPosition(left, gain, 0.0, left, noise)
-    late = _interpolate_minimum(shifts, shares**2, best) * record.torque.sample_time
-    in_time, weights = _regress(logged[inside], delay(float(shifts[best])))
-    return LawOnPosition(left, float(weights[0]), late, in_time, noise)
+    left, weights = at(0.0)
+    near = min(range(-_LATEST, _LATEST + 1), key=lambda late: at(late)[0])
+    shifts = np.clip(near + np.arange(-_PARTS, _PARTS + 1) / _PARTS, -_LATEST, _LATEST)
+    late = float(min(shifts, key=lambda late: at(late)[0]))
+    in_time, scaled = at(late)
+    if in_time > _BETTER * left:
+        return LawOnPosition(left, float(weights[0]), 0.0, left, noise)
+    return LawOnPosition(left, float(scaled[0]), late * record.torque.sample_time, in_time, noise)
 
 
 class Agreement(StrEnum):
@@ -345,42 +319,17 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
     r, q = seen["reference"], seen["motor_position"]
     more = [seen[name] for name in ("reference_velocity", "injected") if name in seen]
     total, *signals = see(np.column_stack([np.cumsum(r - q), r - q, np.gradient(q), *more])).T
-    columns = [total, np.ones(r.size)]
-    for signal in signals:
-        columns += [np.concatenate([np.full(lag, signal[0]), signal[: signal.size - lag]]) for lag in range(_LAGS)]
-    return _regress(logged, np.column_stack(columns))[0]
+    late = (_lagged(one, _LAGS, one[0]) for one in signals)
+    return _regress(logged, np.column_stack([total, np.ones(r.size), *late]))[0]
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
-    """Return the residual share of a signal about its mean, and the weights of the columns."""
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0.0] = 1.0
-    weights = np.linalg.lstsq(columns / size, seen, rcond=None)[0]
-    rest, whole = float(np.linalg.norm(seen - (columns / size) @ weights)), float(np.linalg.norm(seen - seen.mean()))
-    return rest / whole if whole else math.inf, weights / size
+    """Return the residual share of a signal about its mean, and the weights of columns, by normal equations.
 
-
-def _regress_roughly(seen: FloatArray, each: Iterable[FloatArray]) -> FloatArray:
-    """Return the residual share of a signal about its mean for each set of few columns, by normal equations.
-
-    They take a fraction of the time of `_regress`. The residual is computed itself, so it is no difference of squares.
+    The residual is computed itself, so it is no difference of squares.
     """
-    shares = []
-    for columns in each:
-        products = columns.T @ columns
-        sizes = np.sqrt(np.diag(products))
-        sizes[sizes == 0.0] = 1.0
-        weights = np.linalg.lstsq(products / np.outer(sizes, sizes), columns.T @ seen / sizes, rcond=None)[0] / sizes
-        rest = seen - columns @ weights
-        shares.append(math.sqrt(float(rest @ rest)))
-    return np.array(shares) / (float(np.linalg.norm(seen - seen.mean())) or math.inf)
-
-
-def _interpolate_minimum(at: FloatArray, values: FloatArray, best: int) -> float:
-    """Return the minimum of the parabola through the least value and its neighbours."""
-    if not 0 < best < at.size - 1:
-        return float(at[best])
-    before, here, after = values[best - 1 : best + 2]
-    bend = before - 2 * here + after
-    moved = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    return float(at[best] + moved * (at[1] - at[0]))
+    sizes = column_norms(columns)
+    products = columns.T @ columns / np.outer(sizes, sizes)
+    weights = np.linalg.lstsq(products, columns.T @ seen / sizes, rcond=None)[0] / sizes
+    rest, whole = float(np.linalg.norm(seen - columns @ weights)), float(np.linalg.norm(seen - seen.mean()))
+    return rest / whole if whole else math.inf, weights

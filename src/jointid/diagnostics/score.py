@@ -21,6 +21,7 @@ given the joint's parameters, are one.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -81,7 +82,7 @@ def score(
     Args:
         residual: (rows,) of a solved problem, in the order of time.
         own: (rows, free) columns of its free parameters, and of faults already corrected.
-        signatures: of all faults: none of them is noise.
+        signatures: of all faults of all axes: none of them is noise.
         declared: value of each fault to be tested.
         where: returns the rows' cells; called only where a deviation is widened.
         by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
@@ -97,14 +98,13 @@ def score(
     whiten = fit_whitener(_give_back(rest, _fitted_share(residual.size, *(part for _, part in common))))
     basis, error = orthonormal_basis(whiten(own), _RANK), whiten(residual)
     left, taken = error - basis @ (basis.T @ error), _fitted_share(residual.size, basis)
-    best: dict[Fault, _Step] = {}
-    shapes = dict.fromkeys(declared, 0)
-    for one in signatures:
-        if one.fault in shapes:
-            shapes[one.fault] += one.fault.tried
-            step = _step_along(one, whiten, basis, left)
-            if one.fault not in best or step.gain > best[one.fault].gain:
-                best[one.fault] = step
+    best: dict[tuple[int, Fault], _Step] = {}
+    shapes: Counter[tuple[int, Fault]] = Counter()
+    for one in (one for one in signatures if one.fault in declared):
+        key, step = (one.axis, one.fault), _step_along(one, whiten, basis, left)
+        shapes[key] += one.fault.tried
+        if key not in best or step.gain > best[key].gain:
+            best[key] = step
     groups = _group_identical(best.values())
 
     @cache
@@ -113,21 +113,14 @@ def score(
 
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
     families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
+    keys = [(group[0].signature.axis, group[0].signature.fault) for group in groups]
     tests = (
         _test_group(
-            group,
-            left,
-            taken,
-            shapes[fault] * family,
-            declared[fault],
-            where,
-            simulate_forces,
-            widened,
+            group, left, taken, shapes[key] * family, declared[key[1]], where, simulate_forces, widened,
             along_measured_motion,
         )
-        for group, family in zip(groups, families, strict=True)
-        for fault in [group[0].signature.fault]
-    )
+        for group, family, key in zip(groups, families, keys, strict=True)
+    )  # fmt: skip
     return rank_tests(tests, _WIDENED)
 
 
@@ -242,8 +235,9 @@ def _test_group(
     step, fault = group[0], group[0].signature.fault
     alone = step.alone[:, np.newaxis]
     after = _give_back(left - step.size * step.alone, taken + _fitted_share(left.size, alone / column_norms(alone)))
-    alike = tuple(other.signature.fault for other in group[1:])
-    opposite = tuple(other.signature.fault for other in group[1:] if other.alone @ step.alone < 0)
+    others = [other for other in group[1:] if other.signature.axis == step.signature.axis]
+    alike = tuple(other.signature.fault for other in others)
+    opposite = tuple(other.signature.fault for other in others if other.alone @ step.alone < 0)
 
     def judge(std: float, degrees: float = _MANY) -> FaultTest:
         ratio = step.size / std if std > 0 else 0.0
@@ -251,7 +245,8 @@ def _test_group(
         if fault.parts > 1:  # a size that its coefficients make has no sign
             tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
         p_value = min(float(tail) * tests, 1.0) if abs(step.size) >= fault.least else 1.0
-        return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, step.signature.shape, opposite)
+        shape, axis = step.signature.shape, step.signature.axis
+        return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, shape, opposite, axis)
 
     influence = Influence(alone, after)
     covariance = influence.robust()

@@ -1,4 +1,4 @@
-"""State of the search for faults between two tests, and the tests' common parts."""
+"""State of the search for faults between two tests, and what is asked of it."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import ParameterShift
-from jointid.diagnostics.faults.other_laws import OTHER_LAWS
 from jointid.diagnostics.score import score
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.records.record import Record
 from jointid.uncertainty.covariance import Influence
-from jointid.uncertainty.position_dependent_error import Cells, cells
+from jointid.uncertainty.position_dependent_error import Cells
 
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-SIGNIFICANT = 0.05  # a fault with a larger p-value explains nothing
 INTERVAL = 2.0  # deviations: half an interval
+_LAWS = 7  # other laws of a controller, that are tested beside the faults
 _FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
 
 
@@ -48,8 +48,12 @@ class LoopTests:
 class SearchState:
     """A solved problem between two tests.
 
-    `corrected` are faults taken off the torque, for which the problem has no parameter; `named` are not tested again;
-    `identified` are the parameters, by name, as they are beside the last fault, where that has its own law.
+    Attributes:
+        problem: of a joint's loop.
+        x: (free,) its solution.
+        corrected: faults taken off the torque, for which the problem has no parameter.
+        named: faults that are not tested again.
+        identified: the parameters, by name, as they are beside the last fault, where a law of the joint has it.
     """
 
     problem: ClosedLoopProblem
@@ -60,39 +64,59 @@ class SearchState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TestResults:
-    """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
+class Tested:
+    """A state, what it leaves, and the tests of its faults.
 
-    `where` and `by_forces` are arguments of `score`, simulated once and on demand. `excluded` are the significant tests
-    of faults that the motor position excludes.
+    Attributes:
+        state: that was tested.
+        residual: (rows,) of its problem.
+        own: (rows, free) columns of its free parameters, and of the faults that are corrected.
+        level: largest share of records without a fault in which one is found.
+        known: standard errors of the parameters by name; autocorrelation-robust ones of those that are not there.
+        record: of the problem, None if no other law is searched for.
+        where, by_forces: arguments of `score`.
+        signatures: of the faults. tests: of them, the likeliest first.
+        excluded: significant tests of faults that the motor position excludes.
     """
 
+    state: SearchState
     residual: FloatArray
     own: FloatArray
-    signatures: tuple[FaultSignature, ...]
-    tests: tuple[FaultTest, ...]
+    level: float
+    known: Mapping[str, float]
+    record: Record | None
     where: Callable[[], Cells]
     by_forces: Callable[[], list[FloatArray]]
-    excluded: tuple[FaultTest, ...] = ()
+    signatures: tuple[FaultSignature, ...]
+    tests: tuple[FaultTest, ...]
+    excluded: tuple[FaultTest, ...]
 
+    @property
+    def significant(self) -> float:
+        """The greatest square of a significant test's strength; 0 without one."""
+        return max((one.strength**2 for one in self.tests if one.p_value <= self.level), default=0.0)
 
-def test_signature(state: SearchState, found: TestResults, of_law: FaultSignature) -> FaultTest:
-    """Return the test of another law beside the faults."""
-    own, signatures = stack_columns(state, found.own), [*found.signatures, of_law]
-    test = score(found.residual, own, signatures, {of_law.fault: 0.0}, found.where, found.by_forces)[0]
-    return replace(test, p_value=min((len(found.tests) + len(OTHER_LAWS)) * test.p_value, 1.0))
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard errors of the joint's parameters, by name."""
+        names = [p.name for p in self.state.problem.free_joint]
+        by_itself = Influence(self.own, self.residual).robust().std
+        return {name: self.known.get(name, float(std)) for name, std in zip(names, by_itself, strict=False)}
 
+    def test_law(self, fault: Fault, moved: FloatArray) -> FaultTest:
+        """Return the test of another law, which moves the torque by `moved`, (rows,), beside the faults."""
+        signature = FaultSignature(fault, moved, raw=np.zeros(0))
+        signatures = [*self.signatures, signature]
+        test = score(self.residual, self.own, signatures, {fault: 0.0}, self.where, self.by_forces)[0]
+        return replace(test, p_value=min((len(self.tests) + _LAWS) * test.p_value, 1.0))
 
-def stack_columns(state: SearchState, own: FloatArray) -> FloatArray:
-    """Return the joint's columns, (rows, free), beside those of the faults that are corrected."""
-    return np.column_stack([own, *(a.column for a in state.corrected)])
-
-
-def assign_cells(state: SearchState) -> Cells:
-    """Return the cell of position, direction and speed of each row."""
-    run = state.problem.simulate(state.x)
-    motion = state.problem.filter(np.column_stack([run.motor_position, run.motor_velocity]))
-    return cells(motion[:, 0], motion[:, 1])
+    def shifts_to(self, values: Mapping[str, float]) -> dict[str, ParameterShift]:
+        """Return the shifts of the joint's parameters from the state to other values."""
+        found = {}
+        for (name, std), x in zip(self.std.items(), self.state.x.tolist(), strict=False):
+            by = float(values[name] - x)
+            found[name] = ParameterShift(by, by / std if std > 0 else 0.0)
+        return found
 
 
 def simulate_forces(state: SearchState) -> list[FloatArray]:
@@ -106,18 +130,3 @@ def simulate_forces(state: SearchState) -> list[FloatArray]:
         problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
         for one in simulate_with_force(problem, state.x, force, _FORCES, (1.0,))
     ]
-
-
-def compute_shifts(
-    state: SearchState, values: Mapping[str, float], found: TestResults, known: Mapping[str, float]
-) -> dict[str, ParameterShift]:
-    """Return the shifts of the joint's parameters from a state to other values."""
-    own = stack_columns(state, found.own)
-    names = [p.name for p in state.problem.free_joint]
-    by_itself = Influence(own, found.residual).robust().std[: len(names)]
-    std = [known.get(name, float(one)) for name, one in zip(names, by_itself, strict=True)]
-    moved = np.array([values[name] for name in names]) - state.x[: len(names)]
-    return {
-        name: ParameterShift(float(by), float(by / s) if s > 0 else 0.0)
-        for name, by, s in zip(names, moved, std, strict=True)
-    }

@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import Part
+from jointid.models.friction import Friction, Part
 from jointid.models.joints import FlexibleJoint
+from jointid.models.springs import Spring
 from jointid.records.record import Tap
-from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.closed_loop import Simulation, require_success
 from jointid.simulation.loop_input import to_log
 
 Columns: TypeAlias = Iterable[tuple[float | None, FloatArray | None]]
 """Shapes of a fault, and what each adds to the torque per unit of its size, (samples,); None where that fails."""
 
+_WILD = 10.0  # times the torque: a loop that is unstable with a law so different is not that of the record
 _FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
 
 
@@ -76,6 +78,23 @@ class Seen:
         """The parameters of a loop's joint, by name."""
         return {} if self.loop is None else self.loop[0].values(self.loop[1])
 
+    @cached_property
+    def trials(self) -> dict[int, tuple[ClosedLoopProblem, FloatArray]]:
+        """The problem and the start of each joint with other laws, by the identity of what it changes of the torque."""
+        return {}
+
+    @cached_property
+    def _plain(self) -> FloatArray:
+        return np.zeros(0) if self.loop is None else self.loop[0].torque(self.loop[1])
+
+    @cached_property
+    def windup(self) -> float:
+        """The largest wind-up of a flexible joint's spring; 0 without one, or where spring or load vanish."""
+        if self.loop is None or not self.values.get("stiffness", 0.0) > 0.0 or not self.values["load_inertia"] > 0.0:
+            return 0.0
+        run = self.loop[0].simulate(self.loop[1])
+        return 0.0 if run.load_position is None else float(np.max(np.abs(run.motor_position - run.load_position)))
+
     def friction(self, part: Part) -> float:
         """Return the mean friction of both directions on all masses of a loop's joint; 1 of another axis."""
         if self.loop is None:
@@ -92,6 +111,36 @@ class Seen:
     def is_flexible(self) -> bool:
         """Test whether the axis is a loop with a spring."""
         return self.loop is not None and isinstance(self.loop[0].joint, FlexibleJoint)
+
+    def vary(self, values: Mapping[str, float], size: float, **laws: Spring | Friction) -> FloatArray | None:
+        """Return the change of a flexible joint's torque by other laws of it, per unit of a size.
+
+        A law that large has effects of higher order, and the joint's parameters absorb a part of it: a derivative does
+        not show the second mode beside a joint of one mode. So the joint is simulated with it.
+
+        Args:
+            values: of the parameters that differ from the joint's; None is returned where one of these is kept.
+            size: of what the laws add.
+            laws: in the place of the joint's spring and friction.
+        """
+        assert self.loop is not None
+        problem = self.loop[0]
+        given = {p.name: p for p in problem.parameters}
+        changed = {name for name, value in values.items() if value != self.values.get(name)}
+        if any(p.name in changed for p in problem.parameters if not p.free):
+            return None
+        joint: Any = replace(problem.joint, **laws)  # type: ignore[arg-type]
+        own = tuple(given.get(p.name, p) for p in joint.parameters)
+        beside = problem.parameters[len(problem.joint.parameters) :]
+        other = replace(problem, loop=replace(problem.loop, joint=joint), parameters=(*own, *beside))
+        start = other.vector({**self.values, **values})
+        try:
+            faulty = require_success(other.simulate(start))
+        except JointidError:  # a loop that is unstable with it is not that of the record
+            return None
+        raw = (faulty.torque - self._plain) / size
+        self.trials[id(raw)] = other, start
+        return raw if np.all(np.abs(size * raw) < _WILD * float(np.max(np.abs(self._plain)))) else None
 
     def limited(self, level: float) -> FloatArray | None:
         """Return the change of the torque by a limit of the output; None where there is none to change."""

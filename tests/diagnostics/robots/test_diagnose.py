@@ -11,8 +11,8 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.diagnose_axes import diagnose_robot
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.faults.friction import ASYMMETRIC_FRICTION, STRIBECK
 from jointid.diagnostics.identify import identify
+from jointid.diagnostics.suspects import ASYMMETRIC_FRICTION, STRIBECK
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Controller
 from jointid.records.record import Record

@@ -13,8 +13,8 @@ from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import Finding
 from jointid.diagnostics.faults.numbers import LOG_GAIN
-from jointid.diagnostics.faults.other_laws import AVERAGED
 from jointid.diagnostics.robot_causes import RobotCause, find_robot_cause
+from jointid.diagnostics.variants import AVERAGED
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

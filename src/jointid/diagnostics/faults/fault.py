@@ -6,24 +6,23 @@ particular to a fault is a field of `Fault`; the tests, the search for causes an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import numbers_of, with_numbers
-from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.controllers import numbers_of, unit_of_number, with_numbers
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason
 
 if TYPE_CHECKING:
-    from jointid.diagnostics.faults.findings import AxisFaults, Finding
     from jointid.diagnostics.hypothesis_fits import Fit
 
 Meaning: TypeAlias = "tuple[Fault, str, float | None]"
@@ -40,20 +39,25 @@ class Measure(StrEnum):
     SHARE = "%"
     TIME = "ms"
     TORQUE = "torque"
+    POSITION = "position"
     DECLARED = "% of the declared value"
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault of the loop, the log, the record or the mechanics.
+    """Fault of the loop, the log, the record or the mechanics: one row of one table, for joint and robot.
+
+    As a suspect it is tested by small columns; as a cause it is corrected, and the joint identified again.
 
     Attributes:
         name: its code.
         title: noun phrase of a table, without an article.
         called: noun phrase of a sentence; "a" and the title if empty.
-        describe: returns the clause that states the fault, its size and, on request, its interval.
+        says: clause that states it: with {size}, or its ends {by} and {of}, {shape}, {value}, the first of its `senses`
+            of a positive size as {sense}, and {torque}, {position} and {velocity} as units; see `words.state`.
+        senses: of a positive size, and of a negative one.
+        remedy: what else to declare, as the end of a sentence, with {shape}.
         columns: returns what it adds to the torque of an axis, in each of its shapes.
-        trials: yields the joints that have it, of a flexible joint without it.
         tried: number of shapes that each of its columns is the best of.
         parts: numbers that are fitted for a column: 2 of a wave of any phase.
         declared: value without the fault; None for a number of the controller, whose value is declared.
@@ -66,11 +70,9 @@ class Fault:
         reason: code of the verdict.
         table: table of the joint file that declares a law with it.
         laws: names of these laws.
-        remedy: returns what else to declare, as the end of a sentence.
-        free: returns the problem with its parameter free, and the start.
-        value: returns the value to report, where the size is no difference of the freed parameter.
         correct: yields hypotheses in which it is corrected.
-        clause: of a sentence that states it as a cause, with the number found: as {value}, {ms} or {fine} of a time.
+        clause: of a sentence that states it as a cause: with the number found as {value}, {ms} or {fine} of a time, and
+            {name}, {shown} and {declared} with their units.
         meanings: yields the faults that a corrected hypothesis stands for, where these are several.
         negligible: whether a value differs too little from the declaration to be a cause.
         must_leave: share of the declared error that a cause leaves at most.
@@ -83,9 +85,10 @@ class Fault:
     name: str
     title: str
     called: str = ""
-    describe: Callable[[Finding, AxisFaults, bool], str] | None = None
+    says: str = ""
+    senses: tuple[str, str] = ("larger", "smaller")
+    remedy: str = ""
     columns: Callable[[Seen], Columns] | None = None
-    trials: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
     tried: int = 1
     parts: int = 1
     declared: float | None = 0.0
@@ -98,11 +101,8 @@ class Fault:
     reason: Reason = Reason.LOOP_NOT_AS_DECLARED
     table: Literal["", "spring", "friction"] = ""
     laws: tuple[str, ...] = ()
-    remedy: Callable[[FaultTest], str] | None = None
-    free: Callable[[ClosedLoopProblem, FaultTest], tuple[ClosedLoopProblem, float]] | None = None
-    value: Callable[[ClosedLoopProblem, float], float] | None = None
     correct: Callable[[Hypothesis], Iterable[Hypothesis]] | None = None
-    clause: str | Callable[[float | None, ClosedLoop], str] = ""
+    clause: str = ""
     meanings: Callable[[float | None, ClosedLoop], Iterable[Meaning]] | None = None
     negligible: Callable[[float | None, ClosedLoop, float], bool] | None = None
     must_leave: float = 0.85
@@ -127,11 +127,26 @@ class Fault:
         """Return its meanings as a cause: several faults if no record distinguishes them."""
         if self.meanings is not None:
             return self.meanings(value, loop)
-        if callable(self.clause):
-            return ((self, self.clause(value, loop), value),)
-        known = value or 0.0
-        clause = self.clause.format(value=number(value, 2), ms=milliseconds(known), fine=f"{1e3 * known:.4g}")
+        known, shown, declared = value or 0.0, "", ""
+        if "{shown}" in self.clause:
+            if value is None:
+                return ((self, f"the declared {name_number(self.name)} is not there", value),)
+            shown, declared = (
+                _show(self.name, one, loop) for one in (value, numbers_of(loop.controller).get(self.name, 0.0))
+            )
+        clause = self.clause.format(
+            value=number(value, 2), ms=milliseconds(known), fine=f"{1e3 * known:.4g}", name=call_number(self.name),
+            shown=shown, declared=declared,
+        )  # fmt: skip
         return ((self, clause, value),)
+
+
+def _show(name: str, value: float, loop: ClosedLoop) -> str:
+    """Return a number of a law with its unit; a time in ms."""
+    if name.endswith(("delay", "filter")):
+        return f"{milliseconds(value)} ms"
+    unit = unit_of_number(loop.controller, name, POSITION_UNIT[loop.joint.kind], loop.joint.force_unit)
+    return f"{number(value, 3) if value else 0} {unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,25 +158,16 @@ class FaultSignature:
         column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
         shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
         raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
+        axis: that has it.
+        trial: the problem of the joint with it, and (free,) a start, if a law of the joint has it.
     """
 
     fault: Fault
     column: FloatArray
     shape: float | None = None
     raw: FloatArray | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """A fault of a given size: the joint with it, and the values that differ from those without it.
-
-    `shape` distinguishes the trials of one fault.
-    """
-
-    joint: FlexibleJoint
-    values: Mapping[str, float]
-    size: float
-    shape: float | None = None
+    axis: int = 0
+    trial: tuple[ClosedLoopProblem, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,9 +184,10 @@ class FaultTest:
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
         opposite: those of `alike` whose size has the opposite sign.
+        axis: that has it.
     """
 
-    in_json = "name -fault -alike -opposite"
+    in_json = "name -fault -alike -opposite -axis"
     fault: Fault
     alike: tuple[Fault, ...]
     declared: float
@@ -190,6 +197,7 @@ class FaultTest:
     p_value: float
     shape: float | None = None
     opposite: tuple[Fault, ...] = ()
+    axis: int = 0
 
     @property
     def name(self) -> str:
@@ -211,14 +219,6 @@ class FaultTest:
         """The absolute statistic; at least 0 for a fault that can only be positive."""
         return max(self.statistic, 0.0) if self.fault.one_sided else abs(self.statistic)
 
-    def show_size(self, unit: str, *, spread: bool, factor: float = 1.0) -> str:
-        """Return the size and, with `spread`, its interval; "" where the interval contains 0."""
-        if 2 * self.std >= abs(self.size):
-            return ""
-        size = number(abs(factor * self.size), 3 if spread else 2)
-        interval = f" ± {number(2 * factor * self.std, 2)}" if spread else ""
-        return f"{size}{interval} {unit}"
-
 
 def name_number(name: str) -> str:
     """Return a number's name in words, also a filter's: "time constant of the velocity filter"."""
@@ -236,11 +236,6 @@ def call_number(name: str) -> str:
 def milliseconds(seconds: float) -> str:
     """Return a time in ms; one that no drive keeps is 0."""
     return "0" if abs(seconds) < MICROSECOND else number(1e3 * seconds, 2)
-
-
-def words(*parts: str) -> str:
-    """Return the parts that are not empty, with spaces between them."""
-    return " ".join(filter(None, parts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

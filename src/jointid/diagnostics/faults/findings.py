@@ -9,6 +9,7 @@ from jointid.common.messages import Message
 from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest
+from jointid.diagnostics.faults.words import state
 from jointid.diagnostics.in_time import Part
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, StribeckFriction
@@ -31,28 +32,18 @@ class OtherLaw:
     """A law that a drive may run instead of the declared one.
 
     Attributes:
-        parts: its differences, as faults of the loop.
+        fault: what differs.
         words: clause on what the drive does.
         remedy: its declaration.
         controller: with that law.
         rate: of the law, Hz, if that differs.
     """
 
-    parts: tuple[Fault, ...]
+    fault: Fault
     words: str
     remedy: str
     controller: Controller
     rate: float = 0.0
-
-    @property
-    def fault(self) -> Fault:
-        """The law as one fault of the loop: of several parts named as all of them."""
-        if len(self.parts) == 1:
-            return self.parts[0]
-        name, title, called = (
-            " and ".join(each) for each in zip(*((p.name, p.title, p.phrase) for p in self.parts), strict=True)
-        )
-        return Fault(name, title, called, self.parts[0].describe)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,9 +181,8 @@ class AxisFaults:
 
     def _describe(self, finding: Finding) -> Message:
         s = finding.test
-        assert s.fault.describe is not None
         p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
-        said, clause = f"{s.fault.describe(finding, self, True)} ({p_value})", s.fault.describe(finding, self, False)
+        said, clause = f"{state(finding, self, spread=True)} ({p_value})", state(finding, self, spread=False)
         if s.alike:
             same = [one for one in s.alike if one not in s.opposite]
             also = f", or so is {_call(*same)}" if same else ""
@@ -218,8 +208,8 @@ class AxisFaults:
     def _name_laws(self, finding: Finding) -> str:
         """Return the end of a sentence on the laws with the fault that was found; "" without any."""
         fault, table = finding.test.fault, finding.test.fault.table
-        if fault.remedy is not None:
-            return fault.remedy(finding.test)
+        if fault.remedy:
+            return "; " + fault.remedy.format(shape=number(finding.test.shape, 3))
         laws = self.list_laws_with(finding)
         if not laws:
             return ""
@@ -228,7 +218,7 @@ class AxisFaults:
         tried = " or ".join(f'"{law}"{" (by didim)" if law in stepped else ""}' for law in laws)
         said = f"; to identify it, declare the joint with {table} = {tried}"
         if self.of_loop:
-            return f"{said}, as jointid diagnose {'springs' if table == 'spring' else table} tells"
+            return f"{said}, as jointid diagnose --laws tells"
         speed = finding.test.shape if StribeckFriction.name in laws else None
         return said if speed is None else f"{said} and stribeck_speed = {number(speed, 2)}"
 

@@ -1,0 +1,384 @@
+"""The table of suspects: what may be wrong with an axis of a joint or a robot, each a row, in the order of the tests.
+
+To add one, write what a unit of it adds to the torque of the axis (`Fault.columns`), and its row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.errors import MethodError
+from jointid.common.parallel import in_threads
+from jointid.diagnostics.faults import loop_gain, numbers, other_laws, record
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure
+from jointid.diagnostics.score import fit_whitener
+from jointid.diagnostics.seen import Columns, Seen
+from jointid.models.friction import (
+    PARTS,
+    AsymmetricFriction,
+    AsymmetricStribeckFriction,
+    DriftingFriction,
+    Friction,
+    LoadDependentFriction,
+    PreslidingFriction,
+    StribeckFriction,
+    SymmetricFriction,
+)
+from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
+from jointid.models.position_forces import PositionHarmonics
+from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, Spring, ThreePieceSpring, TwoPieceSpring
+from jointid.records.signals.filtering import lowpass_below_noise
+from jointid.uncertainty.verdict import Reason
+
+_LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
+_HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
+_SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
+_LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is known to be one
+_WAVES = 4  # periods in the travel
+_SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
+_DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
+_LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
+_OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
+_SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
+_APART = 0.5
+_WAVES_TRIED = np.arange(3.0, 150.0, _APART)  # times that a ripple comes back over the travel
+_FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too
+_BROAD = 1.0  # how broad a peak is, in times over the travel
+_LIKELIEST = 6  # that are simulated
+_RANK = 1e-10  # of the largest singular value of columns
+VISCOUS, COULOMB = 1.0, 0.0
+"""Shapes of a friction that changes over the record."""
+
+
+# What each adds to the torque of an axis
+
+
+def _limit(seen: Seen) -> Columns:
+    """Yield the whole change of the torque by lower limits, so that size 1 is the limit."""
+    for level in (share * float(np.max(np.abs(seen.asked))) for share in _LEVELS):
+        yield level, seen.limited(level)
+
+
+def _saturate(seen: Seen) -> Columns:
+    """Yield the missing torque per unit loss at the peak, by powers of the current."""
+    current = seen.torque
+    if seen.loop is None:
+        # Of the torque that follows the motion: a power of the measured one holds its error, which is then found.
+        q, v, others = seen.position, seen.velocity, chain.from_iterable(seen.others.values())
+        known = np.column_stack([seen.acceleration, v, np.sign(v), np.ones(q.size), np.sin(q), np.cos(q), *others])
+        known = known[:, np.any(known, axis=0)]
+        known = known / column_norms(known)
+        current = known @ np.linalg.lstsq(known, current, rcond=None)[0]
+    share = np.abs(current) / (float(np.max(np.abs(current), initial=0.0)) or 1.0)
+    for power in _SAGS:
+        yield power, seen.force(-current * share**power)
+
+
+def _hang(seen: Seen) -> Columns:
+    """Yield the weight of a loop's load that hangs in four directions."""
+    if seen.loop is None:
+        return
+    joint, gear = seen.loop[0].joint, seen.loop[0].joint.transmission
+    if joint.gravity is not None or (joint.kind if gear is None else gear.load) != "revolute":
+        return
+    run = seen.loop[0].simulate(seen.loop[1])
+    angle = run.motor_position if run.load_position is None else run.load_position
+    if gear is not None and gear.ratio is not None and gear.side == "motor":
+        angle = angle / gear.ratio
+    for hangs in _HANGS:
+        yield hangs, seen.force(-np.sin(angle - hangs))
+
+
+def _cog(seen: Seen) -> Columns:
+    """Yield the ripple, per unit of amplitude, that explains most of a residual of a loop without smooth laws.
+
+    The residual is regressed on cosine and sine of the simulated position over each period: a loop that holds its
+    position against a force shows the force nearly as it is. The likeliest periods are then simulated.
+    """
+    travel = float(np.ptp(seen.position))
+    if seen.loop is None or not isinstance(seen.loop[0].joint, FlexibleJoint) or not travel > 0.0:
+        return
+    problem, joint = seen.loop[0], seen.loop[0].joint
+    try:
+        replace(joint, ripple=PositionHarmonics(1.0))
+    except MethodError:
+        return
+    if joint.stepped:
+        return
+    basis = orthonormal_basis(seen.own, _RANK)
+    position, way = seen.position[problem.kept], np.sign(seen.velocity[problem.kept])
+    whiten = fit_whitener(seen.residual - basis @ (basis.T @ seen.residual))
+    basis, left = orthonormal_basis(whiten(seen.own), _RANK), whiten(seen.residual)
+
+    def explain(columns: FloatArray) -> tuple[float, FloatArray]:
+        """Return the decrease of the squares of the residual by columns, and their weights."""
+        white = whiten(columns)
+        apart = white - basis @ (basis.T @ white)
+        weights = np.linalg.lstsq(apart, left, rcond=_RANK)[0]
+        return float(left @ apart @ weights), np.asarray(weights)
+
+    def regress(wave: float) -> float:
+        # A loop responds late to a force, in the direction of motion: so each direction has coefficients of its own.
+        turn = 2 * np.pi * wave / travel * position
+        return explain(np.column_stack([np.cos(turn), np.sin(turn), way * np.cos(turn), way * np.sin(turn)]))[0]
+
+    def simulate(wave: float) -> tuple[float, float, FloatArray]:
+        turn = 2 * np.pi * wave / travel * seen.position
+        parts = [one for each in (np.cos(turn), np.sin(turn)) if (one := seen.force(-each)) is not None]
+        if len(parts) < 2:
+            return 0.0, wave, np.zeros(turn.size)
+        raw = np.column_stack(parts)
+        gain, weights = explain(problem.filter(raw))
+        return gain, wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
+
+    gains, peaks = np.array(in_threads(regress, _WAVES_TRIED.tolist())), list[float]()
+    for _ in range(_LIKELIEST):
+        peaks.append(float(_WAVES_TRIED[int(np.argmax(gains))]))
+        gains[np.abs(_WAVES_TRIED - peaks[-1]) < _BROAD] = 0.0  # the same peak
+    found = in_threads(simulate, peaks)
+    finer = max(found, key=lambda one: one[0])[1] + _APART * np.array(_FINER)
+    _, wave, raw = max([*found, *in_threads(simulate, finer.tolist())], key=lambda one: one[0])
+    yield travel / wave, raw
+
+
+def _wave(seen: Seen) -> Columns:
+    """Yield waves of one to four periods in the travel."""
+    turns = 2.0 * np.pi * (seen.position - seen.position.min()) / (np.ptp(seen.position) or 1.0)
+    for wave in range(1, _WAVES + 1) if seen.loop is None else ():
+        yield float(wave), np.sin(wave * turns)
+        yield -float(wave), np.cos(wave * turns)
+
+
+def _follow_other(name: str, seen: Seen) -> Columns:
+    """Yield velocity, acceleration and direction of another axis."""
+    velocity, acceleration = seen.others[name]
+    yield from enumerate((velocity, acceleration, np.sign(velocity)))
+
+
+def _at_low_speed(sign: float, seen: Seen) -> Columns:
+    """Yield a friction that is larger, or smaller, by ``S exp(-(v / vs)^2)``, for some vs."""
+    if seen.loop is not None and isinstance(seen.loop[0].joint.friction, StribeckFriction | PreslidingFriction):
+        return  # its own law has that
+    for speed in (share * (seen.fastest or 1.0) for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
+        column = seen.force(-np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
+        yield speed, None if column is None else sign * column
+
+
+def _along_travel(seen: Seen) -> Columns:
+    """Yield a friction that changes over the travel, by 1 at most: by a line, half a wave and a whole one."""
+    low, span = float(seen.position.min()), float(np.ptp(seen.position)) or 1.0
+    way = 2.0 * (seen.position - low) / span - 1.0
+    for shape, over in enumerate((way, np.cos(np.pi * way), np.sin(np.pi * way))):
+        yield float(shape), seen.force(-np.sign(seen.velocity) * over)
+
+
+def _winds_up(seen: Seen) -> Columns:
+    """Yield a flexible joint's Coulomb friction as it winds up over some distances, less that which does not."""
+    if not seen.is_flexible or not seen.has_linear_friction:
+        return
+    still, moves = np.sign(seen.velocity), np.diff(seen.position, prepend=seen.position[0])
+    for distance in (share * float(np.ptp(seen.position)) for share in _DISTANCES):
+        if distance > 0:
+            yield distance, seen.force(-seen.friction("coulomb") * (_wind(moves / distance) - still))
+
+
+def _wind(moves: FloatArray) -> FloatArray:
+    """Return the share of Dahl's friction that is wound up after each move, (samples,), in winding distances."""
+    wound, found = 0.0, np.empty(moves.size)
+    for k, (way, left) in enumerate(zip(np.sign(moves).tolist(), np.exp(-np.abs(moves)).tolist(), strict=True)):
+        wound = way + (wound - way) * left if way else wound
+        found[k] = wound
+    return found
+
+
+def _under_load(seen: Seen) -> Columns:
+    """Yield a friction that grows with the torque through the gear."""
+    if seen.has_linear_friction:
+        yield None, seen.force(-np.abs(seen.through) * np.sign(seen.velocity))
+    law = LoadDependentFriction()
+    if _can_have(law, seen):
+        yield _OF_LOAD, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=law)
+
+
+def _can_have(law: Friction, seen: Seen) -> bool:
+    """Test whether another law can replace the symmetric friction of a flexible joint."""
+    joint = seen.loop[0].joint if seen.loop is not None and seen.is_flexible else None
+    return joint is not None and joint.friction == SymmetricFriction() and law in frictions_beside(joint)
+
+
+def _over_time(seen: Seen) -> Columns:
+    """Yield friction that falls over the record, by one unit at its end."""
+    gone = np.linspace(0.0, 1.0, seen.velocity.size)
+    if seen.loop is None:
+        yield VISCOUS, seen.force(gone * seen.velocity)
+        yield COULOMB, seen.force(gone * np.sign(seen.velocity))
+    law, duration = DriftingFriction(), seen.sample_time * seen.velocity.size
+    sides = ("motor_", "load_") if _can_have(law, seen) else ()
+    still = {f"{side}{part}_drift": 0.0 for side in sides for part in PARTS}
+    for part, shape in zip(PARTS if sides else (), (VISCOUS, COULOMB), strict=False):
+        falls = {f"{side}{part}_drift": -_LOST * seen.values[f"{side}{part}"] / duration for side in sides}
+        yield shape, seen.vary(still | falls, _LOST, friction=law)
+
+
+def _by_direction(seen: Seen) -> Columns:
+    if seen.loop is None:
+        yield None, seen.force(-np.abs(seen.velocity))
+
+
+def _bends(seen: Seen) -> Columns:
+    """Yield the second derivative of the acceleration, which a spring adds to a rigid joint's torque.
+
+    Above the limit that derivative is noise of the position, as is a part of the residual, which it then follows.
+    """
+    if seen.loop is None:
+        smooth = lowpass_below_noise(seen.acceleration, seen.limit, seen.sample_time)
+        yield None, np.gradient(np.gradient(smooth, seen.sample_time), seen.sample_time)
+
+
+def _other_spring(*laws: type[Spring]) -> Callable[[Seen], Columns]:
+    """Return what yields springs of other laws in the place of a flexible joint's linear one, at their starts."""
+
+    def vary(seen: Seen) -> Columns:
+        joint, values = None if seen.loop is None else seen.loop[0].joint, seen.values
+        if not isinstance(joint, FlexibleJoint) or not joint.spring.linear or seen.windup == 0.0:
+            return
+        for law in (one for one in springs_beside(joint) if isinstance(one, laws)):
+            if isinstance(law, ElasticLoad):
+                first = joint.frequencies(values)["free_free"]
+                for times in _MODES:
+                    yield times * first, seen.vary(law.start(values, _SHARE, times), _SHARE, spring=law)
+                continue
+            for start in law.starts(values, seen.windup):
+                if isinstance(law, Backlash):
+                    yield 0.5 * start["gap"], seen.vary(start, start["gap"], spring=law)
+                else:  # stiffer at the largest wind-up than near none
+                    torque = law.torque({**values, **start}, np.array([seen.windup]), np.zeros(1))
+                    more = float(torque[0]) / (start["stiffness"] * seen.windup) - 1.0
+                    yield more, seen.vary(start, more, spring=law)
+
+    return vary
+
+
+# The rows
+
+_mechanical = partial(Fault, mechanical=True)
+_friction = partial(Fault, table="friction", reason=Reason.FRICTION_NOT_AS_MODELLED)
+_spring = partial(_mechanical, table="spring", reason=Reason.SPRING_NOT_LINEAR, kin="spring law")
+
+OFFSET = Fault(
+    "offset", "constant force", says="a {sense} constant force{of} is not declared", senses=("positive", "negative"),
+    measure=Measure.TORQUE,
+)  # fmt: skip
+"""A constant force on a joint that is declared without one."""
+LIMIT = Fault(
+    "limit", "limit of the controller's output", columns=_limit, one_sided=True, measure=Measure.SHARE,
+    says="the controller's output stops at {value} {torque}, which is not declared",
+)  # fmt: skip
+TORQUE_SATURATION = _mechanical(
+    "torque_saturation", "torque constant that falls with the current", columns=_saturate, one_sided=True,
+    least=_LEAST_SAG, measure=Measure.SHARE,
+    says="the motor makes {size} less torque than its current says, where that is largest: its iron saturates",
+    remedy="the joint file has one torque constant: record with half of that torque, or see the curve of torque and "
+    "current in the motor's data sheet",
+)  # fmt: skip
+GRAVITY = _mechanical(
+    "gravity", "load that hangs", says="the load hangs: its weight turns the joint{by}", columns=_hang,
+    measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy='to identify it, declare it: [gravity] load = "link"',
+)  # fmt: skip
+INJECTED = Fault("injected", "signal that is not declared")
+POSITION_FORCE = _mechanical(
+    "position_force", "force that follows the position",
+    "the axis' own position: a gear that turns unevenly, a cable or a counterbalance",
+    "a part of the torque follows {phrase}", columns=_wave, reason=Reason.FORCE_FOLLOWS_POSITION,
+)  # fmt: skip
+COGGING = _mechanical(
+    "cogging", "force that comes back with the position", columns=_cog, tried=_WAVES_TRIED.size, parts=2,
+    says="a force{of} comes back with the motor's position, every {shape} {position}", one_sided=True,
+    measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy="to identify it, declare it: [ripple] period = {shape}",
+)  # fmt: skip
+_STANDSTILL = "towards standstill, below some {shape} {velocity}, the friction is {size} "
+_AT_LOW_SPEED = (StribeckFriction.name, AsymmetricStribeckFriction.name)
+STRIBECK = Fault(
+    "stribeck", "friction that rises towards standstill", says=_STANDSTILL + "larger than Coulomb's",
+    columns=partial(_at_low_speed, 1.0), one_sided=True, kin="low-speed friction", measure=Measure.TORQUE,
+    table="friction", laws=_AT_LOW_SPEED,
+)  # fmt: skip
+PRESLIDING = replace(
+    STRIBECK, name="presliding", title="friction that falls towards standstill",
+    says=_STANDSTILL + "smaller than Coulomb's", columns=partial(_at_low_speed, -1.0),
+    laws=(PreslidingFriction.name, *_AT_LOW_SPEED),
+)  # fmt: skip
+UNEVEN_FRICTION = _mechanical(
+    "uneven_friction", "friction that differs along the travel", says="the friction differs along the travel{by}",
+    columns=_along_travel, measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+)  # fmt: skip
+WINDING_FRICTION = _friction(
+    "winding_friction", "friction that winds up behind each reversal", columns=_winds_up, mechanical=True,
+    says="friction winds up behind each reversal, over some {shape} {position}", one_sided=True,
+    kin="low-speed friction", laws=(PreslidingFriction.name,),
+)  # fmt: skip
+LOAD_DEPENDENT_FRICTION = _friction(
+    "load_dependent_friction", "friction that grows with the load's torque", mechanical=True, one_sided=True,
+    says="the friction grows with the load's torque{by}", columns=_under_load,
+    measure=Measure.SHARE, laws=(LoadDependentFriction.name,),
+)  # fmt: skip
+CHANGING_FRICTION = _friction(
+    "changing_friction", "friction that changes over the record", says="the friction {sense} over the record",
+    senses=("falls", "rises"), columns=_over_time, mechanical=True, measure=Measure.SHARE,
+    laws=(DriftingFriction.name,),
+)  # fmt: skip
+ASYMMETRIC_FRICTION = _friction(
+    "asymmetric_friction", "friction that differs by direction", columns=_by_direction, mechanical=True,
+    says="the viscous friction is {sense} forwards than backwards", laws=(AsymmetricFriction.name,),
+)  # fmt: skip
+CUBIC_SPRING = _spring(
+    "cubic_spring", "spring that is not linear", columns=_other_spring(CubicSpring, ThreePieceSpring),
+    says="the spring is not linear: at the largest torque it is {sense} than near none{by}",
+    senses=("stiffer", "softer"), measure=Measure.SHARE,
+    laws=(ThreePieceSpring.name, CubicSpring.name, TwoPieceSpring.name),
+)  # fmt: skip
+BACKLASH = _spring(
+    "backlash", "backlash", says="the transmission has a backlash{of} or more", measure=Measure.POSITION,
+    columns=_other_spring(Backlash), one_sided=True, laws=(Backlash.name,),
+)  # fmt: skip
+SECOND_MODE = replace(
+    BACKLASH, name="second_mode", title="load that swings in itself", columns=_other_spring(ElasticLoad),
+    says="a part of the load swings on a spring of its own, somewhere about {shape} Hz", kin="",
+    measure=Measure.SHARE, reason=Reason.LOAD_NOT_RIGID, laws=(ElasticLoad.name,),
+)  # fmt: skip
+COMPLIANCE = _mechanical(
+    "compliance", "gear that bends", "changes of the acceleration: a gear that bends",
+    "a part of the torque is what a spring in this joint makes, as where a gear bends: declare its spring, or identify "
+    "below its mode by a lower filtering.cutoff", columns=_bends, reason=Reason.LOAD_NOT_RIGID,
+)  # fmt: skip
+
+FAULTS = (
+    *record.FAULTS, *loop_gain.FAULTS, *numbers.FAULTS, *other_laws.FAULTS, OFFSET, TORQUE_SATURATION, GRAVITY,
+    INJECTED, POSITION_FORCE, STRIBECK, PRESLIDING, UNEVEN_FRICTION, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION,
+    CHANGING_FRICTION, ASYMMETRIC_FRICTION, COGGING, CUBIC_SPRING, BACKLASH, SECOND_MODE, COMPLIANCE, LIMIT,
+)  # fmt: skip
+"""Every fault that can be tested or corrected, in the order of the tests and of the hypotheses."""
+
+
+def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
+    """Yield what each fault adds to the torque of an axis, as it is before the filter."""
+    coupled = (
+        replace(
+            POSITION_FORCE, name=f"coupled_{name}", title="coupling with another axis",
+            reason=Reason.LOOP_NOT_AS_DECLARED,
+            called=f"the motion of {name}: motors or gears that are coupled", columns=partial(_follow_other, name),
+        )
+        for name in seen.others
+    )  # fmt: skip
+    for fault in (*FAULTS, *coupled):
+        for shape, raw in () if fault.columns is None else fault.columns(seen):
+            if raw is not None:
+                yield FaultSignature(fault, raw, shape, raw, trial=seen.trials.get(id(raw)))
