@@ -17,7 +17,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Work
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Quantity
 from jointid.estimation.descent import History
@@ -84,17 +83,14 @@ def explore(
         others = [_inside(problem, values) for values in antiresonance_starts(problem)]
     count = len(row) + min(len(row), _NARROWED) * len(_SHARES) + len(others)
     given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
-    work = Work(history.progress, "trying flexible joints", count + bool(given), "joints")
 
     def on_grid(points: list[tuple[float, float]]) -> list[Candidate]:
-        return _judge(
-            problem, [(f, start_with_mode(problem, rigid or {}, f, share)) for f, share in points], work, history
-        )
+        return _judge(problem, [(f, start_with_mode(problem, rigid or {}, f, share)) for f, share in points], history)
 
     grid = on_grid([(f, _HALF) for f in row])
     best = sorted(grid, key=lambda one: one.cost)[:_NARROWED]
     grid += on_grid([(one.frequency, share) for one in best for share in _SHARES])
-    beside = _judge(problem, [(frequency_of(values), values) for values in others], work, history)
+    beside = _judge(problem, [(frequency_of(values), values) for values in others], history)
     if not any(one.cost < math.inf for one in (*grid, *beside)):
         raise MethodError(
             "No start could be simulated: every flexible joint tried makes this loop unstable; check the controller's "
@@ -110,7 +106,7 @@ def explore(
     found = [one for one in found if one.cost < math.inf]
     if given:  # starts that come with the parameters are tried first, and are no reason to try no others
         values = _inside(problem, found[0].values | given)
-        own = _judge(problem, [(frequency_of(values), values)], work, history)
+        own = _judge(problem, [(frequency_of(values), values)], history)
         found = [one for one in own if one.cost < math.inf] + found
     return found
 
@@ -131,9 +127,7 @@ def explore_widely(problem: ClosedLoopProblem, rigid: Mapping[str, float], histo
         for times, share, frequency in itertools.product(_INERTIAS, _WIDE_SHARES, map(float, row))
     ]
     history.progress(f"trying {len(grid)} flexible joints of other inertias")
-    work = Work(history.progress, "trying flexible joints", len(grid), "joints")
-    judged = _judge(problem, grid, work, history)
-    found = sorted((one for one in judged if one.cost < math.inf), key=lambda one: one.cost)
+    found = sorted((one for one in _judge(problem, grid, history) if one.cost < math.inf), key=lambda one: one.cost)
     if not found:
         raise MethodError("No start could be simulated: every flexible joint tried makes this loop unstable.")
     return found
@@ -182,14 +176,13 @@ def _inside(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str
 
 
 def _judge(
-    problem: ClosedLoopProblem, starts: Sequence[tuple[float, dict[str, float]]], work: Work, history: History
+    problem: ClosedLoopProblem, starts: Sequence[tuple[float, dict[str, float]]], history: History
 ) -> list[Candidate]:
     """Simulate starts, free-free frequency and values, in threads, and return them with their costs."""
     most = 10 * problem.size
 
     def judge(start: tuple[float, dict[str, float]]) -> Candidate:
         cost = float(np.linalg.norm(problem.residual(problem.vector(start[1]))))
-        work.add()
         return Candidate(cost if cost < most else math.inf, *start)
 
     history.tally.evaluations += len(starts)
