@@ -145,6 +145,23 @@ def test_a_cliff_is_no_minimum() -> None:
     assert end.x[0] <= 0.0
 
 
+@dataclass(frozen=True)
+class Runaway(Cliff):
+    """Beyond its lowest point its derivatives, or its errors, cannot be squared, or are no numbers."""
+
+    size: float = 1e200
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        error, J = Rosenbrock.linearise(self, x)
+        return (error, np.full_like(J, self.size)) if x[0] > 0.0 else (error, J)
+
+
+@pytest.mark.parametrize("size", [1e200, 1e300, np.inf, np.nan])
+def test_a_loop_that_runs_away_ends_a_search_and_no_program(size: float) -> None:
+    assert solve(Runaway(size=size), LevenbergMarquardt(1e-10), np.array([2.0, 1e-12])).status is Status.NOT_EVALUABLE
+    assert solve(Runaway(size=size), LevenbergMarquardt(1e-10), START).x[0] <= 0.0
+
+
 def test_several_starts_say_how_many_agree() -> None:
     end = solve(Rosenbrock(), LevenbergMarquardt(1e-10), np.array([START, [2.0, 4e-12]]))
     assert end.starts == (2, 2)

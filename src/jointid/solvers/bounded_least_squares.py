@@ -20,6 +20,7 @@ _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
 _THERE = 1e-2  # of a tolerance
+_LARGEST = 1e140  # of a residual and its derivatives: those of a loop that runs away have no squares
 _CHANGED = {Status.STEP: "the parameters", Status.COST: "the criterion"}
 
 
@@ -50,7 +51,8 @@ class LevenbergMarquardt:
         error, J = counted.linearise(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
         message = ""
-        status, reach, share, idle, refused = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
+        usable = J.any() and _have_squares(error, J)
+        status, reach, share, idle, refused = None if usable else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
         while status is None and used < self.evaluations and trace[-1].norm > self.enough:
             norm = trace[-1].norm
             step = damped_step(error, J, bounds.shift_to(x, reach), damping, bounds.upper - bounds.lower)
@@ -64,7 +66,7 @@ class LevenbergMarquardt:
                 break
             after, slopes = counted.linearise(x + step)
             used += 1
-            gained = _gain(norm, after)
+            gained = _gain(norm, after) if _have_squares(after, slopes) else -math.inf
             refused = 0 if gained > 0.0 else refused + 1
             small = bool(np.all(np.abs(step) <= self.tolerance * np.abs(x)))
             if gained > 0.0:
@@ -103,6 +105,11 @@ class LevenbergMarquardt:
 def _gain(norm: float, after: FloatArray) -> float:
     """Relative decrease of the criterion from a residual's norm to another residual."""
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
+
+
+def _have_squares(*arrays: FloatArray) -> bool:
+    """Test whether arrays are numbers that can be squared and summed."""
+    return all(bool(np.all(np.abs(array) < _LARGEST)) for array in arrays)
 
 
 def damped_step(
