@@ -26,7 +26,8 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Reason, Subject
+from jointid.uncertainty.verdict import Reason, Status, Subject
+from studies.healthy import drive
 from tests.estimates import amended, identify
 from tests.mistakes import (
     MISTAKES,
@@ -294,3 +295,12 @@ def test_number_that_the_position_shows_is_the_verdict_where_no_simulation_shows
     (shown,) = identifying._numbers_by_position(part, [record], wrong)  # type: ignore[arg-type]
     assert shown.values["causes"][0]["cause"] == "position_gain"
     assert identifying._numbers_by_position(part, [record], held) == []  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_a_refused_spring_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A healthy drive that moves one way only."""
+    plant = drive(323, 12.0)
+    monkeypatch.setattr(searching, "find_causes", lambda *_, **__: pytest.fail("it was asked"))
+    found = ji.identify(plant.record, plant.loop)
+    assert found["stiffness"].value is None and found.checks.verdicts[-1].status is Status.UNKNOWN

@@ -37,6 +37,8 @@ from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.position_dependent_error import cells, repeatable
 from jointid.uncertainty.residual_tests import Coupling, whiteness
 
+_NEARLY_ALL = 0.8  # of the squares of all axes that are not explained
+
 Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
 """The closed-loop problem of a joint, and its solution, (free,)."""
 
@@ -110,9 +112,12 @@ def diagnose_robot(
         cause = find_filled_references(part.setup, records, estimate.settings.filtering, left)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
     local = any(one.part is not None for one in faults)
-    if cause is None and estimate.settings.method == "idim" and not local and not all(one.is_small for one in axes):
+    large = sum(not one.is_small for one in axes)
+    if cause is None and estimate.settings.method == "idim" and large:
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    if cause is not None and cause.explained > explained:
+    # What acts all the time explains a part of it only where it explains nearly everything.
+    least = max(explained, _NEARLY_ALL * large) if local else explained
+    if cause is not None and cause.explained > least:
         axes = tuple(map(_wait_for_cause, axes))
     else:
         cause = None

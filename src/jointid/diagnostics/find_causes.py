@@ -287,19 +287,24 @@ def find_gross_cause(
     estimate: Estimate,
     record: Record,
     progress: Progress = ignore_progress,
+    *,
+    local: bool = False,
 ) -> Causes | None:
     """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
 
-    A spring may be refused for a cause that shows far below its resonance, however small the misfit is.
+    A spring may be refused for a cause that shows far below its resonance, however small the misfit is. A misfit that
+    is `local` in time has only causes that the samples show: what acts all the time does not explain a part of it.
     """
     loop, filtering, left = estimate.settings.loop, estimate.settings.filtering, estimate.fit.filtered_error
     assert loop is not None
     if (plain := find_lost_samples(record) or find_parts_off(record)) is not None:
         return Causes(left, plain=plain)
+    if local:
+        return None
     poor = left > _SUSPICIOUS
     if not poor and isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows):
         rigid = fit_below_resonance([Hypothesis(None, record, (loop,), filtering)], loop.joint)
-        poor = min((fit.error for fit in rigid), default=math.inf) >= _POOR_START
+        poor = min((fit.error for fit in rigid), default=0.0) >= _POOR_START
     return find_causes(record, loop, estimate, progress=progress) if poor else None
 
 

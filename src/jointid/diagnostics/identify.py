@@ -212,8 +212,8 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     problem, x = solved
     gross = causes = found = state = rest = by_position = None
     with contextlib.suppress(*_OF_RECORD):
-        if find_part_of_loop(problem, x) is None:  # a cause that acts all the time does not explain a part of it
-            gross = find_gross_cause(assemble(fit), record, progress)
+        local = find_part_of_loop(problem, x) is not None
+        gross = find_gross_cause(assemble(fit), record, progress, local=local)
     if gross is not None and gross.is_clear:
         return CheckResults((_fail(gross.message),))
     progress("checking loop and log")
