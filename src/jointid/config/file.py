@@ -256,9 +256,10 @@ class File:
     def learn_settings(self) -> dict[str, Any]:
         """Arguments of `jointid.learn_controller`; its units are those that the torque constant or its gain says."""
         gain: float = getattr(self.controller, "gain", self.axis.units.plain_gain)
+        gear = self.joint.transmission
         if gain != 1.0:  # of the motor's torque; the record's is the joint's
-            gain *= abs(getattr(self.controller, "ratio", 1.0))
-        return {"gain": gain, "transmission": self.joint.transmission, "declared": self.controller}
+            gain *= abs(getattr(self.controller, "ratio", 1.0 if gear is None else gear.torque("motor")))
+        return {"gain": gain, "transmission": gear, "declared": self.controller}
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
         """Return the record of a joint as one that is read in chunks, and identified in windows; see `record`.
