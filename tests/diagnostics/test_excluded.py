@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from jointid.diagnostics.find_causes import list_hypotheses
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.diagnostics.variants import has_unstated_delay
 from jointid.estimation.identify import fit
-from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -85,25 +82,6 @@ def test_a_delay_within_a_sample_that_nobody_stated_is_identified() -> None:
     assert any("no delay is declared: it is identified with the joint" in one for one in estimate.checks.warnings)
     loop = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
     assert loop.status is Status.PASSED
-
-
-@pytest.mark.slow
-def test_the_first_estimate_stands_where_that_with_the_delay_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    joint = RigidJoint("prismatic", SymmetricFriction())
-    record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
-    asked: list[tuple[str, ...]] = []
-
-    def fails(*given: Any, **more: Any) -> Estimate:
-        asked.append(() if given[2] is None else given[2].free)
-        if asked[-1]:
-            raise ji.MethodError("The loop is unstable.")
-        return fit(*given, **more)
-
-    monkeypatch.setattr(sys.modules["jointid.diagnostics.identify"], "fit_records", fails)
-    estimate = ji.identify(record, ClosedLoop(joint, LAW))
-    assert asked == [(), ("delay",)]
-    assert "delay" not in [row.name for row in estimate.params.rows]
-    assert estimate.params["inertia"].value == pytest.approx(30.0, rel=0.05)
 
 
 @pytest.mark.slow

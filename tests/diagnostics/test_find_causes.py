@@ -16,7 +16,7 @@ from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, REFERENCE_SCALE, TORQUE_SCALE
 from jointid.diagnostics.faults.numbers import TORQUE_FILTER, VELOCITY_FILTER, number_fault
-from jointid.diagnostics.faults.record import FLEXIBLE, SAMPLE_TIME
+from jointid.diagnostics.faults.record import FLEXIBLE
 from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_unexplained_share
 from jointid.diagnostics.samples import find_plain_cause
@@ -64,38 +64,6 @@ def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: s
     assert not str(told).startswith(str(raised.value))
     # What is wrong in the record is to be put right, too; how the search ended is an effect of the cause.
     assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
-
-
-@pytest.mark.slow
-def test_verdict_of_the_loop_is_the_cause() -> None:
-    """A torque that is twice as large is said to be, with all that cannot be told from it, and the factor.
-
-    A motor position would show it by itself.
-    """
-    record, loop = BY_NAME["torque twice as large"].make(axis("rigid"), 1)
-    said: list[str] = []
-    estimate = ji.identify(record.without("motor_position"), loop, progress=said.append)
-    verdict = estimate.checks.verdicts[-1]
-    assert verdict.subject is Subject.LOOP
-    assert verdict.good is False
-    [reason] = verdict.reasons
-    assert reason.code is Reason.CAUSE_FOUND
-    causes = reason.values["causes"]
-    assert [one["cause"] for one in causes] == ["torque_scale", "law_gain", "reference_scale"]
-    assert causes[0]["value"] == pytest.approx(2.0, rel=0.05)
-    assert causes[2]["value"] == pytest.approx(0.5, rel=0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", [4.0, 0.2])
-def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
-    record, loop = without_mistake(axis("rigid"))
-    timed = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
-    causes = find_causes(record.with_channels(timed), loop)
-    # Two numbers that are off by that factor make the same record but for filters and delays.
-    assert [one.fault for one in causes.explanations] == [SAMPLE_TIME, LAW_GAIN]
-    assert causes.explanations[0].value == pytest.approx(1 / factor)  # what puts it right
-    assert f"{max(factor, 1 / factor):.1f} times too {'long' if factor > 1 else 'short'}" in causes.message.words
 
 
 @pytest.mark.slow

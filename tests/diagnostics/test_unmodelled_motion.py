@@ -13,7 +13,7 @@ from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import SearchState
-from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
+from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import assemble
@@ -78,12 +78,3 @@ def test_it_is_said_where_loop_and_log_pass(of_a_gap: PredictedResidual, monkeyp
     assert said.reasons[1:] == (repeats,)  # what was said before stays
     assert checked.checks.verdicts[-1].subject is Subject.LOOP
     assert checked.answer.trust.code == Trust.NOT_YET
-
-
-def test_too_few_rows_say_nothing() -> None:
-    case = prismatic(1)
-    estimate = identify(case.clean, case.loop, ji.DIDIM(frequency=case.mode))
-    problem, x = rebuild_problem(estimate, case.clean, "")
-    few = replace(problem, filtering=replace(problem.filtering, decimation=200))
-    assert predict_residual(few, x) is None
-    assert _responses(np.ones((300, 12)), 1e-4) is None  # of 30 ms

@@ -79,12 +79,6 @@ def test_each_of_several_records_is_an_own_one() -> None:
     assert {ji.validate(estimate, one).answer.code for one in records} == {Prediction.OWN_RECORD}
 
 
-def test_without_a_joint_to_compare_with_nothing_is_promised() -> None:
-    found = ji.validate(identified()[0], made(0.13, 2))
-    alone = replace(found, axes=(replace(found.axes[0], attainable_error=None),))
-    assert alone.answer.code is Prediction.NOT_COMPARED
-
-
 def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
     record = made(0.13, 4)
     assert record.torque is not None
