@@ -15,7 +15,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import pluralise
 from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
 from jointid.diagnostics.axis_laws import find_filled_references
@@ -64,10 +63,9 @@ def diagnose_joint(
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     faults, state = search_faults(problem, x, tests, std, record, law)
-    torques, joint, residuals = torques_of_loop(problem, x), problem.joint, estimate.fit.residuals
+    torques, residuals = torques_of_loop(problem, x), estimate.fit.residuals
     axis = _diagnose_axis(
-        "", 0, torques, (POSITION_UNIT[joint.kind], joint.force_unit),
-        law, faults, None,
+        "", 0, torques, law, faults, None,
         None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
         else found.significant,
     )  # fmt: skip
@@ -101,7 +99,7 @@ def diagnose_robot(
     faults, follows, explained = find_axis_faults(torques, units, LoopTests().level, own)
     axes = tuple(
         _diagnose_axis(
-            name, k, torques, units[k], laws[k], faults[k], follows[k],
+            name, k, torques, laws[k], faults[k], follows[k],
             _repeats(torques, k) if _is_seen_through_law(record) else None,
         )
         for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
@@ -160,20 +158,18 @@ def _diagnose_axis(
     name: str,
     axis: int,
     torques: AxisTorques,
-    units: tuple[str, str],
     law: LawOnPosition | None,
     faults: AxisFaults,
     follows: tuple[str, Coupling] | None,
     repeats: bool | None = None,
 ) -> AxisDiagnosis:
-    """Return the diagnosis of one axis; `units` are of its position and its torque."""
+    """Return the diagnosis of one axis."""
     inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
     return AxisDiagnosis(
         name,
         float(np.linalg.norm(torques.error[axis])) / whole,
         whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
         follows,
-        *units,
         law,
         faults,
         repeats,

@@ -62,7 +62,6 @@ class AxisDiagnosis:
         left: share of its filtered torque that the estimate leaves.
         whiteness: of what is left; None where the record is too short.
         follows: what that follows most, and the share of it that does; None where nothing exceeds chance.
-        position_unit, torque_unit: rad or m; of its torque.
         law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
             logged motor position.
         faults: that were tested, and those found.
@@ -75,8 +74,6 @@ class AxisDiagnosis:
     left: float
     whiteness: Whiteness | None
     follows: tuple[str, Coupling] | None
-    position_unit: str
-    torque_unit: str
     law: LawOnPosition | None
     faults: AxisFaults
     repeats: bool | None = None

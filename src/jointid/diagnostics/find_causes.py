@@ -116,7 +116,7 @@ class Causes:
             left += f"; in {_SECONDS:g} s of processor these were not tried: {', '.join(self.missed)}"
         if self.explanations:
             best = self.explanations[0]
-            clause = ", or ".join((*(one.words for one in self.explanations), *filter(None, [best.fault.doubt])))
+            clause = ", or ".join(one.words for one in self.explanations)
             words = f"{clause}: with this put right {number(100 * best.error, 2)} % of the torque is left; {left}"
             causes = [{"cause": one.fault.name, "value": one.value, "error": one.error} for one in self.explanations]
             declared = None if math.isinf(self.declared_error) else self.declared_error

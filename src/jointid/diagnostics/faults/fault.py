@@ -77,7 +77,6 @@ class Fault:
         negligible: whether a value differs too little from the declaration to be a cause.
         must_leave: share of the declared error that a cause leaves at most.
         more_than_responses: times what free linear responses leave: a cause that leaves more is not all that is wrong.
-        doubt: what else may be wrong where this explains the record.
         judge: returns its value and what is left, by a problem of its own; None where it is no cause. It gets the drive
             as declared, the best fit and the least error of the others.
     """
@@ -107,7 +106,6 @@ class Fault:
     negligible: Callable[[float | None, ClosedLoop, float], bool] | None = None
     must_leave: float = 0.85
     more_than_responses: float = 1.15
-    doubt: str = ""
     judge: Callable[[Hypothesis, Fit | None, float], tuple[float | None, float] | None] | None = None
 
     @property

@@ -129,7 +129,7 @@ REFERENCE_IS_POSITION = Fault(
     "reference_is_position", "position as reference", judge=_judge_motion,
     clause="the channel given as the reference is the motor's actual position",
     # Its response is the controller's, too, which it explains whatever the controller does.
-    more_than_responses=2.0, doubt="more than one thing is wrong with the controller",
+    more_than_responses=2.0,
 )  # fmt: skip
 
 

@@ -111,7 +111,8 @@ class AxisSignals:
         assert torques is not None
         return [
             cls(
-                axis.name, axis.torque_unit, axis.position_unit, found.method, None, torques.time, torques.measured[k],
+                axis.name, axis.faults.units["torque"], axis.faults.units["position"], found.method, None,
+                torques.time, torques.measured[k],
                 torques.predicted[k], torques.seen[k], axis.left, torques.position[k], torques.velocity[k],
             )
             for k, axis in enumerate(found.axes)
