@@ -72,7 +72,11 @@ def find_axis_faults(
             along_measured_motion=torques.along_measured_motion,
         )  # fmt: skip
         first = first or tests
-        likely = [one for one in tests if one.p_value <= level and len(found[one.axis]) < _MOST]
+        # What one drive does otherwise moves the other joints: which of them do so, too, is seen once it is declared.
+        gone = OTHER_LAWS if any(one.test.name in OTHER_LAWS for each in found for one in each) else ()
+        likely = [
+            one for one in tests if one.p_value <= level and one.name not in gone and len(found[one.axis]) < _MOST
+        ]
         likely.sort(key=lambda one: -one.strength / (_AS_STRONG if one.name in OTHER_LAWS else 1.0))
         explaining = (
             (one, shape.column)
