@@ -179,7 +179,7 @@ class _Motion:
             atol = np.append(atol, np.full(len(self.springs), 1e-13))
             run = solve_ivp(
                 self.slopes, (self.time, end), self.y, "DOP853", rtol=1e-11, atol=atol,
-                events=[self.guard(i) for i in watched] or None, max_step=0.5 * duration,
+                events=[self.guard(i) for i in watched] or None, max_step=duration / 6.0,
             )  # fmt: skip
             self.time, self.y = float(run.t[-1]), run.y[:, -1].copy()
             if run.status != 1:
