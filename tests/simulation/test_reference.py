@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -93,10 +92,9 @@ def with_any(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
 
 @pytest.mark.parametrize("way", ["plain", pytest.param("late by periods", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [*LAWS, *PIECES, "balanced"])
-@pytest.mark.parametrize("make", [prismatic, pytest.param(rotary, marks=pytest.mark.slow)])
-def test_every_other_law_is_as_near_as_is_said(make: Any, law: str, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_other_law_is_as_near_as_is_said(law: str, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some 1e-5 of the torque's peak in steps as they are; and far nearer in fine ones."""
-    case = make(1)
+    case = prismatic(1)
     loop, values = with_any(case, law)
     record = window(case.clean)
     loop = controlled(loop, record, values, way)
