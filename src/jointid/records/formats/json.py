@@ -23,12 +23,12 @@ def read_json(path: Path) -> Table:
     table, rows = Table(source=path.name), 0
     columns: dict[str, array[float]] = {}
     for line in (line for _, line in number_lines(path) if line.strip()):
+        require_room(path.name, len(columns) * rows, len(columns))
         for name, value in _leaves("", json.loads(line)):
             if value is not None and type(value) not in (int, float):
                 table.passed[name] = "it holds more than numbers"
             elif name not in table.passed:
-                values = columns.setdefault(name, array("d"))
-                require_room(path.name, len(columns) * rows, len(columns))
+                values = columns.get(name) or columns.setdefault(name, array("d"))
                 values.extend([math.nan] * (rows - len(values)))
                 values.append(math.nan if value is None else value)
         rows += 1
