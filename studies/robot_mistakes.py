@@ -30,7 +30,7 @@ from tests.estimation.robots.twin import arm
 from tests.robots_plants import seven, six
 
 _STEP, _SECONDS, _NOISE, _COUNT = 2e-3, 6.0, 0.01, 2e-6  # s, s, of each torque, and rad of the encoders
-_PUSH = 0.5 * np.sin(np.pi * np.clip(_STEP * np.arange(round(_SECONDS / _STEP)) - 2.0, 0.0, 1.0)) ** 2
+_PUSH = 1.5 * np.sin(np.pi * np.clip(_STEP * np.arange(round(_SECONDS / _STEP)) - 2.0, 0.0, 1.0)) ** 2
 _OFF = 0.1  # of each link's inertial parameters: the model's own masses are off by so much
 
 

@@ -108,7 +108,7 @@ def search_faults(
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, ended, state = [], None, SearchState(problem, np.asarray(x, dtype=np.float64))
     open_ones = [] if ended is None else [find_other_law(ended, one) for one in list_undecided(laws)]
-    joint = problem.loop.joint
+    joint, of_loop = problem.loop.joint, not any(one.test.fault.of_model for one in findings)
     check = AxisFaults(
         tuple(findings),
         () if first is None else first.tests,
@@ -122,7 +122,7 @@ def search_faults(
         lacking={} if findings or ended is None else _measure_lacking(ended),
         suspected=None if ended is None else _suspect_mechanics(ended),
         part=part,
-        explained=_share_explained(problem, x, state) if len(findings) == settings.most > 1 else None,
+        explained=_share_explained(problem, x, state) if len(findings) == settings.most > 1 and of_loop else None,
     )
     return check, state
 
