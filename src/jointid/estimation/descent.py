@@ -28,7 +28,7 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 _WORTH = 1e-2  # of the tolerance: a step of a closed loop that promises less is not made
 
 
-def least_squares(tolerance: float, evaluations: int = 60) -> LevenbergMarquardt:
+def least_squares(tolerance: float, evaluations: int = 200) -> LevenbergMarquardt:
     """Return the solver of a closed loop."""
     return LevenbergMarquardt(tolerance, evaluations, worth=_WORTH * tolerance)
 
