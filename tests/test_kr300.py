@@ -55,4 +55,5 @@ def test_a_stiffness_from_both_encoders_is_not_relied_on(
     assert (spring.value, 2 * (spring.stderr or 0.0)) == pytest.approx((stiffness, two_sigma), rel=0.05)
     assert any("a stiffness from both encoders is not to be trusted" in text for text in estimate.checks.warnings)
     trust = estimate.answer.trust
-    assert (trust.code, trust.values["reasons"][0]) == (Trust.NOT_YET, "encoder_lag")
+    assert trust.code == Trust.NOT_YET
+    assert "encoder_lag" in trust.values["reasons"]

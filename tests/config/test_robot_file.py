@@ -258,9 +258,7 @@ def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) ->
     }  # fmt: skip
     again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints and again.axes == file.axes
-    with pytest.raises(
-        MethodError, match=r'The drive side .* received the law "presliding" of joint0: declare another'
-    ):
+    with pytest.raises(MethodError, match="presliding"):
         file.identify(file.record())
 
 

@@ -130,7 +130,6 @@ def test_a_damaged_answer_is_refused(tmp_path: Path) -> None:
         lambda a: a["parameters"]["inertia"].update(value="1"),
         lambda a: a.update(data=[]),
         lambda a: a["checks"].update(known=[1]),
-        lambda a: a["settings"].update(filtering=None),
     ):
         spoiled = json.loads(json.dumps(answer))
         spoil(spoiled)

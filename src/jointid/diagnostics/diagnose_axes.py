@@ -14,8 +14,6 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
-from jointid.common.text import pluralise
 from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
 from jointid.diagnostics.axis_laws import find_filled_references
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
@@ -29,6 +27,7 @@ from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
+from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
@@ -120,19 +119,6 @@ def diagnose_robot(
     else:
         cause = None
     return Diagnosis(robot.name, estimate.settings.method, axes, torques, cause)
-
-
-def require_one_each(controllers: Sequence[object], joints: int) -> None:
-    """Refuse controllers that are given and are not one for each joint.
-
-    Raises:
-        MethodError: there are more or fewer.
-    """
-    if controllers and len(controllers) != joints:
-        raise MethodError(
-            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
-            "for one that is not known."
-        )
 
 
 def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:

@@ -24,6 +24,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting, settings_of
+from jointid.common.text import pluralise
 from jointid.models.controllers.filters import Filter, as_filter
 from jointid.models.controllers.sampled import (
     CONSTANT,
@@ -404,3 +405,16 @@ def _with(owner: Any, path: list[str], value: float) -> Any:
         parts[int(first)] = _with(parts[int(first)], rest, value)
         return tuple(parts)
     return replace(owner, **{first: _with(getattr(owner, first), rest, value) if rest else value})
+
+
+def require_one_each(controllers: Sequence[object], joints: int) -> None:
+    """Refuse controllers that are given and are not one for each joint.
+
+    Raises:
+        MethodError: there are more or fewer.
+    """
+    if controllers and len(controllers) != joints:
+        raise MethodError(
+            f"A model of {pluralise(joints, 'joint')} has as many controllers; received {len(controllers)}: give None "
+            "for one that is not known."
+        )

@@ -12,9 +12,8 @@ from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 from jointid.common.text import join
 from jointid.common.transmission import SIDES, Side
-from jointid.diagnostics.diagnose_axes import require_one_each
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers.servo_base import Controller
+from jointid.models.controllers.servo_base import Controller, require_one_each
 from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import isaac_lab, mjlab
 from jointid.output.export.bodies import Model, read_robot_model
