@@ -48,7 +48,8 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
     if axis is None and len(log.axes) == 1:
         axis = log.axes[0].name
     if axis not in axes:
-        raise RecordError(f"{found.file} has the axes {', '.join(map(show, axes))}; got {axis}: name one of them.")
+        got = "" if axis is None else f"; got {axis}"
+        raise RecordError(f"{found.file} has the axes {', '.join(map(show, axes))}{got}: name one of them (axis).")
     chosen, columns = axes[axis], {channel.name: channel for channel in found.channels}
     alone = {} if "torque" in chosen.channels else {"torque": "from_controller"}
     tables = {

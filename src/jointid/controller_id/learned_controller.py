@@ -123,7 +123,7 @@ class LearnedController(Documented):
         del details
         explanation = "± is 2 deviations, over all laws that the record does not distinguish"
         if (gain := getattr(self.controller, "gain", 1.0)) != 1.0:
-            explanation += f"; [controller] has gain = {number(gain)} {self.torque_unit}"
+            explanation += f"; the gain of the output is {number(gain)} {self.torque_unit}"
         rows = list[tuple[str, ...]]()
         for n in self._in_si():
             percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"

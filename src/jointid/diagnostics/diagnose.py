@@ -95,8 +95,10 @@ def diagnose(
     if isinstance(record, Record) and controllers:
         raise MethodError("The argument controllers is for a robot; leave it out for a joint.")
     if laws and not isinstance(model, ClosedLoop):
-        raise MethodError("Laws are compared in the closed loop; declare the [controller].")
+        raise MethodError("Laws are compared for a joint in its closed loop; give that, or of a robot one axis.")
     if isinstance(model, Estimate):
+        if method is not None or filtering is not None or parameters is not None:
+            raise MethodError("An estimate is diagnosed as it is; leave method, filtering and parameters out.")
         return _diagnose_estimate(model, record, controllers)
     axes = _list_axes(record, model)
     _, first, loop = axes[0]

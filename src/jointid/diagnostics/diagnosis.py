@@ -254,7 +254,7 @@ class Diagnosis(Documented):
         if first and first[0].spoils:
             return f"{self.name}: {first[0]}."
         if self.logged:
-            none = f"Nothing is wrong with {self.name}."
+            none = f"Nothing is wrong with {'' if self.axes else 'the record '}{self.name}."
             return f"Nothing that is wrong with {self.name} spoils its answer: {first[0]}." if first else none
         if not self.finds_nothing:
             return self.sentences[0]

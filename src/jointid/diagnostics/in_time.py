@@ -49,7 +49,8 @@ class Part:
         clause = f"from {number(self.begin, 3)} to {number(self.end, 3)} s the torque does not follow the model"
         words = (
             f"{clause}: {number(100 * self.share, 2)} % of the squares of the residual are there, and no known fault "
-            "explains them, as where something touches the joint; leave that out by record.start and record.stop"
+            "explains them, as where something touches the joint; leave that out by record.start and record.stop "
+            "(times count from the first sample that was read)"
         )
         values = {"begin": self.begin, "end": self.end, "share": self.share}
         return Message(Reason.MISFIT_IN_PART, words, values, clause)

@@ -114,7 +114,7 @@ def find_lost_samples(record: Record) -> Message | None:
     said = [f"about {lost[k]:.0f} at {number(channel.sample_time * (k + 2), 3)} s" for k in places[:_SAID]]
     more = f" and at {places.size - _SAID} more" if places.size > _SAID else ""
     clause = f"samples are missing in the record: {join(said)}{more}"
-    clause += "; cut it there (record.start, record.stop), or log time stamps"
+    clause += " from the first that was read; cut it there (record.start, record.stop), or log time stamps"
     cause = {"cause": "lost_samples", "value": float(lost[places].sum()), "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
 
@@ -146,7 +146,8 @@ def find_parts_off(record: Record) -> Message | None:
     if not off:
         return None
     parts = join([f"from {number(begin, 3)} to {number(end, 3)} s" for begin, end in off[:_SAID]])
-    clause = f"the drive is off {parts}: the axis stands there without a torque where a load pulls at it; "
+    clause = f"the drive is off {parts} from the first sample that was read: the axis stands there without a torque "
+    clause += "where a load pulls at it; "
     clause += "identify a part without them (record.start, record.stop)"
     cause = {"cause": "drive_off", "value": sum(end - begin for begin, end in off), "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], "parts": off}, clause)

@@ -200,7 +200,8 @@ def identify_log(
     parts = zip(logs, models, at, added, strict=True)
     members = tuple(Member(tuple(log), model, where, known) for log, model, where, known in parts)
     sigma = np.ones((len(logs), len(seen.error)))
-    if sigma.size > 1:
+    weighted = sigma.size > 1 and (isinstance(models[0], LoopWindow) or starts[0].fit.robot is not None)
+    if weighted:  # but not a joint's inverse model: the equation of its load has no torque
         looks = [starts[k if layout else 0].look() for k in range(len(logs))]
         least = _ROUNDING * float(np.sqrt(np.mean(seen.measured**2)))
         sigma = np.array([np.maximum(np.sqrt(np.mean(one.error**2, axis=1)), least) for one in looks])
@@ -209,7 +210,7 @@ def identify_log(
         windows = sum(1 for member in members for _ in member.pieces(length, 2 * settling))
         divided = max(math.ceil(_GROUPS * x.size / max(windows, 1)), 1)
     places = tuple(Places.of(position, velocity) for position, velocity in seen.motion)
-    problem = LogProblem(members, free, length, settling, places, sigma, divided, progress)
+    problem = LogProblem(members, free, length, settling, places, sigma, weighted, divided, progress)
     return _answer(starts, replace(stream(problem, x), together=together), warnings)
 
 

@@ -112,7 +112,7 @@ def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | 
     periods = {name: one.clock.sample_time for name, one in signals.items()}
     near, latest = CLOCK_TOLERANCE * min(periods.values()), max(begins.values())
     late = {name: (latest - begin) / periods[name] for name, begin in begins.items()}
-    if any(abs(n - round(n)) * periods[name] > near for name, n in late.items()):
+    if any(abs(n - round(n)) * periods[k] > near or n >= signals[k].channel.values.size for k, n in late.items()):
         return None
     kept = {name: one.channel.values[round(late[name]) :] for name, one in signals.items()}
     ends = [periods[name] * values.size for name, values in kept.items()]

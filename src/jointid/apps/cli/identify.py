@@ -73,7 +73,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             "leave --write out."
         )
     spare((options.json, write), joint, options.record)
-    file = load(joint, options.changes, axis=options.axis)
+    file = load(joint, [*options.changes, 'method={name="didim"}'], axis=options.axis)
     spare((options.json, write), *file.inputs(options.record))
     learned = run(file.record(options.record), progress=options.progress, **file.learn_settings)
     deliver(learned, options.json)

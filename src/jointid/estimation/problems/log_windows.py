@@ -305,7 +305,8 @@ class LogProblem:
         length: samples that count in a window.
         settling: samples at either end of a window that are simulated and not counted.
         places: that repeat, of each equation.
-        sigma: (logs, equations) size of the residual, by which its rows are divided; of a single one 1.
+        sigma: (logs, equations) size of the residual, by which its rows are divided; 1 where they are not weighted.
+        weighted: whether each pass weighs the next.
         parts: of a window, whose sums are kept apart.
         progress: receives the progress of a pass.
         tally: of windows that were simulated, each with its derivatives.
@@ -317,13 +318,14 @@ class LogProblem:
     settling: int
     places: tuple[Places, ...]
     sigma: FloatArray
+    weighted: bool = False
     parts: int = 1
     progress: Progress = ignore_progress
     tally: Tally = field(default_factory=Tally)
 
     def reweigh(self, found: Pass) -> LogProblem:
         """Return the problem weighted by what a pass left."""
-        if self.sigma.size == 1:
+        if not self.weighted:
             return self
         squares, size, rows = np.moveaxis(found.sizes, 2, 0)
         sigma = np.sqrt(np.maximum(squares, _ROUNDING**2 * np.max(size)) / np.maximum(rows, 1))

@@ -7,10 +7,12 @@ import math
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
+from sys import float_info
 from typing import Any
 
 import numpy as np
 
+from jointid.common.errors import RecordError
 from jointid.records.formats.table import Table, require_room
 from jointid.records.formats.text import number_lines
 
@@ -20,22 +22,22 @@ def read_json(path: Path) -> Table:
 
     Values within values go by their path, "joint.position" or "q[0]"; words, true and false are passed over.
     """
-    table, rows = Table(source=path.name), 0
-    columns: dict[str, array[float]] = {}
+    table, rows, columns = Table(source=path.name), 0, dict[str, array[float]]()
     for line in (line for _, line in number_lines(path) if line.strip()):
         require_room(path.name, len(columns) * rows, len(columns))
         for name, value in _leaves("", json.loads(line)):
-            if value is not None and type(value) not in (int, float):
+            if value is not None and (type(value) not in (int, float) or abs(value) > float_info.max):
                 table.passed[name] = "it holds more than numbers"
             elif name not in table.passed:
                 values = columns.get(name) or columns.setdefault(name, array("d"))
                 values.extend([math.nan] * (rows - len(values)))
                 values.append(math.nan if value is None else value)
         rows += 1
-    for name, values in columns.items():
-        if name not in table.passed:
-            values.extend([math.nan] * (rows - len(values)))
-            table.add(name, np.frombuffer(values))
+        if any(len(values) > rows for values in columns.values()):
+            raise RecordError(f"{path.name} has a value twice in line {rows}; give each name once.")
+    for name, values in ((name, values) for name, values in columns.items() if name not in table.passed):
+        values.extend([math.nan] * (rows - len(values)))
+        table.add(name, np.frombuffer(values))
     return table
 
 
