@@ -174,8 +174,8 @@ def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monk
     record = record.without("motor_position")  # which excludes every other law
     found_all = searching.fit_rigid
 
-    def astray(*given: Any) -> list[searching.Fit]:
-        fits = found_all(*given)
+    def astray(*given: Any, **more: Any) -> list[searching.Fit]:
+        fits = found_all(*given, **more)
         if len(fits) == 1:
             return fits
         declared = next(fit for fit in fits if fit.hypothesis.fault is None)
