@@ -83,18 +83,6 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def bench_dir(data_dir: Path) -> Path:
-    """The measuring stick: a plain C version of one loop and an event-driven reference, beside the records."""
-    bench = data_dir.parent / "bench"
-    if not (bench / "stick.py").is_file():
-        reason = f"there is no measuring stick in {bench}"
-        if IN_CI:
-            pytest.fail(reason)
-        pytest.skip(reason)
-    return bench
-
-
-@pytest.fixture(scope="session")
 def emps_path(data_dir: Path) -> Path:
     """The public EMPS record: vir [V], qg and qm [m], t [s], at 1 kHz."""
     return data_dir / "emps" / "DATA_EMPS.mat"

@@ -42,12 +42,8 @@ def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: flo
     assert not found.checks.diagnosis.axes[0].faults.findings
 
 
-def test_a_joint_that_nothing_touches_has_no_such_part() -> None:
-    found = ji.identify(pushed(0.0), LOOP)
-    assert found.answer.reliable
-
-
 def test_noise_that_comes_back_is_no_part() -> None:
+    assert ji.identify(pushed(0.0), LOOP).answer.reliable
     time = STEP * np.arange(8000)
     white = np.random.default_rng(0).standard_normal(time.size)
     assert find_part(white, time) is None
@@ -58,6 +54,6 @@ def test_noise_that_comes_back_is_no_part() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_robot_that_is_leaned_on_has_no_other_fault(seed: int) -> None:
     assert judge(seed, "contact")[0] == ("misfit_in_part", 2)
