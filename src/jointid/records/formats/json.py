@@ -7,7 +7,6 @@ import math
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
-from sys import float_info
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,12 @@ def read_json(path: Path) -> Table:
 
     Values within values go by their path, "joint.position" or "q[0]"; words, true and false are passed over.
     """
-    table, rows, columns = Table(source=path.name), 0, dict[str, array[float]]()
+    table, rows = Table(source=path.name), 0
+    columns: dict[str, array[float]] = {}
     for line in (line for _, line in number_lines(path) if line.strip()):
         require_room(path.name, len(columns) * rows, len(columns))
         for name, value in _leaves("", json.loads(line)):
-            if value is not None and (type(value) not in (int, float) or abs(value) > float_info.max):
+            if type(value) not in (float, type(None)) and not (type(value) is int and abs(value) < 2**1024):
                 table.passed[name] = "it holds more than numbers"
             elif name not in table.passed:
                 values = columns.get(name) or columns.setdefault(name, array("d"))
