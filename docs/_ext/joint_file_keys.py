@@ -143,7 +143,7 @@ def _values(one: Setting) -> str:
     elif one.at_least is not None:
         word = f"{word}, {one.at_least:g} or more"
     more = ["text with a unit"] if one.type is float and list_units(one.unit) else []
-    return " or ".join([word, *more, *([_choice([one.none])] if one.none else [])])
+    return " or ".join([word, *more])
 
 
 def _choice(values: Iterable[object]) -> str:
