@@ -96,8 +96,8 @@ class JointModel:
         """The noise in words."""
         noise, unit = self.disturbance, self.loop.joint.force_unit
         parts = ["the residual of the present test"] * (noise.left is not None)
-        parts += [f"white, {noise.log:.3g} {unit} on the log"] * (noise.log > 0)
-        return " and ".join([*parts, *[f"a white force of {noise.force:.3g} {unit}"] * (noise.force > 0)])
+        parts += [f"white, {noise.log:.3g} {unit} on the log"] * bool(noise.log > 0)
+        return " and ".join([*parts, *[f"a white force of {noise.force:.3g} {unit}"] * bool(noise.force > 0)])
 
     def roughly(self, _: Goal) -> JointModel:
         """Return the model with few joints, for the search."""

@@ -160,8 +160,8 @@ class RobotJoint:
         foreign = [name for name in optional if getattr(self, name) and name not in own]
         foreign += sorted(set(self.numbers) - known)
         lacks = sorted(known - set(self.values) - {"load_inertia"})
-        lacks += ["rotor_inertia"] * (self.spring is not None and self.rotor_inertia == 0)
-        lacks += ["stribeck_speed"] * (self.stribeck_force > 0 and self.stribeck_speed is None)
+        lacks += ["rotor_inertia"] if self.spring is not None and self.rotor_inertia == 0 else []
+        lacks += ["stribeck_speed"] if self.stribeck_force > 0 and self.stribeck_speed is None else []
         if foreign or lacks:
             raise MethodError(
                 f"The joint {self.name} {'has' if foreign else 'lacks'} {', '.join(foreign or lacks)}; expected the "
