@@ -10,12 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
-from jointid.common.parallel import in_threads
 from jointid.diagnostics.axis_laws import WHOLE
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
@@ -26,11 +24,9 @@ from jointid.diagnostics.score import score
 from jointid.diagnostics.suspects import COMPLIANCE
 from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.uncertainty.position_dependent_error import cells
-from jointid.uncertainty.residual_tests import Coupling, coupling
 
 _MOST = 3  # faults of one axis
 _FEWEST = 4  # rows to a column
-_FEWEST_ROWS = 100
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
@@ -39,17 +35,10 @@ _DRIVES = 5.0  # times the error, along the velocity
 _RANK = 1e-9  # of the largest singular value
 
 
-Follows: TypeAlias = tuple[str, Coupling] | None
-"""What a residual correlates with most, in words."""
-
-
 def find_axis_faults(
     torques: AxisTorques, units: Sequence[tuple[str, str]], level: float, laws: Sequence[tuple[str, ...]]
-) -> tuple[tuple[AxisFaults, ...], tuple[Follows, ...], float]:
-    """Return the faults of each axis, its strongest correlation, and the share explained.
-
-    The correlation is that of its residual. The share is that of the squares of a residual which the faults explain,
-    summed up over the axes.
+) -> tuple[tuple[AxisFaults, ...], float]:
+    """Return the faults of each axis, and the share of the squares of a residual that they explain, summed up.
 
     Args:
         torques: of all axes, with the columns of their free parameters.
@@ -58,11 +47,9 @@ def find_axis_faults(
         laws: of each axis, the names of those that can replace its own.
     """
     rows, own, residual = torques.rows, _drop_idle(torques.stack(torques.own)), torques.stack(torques.error)
-    simple, open_ones = _list_shapes(torques)
+    open_ones = _list_shapes(torques)
     where, basis = cells(*places_of(torques)), orthonormal_basis(own, _RANK)
     before = rest = residual - basis @ (basis.T @ residual)
-    of_axes = [[one for one in simple if one.axis == k and one.fault != LOG_GAIN] for k in range(len(units))]
-    follows = tuple(in_threads(lambda k: _strongest_coupling(residual, basis, of_axes[k], rows[k]), range(len(units))))
     found: list[list[Finding]] = [[] for _ in units]
     first: tuple[FaultTest, ...] = ()
     while np.any(residual) and _has_enough_rows(residual, own, open_ones):
@@ -109,7 +96,7 @@ def find_axis_faults(
         )
         for k, (position, torque) in enumerate(units)
     )  # fmt: skip
-    return faults, follows, _explained(before, rest, rows)
+    return faults, _explained(before, rest, rows)
 
 
 def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
@@ -118,8 +105,8 @@ def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> 
     return float(sum(max(1.0 - end / begin, 0.0) for begin, end in zip(*squares, strict=True) if begin > 0.0))
 
 
-def _list_shapes(torques: AxisTorques) -> tuple[list[FaultSignature], list[FaultSignature]]:
-    """Return the faults of each axis along its own torque alone, and those to be tested.
+def _list_shapes(torques: AxisTorques) -> list[FaultSignature]:
+    """Return the faults of each axis that are to be tested.
 
     A spring is tested by what it makes of all torques, where that is known: rigid axes behind it follow it, too.
     """
@@ -129,13 +116,13 @@ def _list_shapes(torques: AxisTorques) -> tuple[list[FaultSignature], list[Fault
         shapes += [FaultSignature(LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
     shapes = [one for one in shapes if np.any(one.column)]
     if torques.springs is None:
-        return shapes, shapes
+        return shapes
     bends = [
         FaultSignature(COMPLIANCE, torques.stack(column), share, axis=k)
         for k, columns in enumerate(torques.springs)
         for share, column in zip(ROTORS, columns, strict=True)
     ]
-    return shapes, [*(one for one in shapes if one.fault != COMPLIANCE), *(one for one in bends if np.any(one.column))]
+    return [*(one for one in shapes if one.fault != COMPLIANCE), *(one for one in bends if np.any(one.column))]
 
 
 def _squares(values: FloatArray) -> float:
@@ -155,26 +142,6 @@ def find_driving_axes(torques: AxisTorques) -> list[int]:
     along = np.sum(torques.friction * torques.velocity * torques.seen, axis=1)
     noise = np.sqrt(np.sum(torques.velocity**2 * torques.seen, axis=1) * np.mean(torques.error**2, axis=1))
     return [int(k) for k in np.flatnonzero(along < -_DRIVES * noise)]
-
-
-def _strongest_coupling(
-    residual: FloatArray, basis: FloatArray, shapes: Sequence[FaultSignature], rows: slice
-) -> Follows:
-    """Return the fault that an axis' residual correlates with most beside the free parameters, or None."""
-    error = residual[rows]
-    if error.size < _FEWEST_ROWS or not np.any(error):
-        return None
-    groups, basis = dict[str, list[FloatArray]](), basis[rows]  # outside its rows the column of an axis is 0
-    columns = np.array([one.column[rows] for one in shapes]).reshape(-1, error.size)
-    for one, apart in zip(shapes, columns - columns @ basis @ basis.T, strict=True):
-        groups.setdefault(one.fault.phrase, []).append(apart)
-    found = {phrase: coupling(error, np.column_stack(columns)) for phrase, columns in groups.items()}
-    seen = {phrase: one for phrase, one in found.items() if one.seen}
-    if not seen:
-        return None
-    # Beyond chance, not in all: a fault of eight columns explains more of anything than one of one.
-    phrase = max(seen, key=lambda one: seen[one].explained - seen[one].by_chance)
-    return phrase, seen[phrase]
 
 
 def _gain_of(column: FloatArray, basis: FloatArray, rest: FloatArray) -> float:

@@ -1,8 +1,6 @@
 """Diagnosis of the axes of an estimate: of each its residual, its controller and its faults.
 
-Each axis' residual is tested for whiteness and for what it correlates with, and each controller by the torque that it
-makes of the logged position. The share of a residual that follows a shape is compared with chance by shifts in time
-(`residual_tests.coupling`). A residual that follows one shape may follow others that look alike on this motion.
+Each axis' residual is tested for whiteness, and each controller by the torque that it makes of the logged position.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.position_dependent_error import cells, repeatable
-from jointid.uncertainty.residual_tests import Coupling, whiteness
+from jointid.uncertainty.residual_tests import whiteness
 
 _NEARLY_ALL = 0.8  # of the squares of all axes that are not explained
 
@@ -64,7 +62,7 @@ def diagnose_joint(
     faults, state = search_faults(problem, x, tests, std, record, law)
     torques, residuals = torques_of_loop(problem, x), estimate.fit.residuals
     axis = _diagnose_axis(
-        "", 0, torques, law, faults, None,
+        "", 0, torques, law, faults,
         None if residuals is None or (found := residuals.repeatable) is None or found.p_value is None
         else found.significant,
     )  # fmt: skip
@@ -95,11 +93,10 @@ def diagnose_robot(
         list_laws(FlexibleJoint(link.kind, joint.law), linear=True)
         for link, joint in zip(robot.links, robot.joints, strict=True)
     ]
-    faults, follows, explained = find_axis_faults(torques, units, LoopTests().level, own)
+    faults, explained = find_axis_faults(torques, units, LoopTests().level, own)
     axes = tuple(
         _diagnose_axis(
-            name, k, torques, laws[k], faults[k], follows[k],
-            _repeats(torques, k) if _is_seen_through_law(record) else None,
+            name, k, torques, laws[k], faults[k], _repeats(torques, k) if _is_seen_through_law(record) else None
         )
         for k, (name, record) in enumerate(zip(robot.names, records, strict=True))
     )  # fmt: skip
@@ -146,7 +143,6 @@ def _diagnose_axis(
     torques: AxisTorques,
     law: LawOnPosition | None,
     faults: AxisFaults,
-    follows: tuple[str, Coupling] | None,
     repeats: bool | None = None,
 ) -> AxisDiagnosis:
     """Return the diagnosis of one axis."""
@@ -155,7 +151,6 @@ def _diagnose_axis(
         name,
         float(np.linalg.norm(torques.error[axis])) / whole,
         whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff),
-        follows,
         law,
         faults,
         repeats,

@@ -1,9 +1,9 @@
 """Diagnosis of a record: what is wrong with it, with its loop and with its joint, axis by axis.
 
 First stand its symptoms, in the order in which one spoils the next. Then, of each axis: the part of its torque that the
-estimate leaves, whether that is noise, and what it correlates with; the controller's torque along the logged motor
-position; and the faults that were tested. The controller is compared without a model of the axis, so its faults are
-distinguished from those of the model.
+estimate leaves, and whether that is noise; the controller's torque along the logged motor position; and the faults that
+were tested. The controller is compared without a model of the axis, so its faults are distinguished from those of the
+model.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition
 from jointid.diagnostics.robot_causes import RobotCause
-from jointid.uncertainty.residual_tests import Coupling, Whiteness
+from jointid.uncertainty.residual_tests import Whiteness
 from jointid.uncertainty.verdict import Reason
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
 _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
-_MUCH = 0.25  # of what is left, that follows one thing
 _MOST_TESTS = 20  # rows of a table
 
 
@@ -61,7 +60,6 @@ class AxisDiagnosis:
         name: of the joint; empty of a joint alone.
         left: share of its filtered torque that the estimate leaves.
         whiteness: of what is left; None where the record is too short.
-        follows: what that follows most, and the share of it that does; None where nothing exceeds chance.
         law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
             logged motor position.
         faults: that were tested, and those found.
@@ -73,7 +71,6 @@ class AxisDiagnosis:
     name: str
     left: float
     whiteness: Whiteness | None
-    follows: tuple[str, Coupling] | None
     law: LawOnPosition | None
     faults: AxisFaults
     repeats: bool | None = None
@@ -84,8 +81,7 @@ class AxisDiagnosis:
         """True if what is left is small, or nothing but noise as far as is seen."""
         if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
             return True
-        noise = self.repeats is False and not self.faults.findings
-        return (self.whiteness.p_value > _SURE or noise) and not self._one_thing
+        return self.whiteness.p_value > _SURE or (self.repeats is False and not self.faults.findings)
 
     @property
     def coloured(self) -> bool:
@@ -116,10 +112,6 @@ class AxisDiagnosis:
         return f"{self.name}: " if self.name else ""
 
     @property
-    def _one_thing(self) -> bool:
-        return self.follows is not None and self.follows[1].explained > _MUCH
-
-    @property
     def sentences(self) -> tuple[str, ...]:
         """Faults of the axis, each with its remedy, begun with the axis' name."""
         found = list[str]()
@@ -130,20 +122,14 @@ class AxisDiagnosis:
         return tuple(f"{self.subject}{sentence(one)}" for one in found if one)
 
     def _describe_rest(self) -> str:
-        """Return what is left that is no white noise, and what it follows; "" where it is."""
+        """Return what is left that is no white noise; "" where it is."""
         if self.explained and not self.coloured:
             return ""
         said = f"the model leaves {100 * self.left:.3g} % of the torque, and that is no white noise"
-        if self.follows is not None and self._one_thing:
-            what, share = self.follows
-            return (
-                f"{said}: {100 * share.explained:.0f} % of it follows {what} (by chance at most "
-                f"{100 * share.by_chance:.0f} %). Model that, or take the parameters with as much doubt"
-            )
         if not self.explained:
             return (
-                f"{said}. It follows none of the tested signals: check geometry, gears and couplings of the model, and "
-                "do not rely on this joint's intervals"
+                f"{said}. None of the faults explains it: check geometry, gears and couplings of the model, and do not "
+                "rely on this joint's intervals"
             )
         return said if self.left < _LEFT else f"{said}, but it does not repeat with the motion, like coloured noise"
 

@@ -1,6 +1,6 @@
-"""Tests of the residual: whiteness, coupling to other axes.
+"""Test of the residual: whiteness.
 
-**Whiteness.** The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
+The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
 taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
 20 are tested together::
 
@@ -16,16 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, orthonormal_basis
+from jointid.common.arrays import FloatArray
 from jointid.uncertainty.position_dependent_error import Repeatable
 
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
 _ROWS_PER_LAG = 4  # at least
 _LEVEL = 0.05
-_SHIFTS = 200  # of other axes against the residual: enough for a 95 % quantile
-_BY_CHANCE = 0.95  # quantile of what is explained where there is no coupling
-_APART = 0.05  # of the record: shifts by less still see the same motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,45 +89,3 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     if kept < 1:
         return np.zeros(0)
     return np.asarray(np.fft.irfft(spectrum[: kept + 1], 2 * kept + 1))
-
-
-@dataclass(frozen=True, slots=True)
-class Coupling:
-    """Share of a residual's variance that is correlated with other axes.
-
-    Attributes:
-        explained: share, 0 to 1.
-        by_chance: share that is explained, in 95 of 100 cases, where there is no coupling.
-    """
-
-    explained: float
-    by_chance: float
-
-    @property
-    def seen(self) -> bool:
-        """True if more is explained than by chance."""
-        return self.explained > self.by_chance
-
-
-def coupling(residual: FloatArray, motion: FloatArray) -> Coupling:
-    """Share of a residual that other axes' motion explains, by least squares.
-
-    Circular shifts of the motion keep both spectra and give the 95 % quantile by chance; the F test would need a white
-    residual.
-
-    Args:
-        residual: (rows,) of the filtered torque.
-        motion: (rows, columns) of the other axes, filtered alike.
-    """
-    from scipy.fft import irfft, rfft  # of a length with large prime factors, in half of NumPy's time
-
-    left = residual - residual.mean()
-    Q = orthonormal_basis(motion - motion.mean(axis=0), 1e-10)
-    total = float(left @ left)
-    if total == 0.0 or Q.shape[1] == 0:
-        return Coupling(0.0, 1.0)
-    apart = max(int(_APART * left.size), 1)
-    shifts = np.unique(np.linspace(apart, left.size - apart, _SHIFTS).astype(np.int64))
-    products = rfft(Q, axis=0) * rfft(left).conj()[:, np.newaxis]
-    shares = np.sum(irfft(products, left.size, axis=0)[shifts] ** 2, axis=1) / total
-    return Coupling(float(np.sum((Q.T @ left) ** 2)) / total, float(np.quantile(shares, _BY_CHANCE)))
