@@ -180,7 +180,7 @@ MODELS = {
 @pytest.mark.parametrize("name", MODELS)
 def test_a_model_after_public_ones_is_read(name: str) -> None:
     model = MODELS[name]
-    robot = read_robot(model.text, "arm", model.locked)
+    robot, _ = read_robot(model.text, "arm", model.locked)
     found = dict(zip(robot.names, robot.inertials[:, 0], strict=True))
     assert list(robot.names) == list(model.masses)
     assert found == pytest.approx(model.masses, abs=1e-12)
@@ -206,6 +206,6 @@ def test_a_model_after_public_ones_is_read(name: str) -> None:
     ],
 )
 def test_inertias_that_are_rounded_or_lack_a_part(inertial: str, weighs: float, remarks: int) -> None:
-    robot = read_robot("\n" + urdf(arm(1, l1=inertial)), "arm")
+    robot, _ = read_robot("\n" + urdf(arm(1, l1=inertial)), "arm")
     assert robot.inertials[0][0] == pytest.approx(weighs)
     assert len(robot.remarks) == remarks

@@ -40,7 +40,7 @@ URDF = """
 @pytest.mark.parametrize("seed", range(5))
 def test_a_tree_written_as_mjcf_comes_back(seed: int) -> None:
     robot = random_robot(seed)
-    found = read_robot(as_mjcf(robot))
+    found, _ = read_robot(as_mjcf(robot))
     assert sorted(found.names) == sorted(robot.names)
     order = [robot.names.index(name) for name in found.names]
     random = np.random.default_rng(seed)
@@ -53,7 +53,7 @@ def test_a_tree_written_as_mjcf_comes_back(seed: int) -> None:
 
 
 def test_a_urdf_without_its_meshes_in_order_of_its_tree() -> None:
-    robot = read_robot(URDF)
+    robot, _ = read_robot(URDF)
     assert (robot.name, robot.names, [link.parent for link in robot.links]) == ("two", ("turn", "lift"), [-1, 0])
     assert [link.kind for link in robot.links] == ["revolute", "prismatic"]
     assert (robot.joints[0].viscous, robot.joints[0].coulomb) == (3.0, 4.0)
@@ -71,7 +71,7 @@ def test_joints_of_one_body_and_a_position_that_does_not_begin_at_zero() -> None
       <geom type="sphere" size="0.1" mass="2" pos="0.3 0 0"/><body name="c" pos="0.4 0 0">
       <joint name="s" pos="0 0.1 0" axis="0 0 1"/><geom type="sphere" size="0.1" mass="1" pos="0.2 0 0"/>
       </body></body></worldbody></mujoco>"""
-    robot = read_robot(text)
+    robot, _ = read_robot(text)
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(text)
     data, (q, v, a) = mujoco.MjData(model), np.array([[0.4, -0.3, 0.7], [1.0, 2.0, -1.5], [3.0, -1.0, 2.0]])
@@ -127,7 +127,7 @@ def test_models_that_are_refused(text: str) -> None:
 )
 def test_masses_that_no_body_has_are_unknown(old: str, new: str) -> None:
     assert old in URDF
-    robot = read_robot(URDF.replace(old, new), "arm.urdf")
+    robot, _ = read_robot(URDF.replace(old, new), "arm.urdf")
     assert len(robot.remarks) == 1 and robot.remarks[0].startswith("arm.urdf: link tool has")
     assert not np.any(robot.inertials[1]) and robot.inertials[0][0] == 2.0
 
@@ -179,7 +179,7 @@ TIE = '<equality><joint joint1="bend" joint2="grip" polycoef="0.2 30"/></equalit
 
 @pytest.mark.parametrize(("tie", "locked"), [(TIE, {"grip": 0.03, "bend": 1.1}), ("", {"turn": 0.7, "bend": -0.4})])
 def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: dict[str, float]) -> None:
-    whole, left = read_robot(HAND.format("")), read_robot(HAND.format(tie), locked=locked)
+    (whole, _), (left, _) = read_robot(HAND.format("")), read_robot(HAND.format(tie), locked=locked)
     moving = [k for k, name in enumerate(whole.names) if name in left.names]
     assert left.names == tuple(name for name in whole.names if name not in locked)
     rng = np.random.default_rng(4)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 from jointid.common.arrays import FloatArray
@@ -15,7 +14,7 @@ from jointid.common.units import Kind, UnitError
 from jointid.config.axis_units import AxisUnits
 from jointid.config.declaration import Place, fault_at, locate, to_si
 from jointid.config.source import Source
-from jointid.config.tables import AxisTable, FileTable, ParameterTable, make_method
+from jointid.config.tables import Values, make_method
 from jointid.estimation.methods.registry import Method, methods
 from jointid.models.controllers import Controller
 from jointid.models.friction import find_friction
@@ -68,7 +67,8 @@ class Axis:
     @property
     def computes_torque(self) -> bool:
         """Whether the torque is computed from the controller and the motor position."""
-        return _computes_torque(self.source, self.columns, self.drive, self.controller)
+        logged = "torque" in self.columns or self.drive.traces is not None or self.source.torque == "logged"
+        return self.source.torque == "from_controller" or (not logged and self.controller is not None)
 
     def with_torque(self, record: Record) -> Record:
         """Return a record of this axis with the computed torque, if it is not a logged one.
@@ -161,64 +161,52 @@ class Axis:
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
 
-def _computes_torque(
-    source: Source, columns: Mapping[str, Column], drive: Drive, controller: Controller | None
-) -> bool:
-    logged = "torque" in columns or drive.traces is not None or source.torque == "logged"
-    return source.torque == "from_controller" or (not logged and controller is not None)
-
-
-def build_axis(
-    file: FileTable, number: int, kind: Kind, given: Mapping[str, Any], columns: Mapping[str, Column], drive: Drive
-) -> tuple[Axis, Method]:
+def build_axis(own: Values, kind: Kind, given: Mapping[str, Any]) -> tuple[Axis, Method]:
     """Build an axis of a file, and its method.
 
     Args:
-        file: what its tables say.
-        number: of the axis, from 0.
+        own: its tables, with what it shares with other axes; see `jointid.config.tables.read_tables`.
         kind: of its load's motion.
         given: keys of [method]; without a name it is the first method whose needs are met.
-        columns: its channels.
-        drive: without its torque constant.
 
     Raises:
         JointFileError: with a sentence for each contradiction between the tables.
     """
-    own, at = file.axes[number], partial(file.place, number)
-    gear = None if own.transmission is None else _make(at("transmission"), Transmission, load=kind, **own.transmission)
-    if own.torque_constant is not None:
-        per_volt = "V" in file.texts.get(at("joint", "torque_constant"), "A")[0]
+    at, columns, source, drive, stated = own["at"], own["channels"], own["source"], own["drive"], own["controller"]
+    ratio = own["transmission"]
+    gear = None if ratio is None else _make(at("transmission"), Transmission, load=kind, **ratio)
+    if own["torque_constant"] is not None:
+        per_volt = "V" in own["texts"].get(at("joint", "torque_constant"), "A")[0]
         name = "torque_per_volt" if per_volt else "torque_constant"
-        drive = _make(at("drive"), replace, drive, **{name: own.torque_constant})
+        drive = _make(at("drive"), replace, drive, **{name: own["torque_constant"]})
     below = at("controller")
-    texts = {place[len(below) :]: text for place, (text, _) in file.texts.items() if place[: len(below)] == below}
+    texts = {place[len(below) :]: text for place, (text, _) in own["texts"].items() if place[: len(below)] == below}
     units = AxisUnits(kind=kind, gear=gear, drive=drive, texts={".".join(map(str, k)): t for k, t in texts.items()})
     units = replace(units, torque=units.find_torque_unit(columns.get("torque")))
     controller: Any = None
-    if own.controller is not None:
-        units = replace(units, side=own.controller.side)
-        controller = own.controller.law
-        ratio = {} if gear is None else {"ratio": gear.torque(units.side)}
-        gain = _make(at(), units.gain, controller, own.controller.gain)
-        controller = replace(controller, gain=gain, output=units.output(controller, gain), **ratio)
-    name = given.get("name") or _choose_method(own, file.source, columns, drive)
-    method = _make(at(), make_method, name, given, str(own.model))
-    joint = _build_joint(own, at("joint"), kind, gear, units.torque)
+    if stated is not None:
+        controller, side, gain = stated
+        units = replace(units, side=side)
+        through = {} if gear is None else {"ratio": gear.torque(side)}
+        gain = _make(at(), units.gain, controller, gain)
+        controller = replace(controller, gain=gain, output=units.output(controller, gain), **through)
+    joint = _build_joint(own, kind, gear, units.torque)
     axis = Axis(
-        name=own.name,
+        name=own["name"],
         joint=joint,
         columns=columns,
         controller=controller,
         drive=drive,
-        source=file.source,
-        parameters=_change_parameters(joint, own.parameters, at("parameters")),
-        limits=own.limits,
-        needed=method.channels(str(own.model), controller),
+        source=source,
+        parameters=_change_parameters(joint, own["parameters"], at("parameters")),
+        limits=own["limits"],
         units=units,
     )
-    if faults := list(_find_faults(file, number, axis)):
+    name, model = given.get("name") or _choose_method(axis, own["model"]), own["model"]
+    method: Method = _make(at(), make_method, name, given, model)
+    if faults := [*_check_units(own, axis), *_check_torque(axis), *_check_runs(own, axis)]:
         raise JointFileError(faults)
-    return axis, method
+    return replace(axis, needed=method.channels(model, controller)), method
 
 
 def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any) -> Any:
@@ -229,40 +217,40 @@ def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any)
         raise locate(error, place) from error
 
 
-def _build_joint(own: AxisTable, place: Place, kind: Kind, gear: Transmission | None, unit: str | None) -> Joint:
+def _build_joint(own: Values, kind: Kind, gear: Transmission | None, unit: str | None) -> Joint:
     """Build the joint, its torque in A or V where the torque's channel is."""
-    weight = own.gravity
+    weight, place = own["gravity"], own["at"]("joint")
     if weight is not None and gear is not None:
         weight = replace(weight, angle=weight.angle * gear.torque("load"))
-    moving, friction = kind if gear is None else gear.kind, find_friction(own.friction)
-    forces = (moving, friction, unit, gear, weight, own.ripple)
-    if own.model == "flexible":
-        made: Joint = _make(place, FlexibleJoint, *forces, find_spring(own.spring or "linear"))
-    elif own.spring not in (None, "linear"):
-        rest = f' is "{own.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
+    moving, friction = kind if gear is None else gear.kind, find_friction(own["friction"])
+    forces = (moving, friction, unit, gear, weight, own["ripple"])
+    if own["model"] == "flexible":
+        made: Joint = _make(place, FlexibleJoint, *forces, find_spring(own["spring"] or "linear"))
+    elif own["spring"] not in (None, "linear"):
+        rest = f' is "{own["spring"]}", but a rigid joint has no spring; set joint.model = "flexible".'
         raise JointFileError(fault_at((*place, "spring"), rest))
     else:
         made = _make(place, RigidJoint, *forces)
     return made
 
 
-def _choose_method(own: AxisTable, source: Source, columns: Mapping[str, Column], drive: Drive) -> str:
+def _choose_method(axis: Axis, model: str) -> str:
     """Return the first default method whose needs are met; DIDIM if none's are, which then says what it needs.
 
     DIDIM comes first, even where there is a motor position, which it does not read.
     """
-    law, found = None if own.controller is None else own.controller.law, {*columns}
-    found |= {*(() if drive.traces is None else drive.traces.channels)}
-    if "motor_position" in columns and _computes_torque(source, columns, drive, law):
+    law, found = axis.controller, {*axis.columns}
+    found |= {*(() if axis.drive.traces is None else axis.drive.traces.channels)}
+    if "motor_position" in axis.columns and axis.computes_torque:
         found.add("torque")
     for method in methods():
-        ready = {*method.channels(str(own.model), law)} <= found and (law is not None or not method.needs_controller)
+        ready = {*method.channels(model, law)} <= found and (law is not None or not method.needs_controller)
         if method.default_for in (ClosedLoop, Joint) and ready:
             return method.name
     return "didim"
 
 
-def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable], place: Place) -> dict[str, Parameter]:
+def _change_parameters(joint: Joint, stated: Mapping[str, Values], place: Place) -> dict[str, Parameter]:
     """Return parameters of the model with the file's values and the tighter bounds."""
     known, changed, faults = {one.name: one for one in joint.parameters}, dict[str, Parameter](), list[Fault]()
     for name, one in stated.items():
@@ -271,46 +259,34 @@ def _change_parameters(joint: Joint, stated: Mapping[str, ParameterTable], place
             rest = f" is no parameter of this joint; expected one of {', '.join(known)}: correct it, or leave it out."
             faults.append(fault_at((*place, name), rest, "unknown"))
             continue
-        lower = own.lower if one.lower is None else max(one.lower, own.lower)
-        upper = own.upper if one.upper is None else min(one.upper, own.upper)
-        numbers = [number for number in (one.value, one.start) if number is not None]
+        lower = own.lower if one["lower"] is None else max(one["lower"], own.lower)
+        upper = own.upper if one["upper"] is None else min(one["upper"], own.upper)
+        numbers = [number for number in (one["value"], one["start"]) if number is not None]
         fits = lower < upper and len(numbers) <= 1 and all(lower <= number <= upper for number in numbers)
-        if not fits or not (own.free or one.value is not None):
+        if not fits or not (own.free or one["value"] is not None):
             said = f" has {', '.join(f'{number:g}' for number in numbers) or 'bounds only'}; expected a value"
             said += f"{' or a start' if own.free else ''}, within {lower:g} to {upper:g}: correct it, or its bounds."
             faults.append(fault_at((*place, name), said))
         start = numbers[0] if numbers else own.start
-        changed[name] = replace(own, free=own.free and one.value is None, start=start, lower=lower, upper=upper)
+        changed[name] = replace(own, free=own.free and one["value"] is None, start=start, lower=lower, upper=upper)
     if faults:
         raise JointFileError(faults)
     return changed
 
 
-def _find_faults(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
-    """Yield contradictions between the tables of an axis."""
-    yield from _check_units(file, number, axis)
-    yield from _check_torque(file, number, axis)
-    parameters = {parameter.name for parameter in axis.joint.parameters}
-    for at, run in enumerate(file.records):
-        if unknown := set(run.own) - parameters:
-            rest = f" has {', '.join(sorted(unknown))}; expected some of {', '.join(sorted(parameters))}: correct it."
-            yield fault_at(("records", at, "own"), rest, "unknown")
-
-
-def _check_units(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
+def _check_units(own: Values, axis: Axis) -> Iterator[Fault]:
     """Yield numbers in units of another motion."""
-    units, joint = axis.units, axis.joint
-    constant, limits = file.place(number, "joint", "torque_constant"), file.place(number, "limits")
-    kinds = {file.place(number, "controller"): units.kind_of(units.side), limits: joint.kind}
-    for place, (text, declared) in file.texts.items():
+    units, at, texts = axis.units, own["at"], own["texts"]
+    kinds = {at("controller"): units.kind_of(units.side), at("limits"): axis.joint.kind}
+    for place, (text, declared) in texts.items():
         table = next((table for table in kinds if place[: len(table)] == table), None)
         kind = None if table is None else kinds[table]
         expected = declared
-        if place == constant:
+        if place == at("joint", "torque_constant"):
             expected = "N/A or N/V" if units.kind_of("motor") == "prismatic" else "N m/A or N m/V"
         elif kind is None:
             continue
-        elif table == limits and "torque" in str(place[-1]):
+        elif table == at("limits") and "torque" in str(place[-1]):
             expected = units.torque or TORQUE_UNIT[kind]
         try:
             to_si(text, expected, kind)
@@ -318,7 +294,7 @@ def _check_units(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
             yield fault_at(place, str(error), "unit")
 
 
-def _check_torque(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
+def _check_torque(axis: Axis) -> Iterator[Fault]:
     """Yield a torque, or an injected signal, in a unit that the other tables contradict."""
     units, channels = axis.units, ("record", "channels")
     for name, column in axis.columns.items():
@@ -336,3 +312,12 @@ def _check_torque(file: FileTable, number: int, axis: Axis) -> Iterator[Fault]:
     if units.constant is not None and units.torque not in (None, per):
         rest = f" is in {units.torque}, but joint.torque_constant is per {per}; give the constant of what is logged."
         yield fault_at((*channels, "torque"), rest, "unit")
+
+
+def _check_runs(own: Values, axis: Axis) -> Iterator[Fault]:
+    """Yield parameters of a record's own that the joint has not."""
+    known = {parameter.name for parameter in axis.joint.parameters}
+    for number, run in enumerate(own["records"]):
+        if unknown := set(run.own) - known:
+            rest = f" has {', '.join(sorted(unknown))}; expected some of {', '.join(sorted(known))}: correct it."
+            yield fault_at(("records", number, "own"), rest, "unknown")

@@ -62,8 +62,7 @@ class Table:
         make: takes the values that are given, by key. The places of a `JointFileError` of it begin in the table.
         shorthand: the key whose value may be written instead of the table.
         instead: by a key that says another one in other words that one, and what the product of both is.
-        decided_by: the key that says which of `variants` the table is; without it the first. `keys` are then those that
-            documentation shows; without them, those of each variant.
+        decided_by: the key that says which of `variants` the table is; without it the first.
     """
 
     keys: Mapping[str, Setting]
@@ -87,13 +86,12 @@ def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> di
         foreign = system and one.systems and system not in one.systems
         if one.name not in without and not foreign:
             found.setdefault(one.name, []).append(one)
-    return {name: merge(same) for name, same in found.items()}
+    return {name: _merge(same) for name, same in found.items()}
 
 
-def merge(same: list[Setting]) -> Setting:
+def _merge(same: list[Setting]) -> Setting:
     """Return one declaration of a setting that several classes have; its default is that of all, or none."""
-    help_text = "; ".join(dict.fromkeys(one.help for one in same))
-    merged = replace(same[0], help=help_text)
+    merged = replace(same[0], help="; ".join(dict.fromkeys(one.help for one in same)))
     return merged if len({str(one.default) for one in same}) == 1 else replace(merged, default=None, optional=True)
 
 
@@ -280,7 +278,7 @@ class FileKey:
 
 def list_keys(owner: Table, place: str = "", kind: str = "") -> Iterator[FileKey]:
     """Yield the keys of a table, each before those below it."""
-    tables = [(kind, owner)] if owner.keys else list(owner.variants.items())
+    tables = list(owner.variants.items()) or [(kind, owner)]
     for word, table in tables:
         for name, one in table.keys.items():
             at, below = f"{place}{name}", table_of(one.type) or table_of_items(one.type)

@@ -17,7 +17,7 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.config.axis import Axis
 from jointid.config.source import Run, Source
-from jointid.config.tables import FeedForward, FileTable
+from jointid.config.tables import FeedForward
 from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
@@ -327,20 +327,6 @@ class File:
         at = _find_place(path)
         listed = (run for run, one in zip(self.runs, self.listed, strict=True) if _find_place(one) == at)
         return next(listed, Run(""))
-
-
-def file_of_axis(tables: FileTable, axis: Axis, method: Method, path: Path) -> File:
-    """Return a joint file, or that of one joint of a robot."""
-    return File(
-        axes=(axis,),
-        method=method,
-        filtering=tables.filtering,
-        parameters=axis.parameters,
-        name=axis.name,
-        runs=tables.records if tables.robot is None else (),
-        together=tables.together,
-        path=path,
-    )
 
 
 def _find_place(path: str | os.PathLike[str]) -> Path:

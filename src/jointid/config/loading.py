@@ -18,7 +18,7 @@ from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.common.transmission import SIDES, Side
 from jointid.config import toml
 from jointid.config.axis import Axis, build_axis
-from jointid.config.file import File, file_of_axis
+from jointid.config.file import File
 from jointid.config.tables import read_tables
 from jointid.config.toml import Tables, edit, move_paths, parse_change, parse_toml, relocate_path, replace_table
 from jointid.models.controllers import FILTERS, LAWS, Controller, numbers_of, unit_of_number
@@ -73,18 +73,20 @@ def _load(text: str, path: Path, changes: Iterable[str] = (), *, axis: str | Non
     made = tuple(parse_change(_name_axis(change, raw, axis)) for change in changes)
     for change in made:
         change(raw)
-    tables = read_tables(raw)
-    if tables.robot is not None:
-        from jointid.config.robot_file import robot_file
+    file, axes = read_tables(raw)
+    shared = {"filtering": file["filtering"], "path": path, "text": text, "changes": made}
+    if file["robot"] is not None:
+        from jointid.config.robot_file import build_joint_of_robot, build_robot
 
-        file = robot_file(tables, path, axis)
+        if axis is None:
+            return File(**build_robot(file, axes, path.parent), runs=file["records"], **shared)
+        alone, method = build_joint_of_robot(file, axes, path.parent, axis)
     elif axis is not None:
         raise MethodError(f"{path} is a joint file, which has no axis {axis}; leave --axis out.")
     else:
-        kind = tables.axes[0].kind
-        assert kind is not None
-        file = file_of_axis(tables, *build_axis(tables, 0, kind, tables.method, tables.columns, tables.drive), path)
-    return replace(file, text=text, changes=made)
+        alone, method = build_axis(axes[0], axes[0]["kind"], file["method"])
+        shared |= {"runs": file["records"], "together": file["together"]}
+    return File(axes=(alone,), method=method, parameters=alone.parameters, name=alone.name, **shared)
 
 
 def _name_axis(change: str, raw: Mapping[str, Any], axis: str | None) -> str:

@@ -20,10 +20,9 @@ from jointid.common.errors import Fault, JointFileError, JointidError, MethodErr
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.config.axis import Axis, build_axis
-from jointid.config.declaration import Place, fault_at, keys_of
-from jointid.config.file import File, file_of_axis
+from jointid.config.declaration import fault_at, keys_of
 from jointid.config.robot_model import load_robot, reorder_joints
-from jointid.config.tables import FileTable, make_method
+from jointid.config.tables import Values, make_method
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.robots.numbers import name_in_robot
 from jointid.models.joints import FlexibleJoint
@@ -42,106 +41,98 @@ _OF_SPRING = ("stiffness", "damping", "load_viscous", "load_coulomb")
 """Parameters of a joint that are numbers of a robot's spring."""
 
 
-def robot_file(tables: FileTable, path: Path, axis: str | None = None) -> File:
-    """Return a robot file, or the file of one of its joints alone, as if no other joint moved.
-
-    The method of a joint alone is that of `joints.method`, or that of the robot with default settings.
+def build_robot(file: Values, axes: Sequence[Values], folder: Path) -> Values:
+    """Return what `File` has of a robot.
 
     Args:
-        tables: of the file.
-        path: of the file.
-        axis: name of the joint that is taken alone.
+        file: tables of the robot file; see `jointid.config.tables.read_tables`.
+        axes: those of its joints.
+        folder: of the file.
 
     Raises:
         JointFileError: with one sentence for each fault, of the file or of the model that it names.
-        MethodError: the robot has no such joint.
     """
-    assert tables.robot is not None
-    name, bare = _choose_method(tables), _read_model(tables, path.parent)
-    if axis is not None:
-        if axis not in bare.names:
-            raise MethodError(f"The axis{messages.no_choice(axis, bare.names)}")
-        number = bare.names.index(axis)
-        return file_of_axis(tables, *_build_axis(tables, number, bare, name, tables.axes[number].method), path)
-    method = make_method(name, tables.method, "robot")
-    axes = tuple(_build_axis(tables, number, bare, name, {})[0] for number in range(len(bare)))
-    joints = (_build_joint(tables, number, axis, bare.joints[number]) for number, axis in enumerate(axes))
-    if faults := list(_find_faults(axes)):
+    stated, name, bare = file["robot"], _choose_method(file, axes), _read_model(file["robot"], axes, folder)
+    method = make_method(name, file["method"], "robot")
+    made = tuple(_build_axis(own, number, bare, name, {})[0] for number, own in enumerate(axes))
+    joints = [_build_joint(*each) for each in zip(axes, made, bare.joints, strict=True)]
+    if faults := list(_find_faults(axes, made)):
         raise JointFileError(faults)
     try:
         robot = replace(bare, joints=tuple(joints))
     except MethodError as error:
         raise JointFileError(f"joints: {error}") from error
-    return File(
-        axes=axes,
-        robot=robot,
-        method=method,
-        filtering=tables.filtering,
-        parameters=_keep_parameters(axes),
-        feed_forward=tables.robot.feed_forward,
-        in_motion=tables.robot.in_motion,
-        model_path=path.parent / tables.robot.model,
-        locked=tables.robot.locked,
-        name=tables.robot.name,
-        runs=tables.records,
-        path=path,
-    )
+    own = {one: stated[one] for one in ("feed_forward", "in_motion", "locked", "name")}
+    parameters, path = _keep_parameters(made), folder / stated["model"]
+    return {**own, "axes": made, "robot": robot, "method": method, "parameters": parameters, "model_path": path}
 
 
-def _choose_method(tables: FileTable) -> str:
+def build_joint_of_robot(file: Values, axes: Sequence[Values], folder: Path, joint: str) -> tuple[Axis, Method]:
+    """Return one joint of a robot as if no other moved; arguments as of `build_robot`.
+
+    Its method is that of `joints.method`, or that of the robot with default settings.
+
+    Raises:
+        JointFileError: see `build_robot`.
+        MethodError: the robot has no such joint.
+    """
+    name, bare = _choose_method(file, axes), _read_model(file["robot"], axes, folder)
+    if joint not in bare.names:
+        raise MethodError(f"The axis{messages.no_choice(joint, bare.names)}")
+    number = bare.names.index(joint)
+    return _build_axis(axes[number], number, bare, name, axes[number]["method"])
+
+
+def _choose_method(file: Values, axes: Sequence[Values]) -> str:
     """Return the name of the given method of a robot, or of the default one for its channels."""
-    if name := tables.method.get("name"):
+    if name := file["method"].get("name"):
         return str(name)
-    channels = {*tables.columns, *(channel for one in tables.axes for channel in one.channels)}
-    controlled = all(one.controller is not None for one in tables.axes)
-    logged = "torque" in channels or tables.drive.profile is not None or tables.source.torque == "logged"
+    channels = {channel for own in axes for channel in own["channels"]}
+    controlled = all(own["controller"] is not None for own in axes)
+    logged = "torque" in channels or file["drive"].profile is not None or file["record"][0].torque == "logged"
     # Without a torque DIDIM is of the motor positions; a joint without a controller leaves one method only.
     if controlled and not (logged and "motor_position" in channels):
         return "didim"
-    return "drive_side" if any(one.model == "flexible" for one in tables.axes) else "idim"
+    return "drive_side" if any(own["model"] == "flexible" for own in axes) else "idim"
 
 
-def _read_model(tables: FileTable, folder: Path) -> Robot:
+def _read_model(stated: Values, axes: Sequence[Values], folder: Path) -> Robot:
     """Return the model as its base stands, with its joints as the file lists them."""
-    assert tables.robot is not None
-    names = [str(one.name) for one in tables.axes]
-    ordered = reorder_joints(load_robot(folder / tables.robot.model, tables.robot.locked), names)
+    names = [own["name"] for own in axes]
+    ordered = reorder_joints(load_robot(folder / stated["model"], stated["locked"]), names)
     if list(ordered.names) != names:
         raise JointFileError(
             f"joints lists {', '.join(names)}; expected {', '.join(ordered.names)}, each after its parent: "
             f"name those that stand still in robot.locked, as locked = {{ {ordered.names[-1]} = 0.0 }}."
         )
-    ordered = ordered.turn(np.array([float(one.zero) for one in tables.axes]))
+    ordered = ordered.turn(np.array([float(own["zero"]) for own in axes]))
     down = -np.linalg.norm(ordered.gravity) * np.array([0.0, 0.0, 1.0])
-    if any(tables.robot.base) and np.linalg.norm(ordered.gravity - down) > _UPRIGHT * np.linalg.norm(down):
+    if any(stated["base"]) and np.linalg.norm(ordered.gravity - down) > _UPRIGHT * np.linalg.norm(down):
         raise JointFileError(
             f"robot.base turns the model, whose own gravity, {ordered.gravity} m/s2, is turned already; expected "
             "one of both: leave base out, or set the gravity to 0 0 -9.81."
         )
-    turned = Rotation.from_euler("xyz", tables.robot.base).as_matrix().T @ ordered.gravity
+    turned = Rotation.from_euler("xyz", stated["base"]).as_matrix().T @ ordered.gravity
     # A base that is written as 3.1416 hangs upside down: no record would show a trace of gravity sideways.
     turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
-    return replace(ordered, gravity=turned, name=tables.robot.name or ordered.name)
+    return replace(ordered, gravity=turned, name=stated["name"] or ordered.name)
 
 
-def _build_axis(
-    tables: FileTable, number: int, robot: Robot, method: str, given: Mapping[str, Any]
-) -> tuple[Axis, Method]:
+def _build_axis(own: Values, number: int, robot: Robot, method: str, given: Mapping[str, Any]) -> tuple[Axis, Method]:
     """Build one joint's axis, with the channels that all share by its name and place, and its method alone.
 
     What a joint of a robot is identified by is not its own method, but says which channels must be there.
     """
-    own, kind, drive = tables.axes[number], robot.links[number].kind, tables.drive
-    if own.kind not in (None, kind):
-        rest = f' is "{own.kind}", but the model says "{kind}": leave it out, or correct the model.'
-        raise JointFileError(fault_at(("joints", number, "kind"), rest))
+    kind, drive = robot.links[number].kind, own["drive"]
+    if own["kind"] not in (None, kind):
+        rest = f' is "{own["kind"]}", but the model says "{kind}": leave it out, or correct the model.'
+        raise JointFileError(fault_at(own["at"]("kind"), rest))
     if drive.profile is not None:
-        drive = replace(drive, axis=drive.axis or number + 1, joint=drive.joint or own.name)
-    columns = {**tables.columns, **own.channels}
-    columns = {key: _fill_placeholders(one, str(own.name), number) for key, one in columns.items()}
+        drive = replace(drive, axis=drive.axis or number + 1, joint=drive.joint or own["name"])
+    columns = {channel: _fill_placeholders(one, own["name"], number) for channel, one in own["channels"].items()}
     if method != "didim":
-        method = "drive_side" if own.model == "flexible" else "idim"
-    return build_axis(tables, number, kind, {"name": method, **given}, columns, drive)
+        method = "drive_side" if own["model"] == "flexible" else "idim"
+    return build_axis(own | {"channels": columns, "drive": drive}, kind, {"name": method, **given})
 
 
 def _fill_placeholders(column: Column, name: str, number: int) -> Column:
@@ -155,10 +146,10 @@ def _fill_placeholders(column: Column, name: str, number: int) -> Column:
     return replace(column, column=filled(column.column), time=None if column.time is None else filled(column.time))
 
 
-def _build_joint(tables: FileTable, number: int, axis: Axis, joint: RobotJoint) -> RobotJoint:
+def _build_joint(own: Values, axis: Axis, joint: RobotJoint) -> RobotJoint:
     """Return a joint of the model with the file's numbers and laws."""
-    own, friction, place = tables.axes[number], axis.joint.friction, ("joints", number)
-    motor, spring, laws = dict(own.numbers), dict[str, Any](own.link), dict[str, float]()
+    friction, at = axis.joint.friction, own["at"]
+    motor, spring, laws = dict(own["numbers"]), dict[str, Any](own["link"]), dict[str, float]()
     for name, parameter in axis.parameters.items():
         key = name.removeprefix("motor_")
         key = _AS_MOTOR.get(key, key)
@@ -167,10 +158,10 @@ def _build_joint(tables: FileTable, number: int, axis: Axis, joint: RobotJoint) 
             spring[name.removeprefix("load_")] = float(parameter.start)
         elif parameter.start is not None:
             (motor if key in _NUMBERS else laws)[key if key in _NUMBERS else name] = float(parameter.start)
-    needed: dict[Place, bool] = {(*place, "spring", "stiffness"): own.model != "flexible" or "stiffness" in spring}
+    needed = {at("spring", "stiffness"): own["model"] != "flexible" or "stiffness" in spring}
     speeds = [name.replace("force", "speed") for name in laws if name.endswith("stribeck_force")]
-    needed |= {(*place, "parameters", speed): speed in laws for speed in speeds}
-    needed[*place, "stribeck_speed"] = not friction.name.endswith("stribeck") or "stribeck_speed" in motor
+    needed |= {at("parameters", speed): speed in laws for speed in speeds}
+    needed[at("stribeck_speed")] = not friction.name.endswith("stribeck") or "stribeck_speed" in motor
     if lacking := [one for one, there in needed.items() if not there]:
         rest = " is missing; expected a positive number, where a search begins: add it."
         raise JointFileError(fault_at(one, rest, "missing") for one in lacking)
@@ -183,10 +174,10 @@ def _build_joint(tables: FileTable, number: int, axis: Axis, joint: RobotJoint) 
             motor["spring"] = JointSpring(**spring, law=axis.joint.spring)
         return replace(joint, **motor, numbers=laws)
     except JointidError as error:
-        raise JointFileError(fault_at(place, f": {error}")) from error
+        raise JointFileError(fault_at(at(), f": {error}")) from error
 
 
-def _find_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
+def _find_faults(tables: Sequence[Values], axes: Sequence[Axis]) -> Iterator[Fault]:
     """Yield the faults of what joints lack or do not share."""
     units = {str(axis.name): axis.joint.torque_unit for axis in axes if axis.joint.torque_unit}
     if units:
@@ -194,15 +185,15 @@ def _find_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
             f"The torque of {join(list(units))} is in {join(list(dict.fromkeys(units.values())))}; the joints of a "
             "robot share inertias, so expected N m or N: give each torque_constant (1.0 for parameters per A)."
         )
-    for number, axis in enumerate(axes):
-        gear, place = axis.joint.transmission, ("joints", number)
+    for own, axis in zip(tables, axes, strict=True):
+        gear, at = axis.joint.transmission, own["at"]
         if axis.joint.gravity is not None or axis.joint.ripple is not None:
             yield fault_at(
-                place, " has gravity or ripple, which a robot has by its masses, or not at all: leave it out."
+                at(), " has gravity or ripple, which a robot has by its masses, or not at all: leave it out."
             )
         if gear is not None and gear.side == "motor":
             rest = ' is "motor"; all numbers of a robot are behind its gears: leave it out.'
-            yield fault_at((*place, "transmission", "side"), rest)
+            yield fault_at(at("transmission", "side"), rest)
     named = [axis.columns.items() for axis in axes if axis.drive.traces is None]
     uses = Counter((channel, column.column) for columns in named for channel, column in columns if column.column)
     for (channel, name), count in uses.items():

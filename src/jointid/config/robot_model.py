@@ -89,25 +89,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
         JointFileError: the file cannot be read, or is no tree of joints that turn or slide on their own.
         ExtraError: MuJoCo is not installed.
     """
-    return read_robot(read_model(path), Path(path).name, locked)
-
-
-def read_robot(
-    text: str, called: str = "the robot's model", locked: Mapping[str, float] = MappingProxyType({})
-) -> Robot:
-    """Return a robot from the text of a URDF or MJCF file; see `load_robot`.
-
-    Args:
-        text: XML.
-        called: what sentences call it.
-        locked: as of `load_robot`.
-    """
-    return _read_tree(text, called, locked)[0]
-
-
-def carried_bodies(text: str, called: str, locked: Mapping[str, float] = MappingProxyType({})) -> Mapping[str, Carried]:
-    """Return by the name of each moving joint the bodies that it carries rigidly; arguments as of `read_robot`."""
-    return _read_tree(text, called, locked)[1]
+    return read_robot(read_model(path), Path(path).name, locked)[0]
 
 
 def read_model(path: str | os.PathLike[str]) -> str:
@@ -115,8 +97,16 @@ def read_model(path: str | os.PathLike[str]) -> str:
     return read_text(Path(path), _LARGEST)
 
 
-def _read_tree(text: str, called: str, locked: Mapping[str, float]) -> tuple[Robot, Mapping[str, Carried]]:
-    """Return the robot and what its joints carry."""
+def read_robot(
+    text: str, called: str = "the robot's model", locked: Mapping[str, float] = MappingProxyType({})
+) -> tuple[Robot, Mapping[str, Carried]]:
+    """Return the robot of a URDF or MJCF text, and by the name of each moving joint the bodies that it carries rigidly.
+
+    Args:
+        text: XML.
+        called: what sentences call it.
+        locked: as of `load_robot`.
+    """
     root = parse_model(text, called)
     _refuse_elements(root, called)
     by_shapes = any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))

@@ -36,7 +36,7 @@ def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
     robot = replace(robot, gravity=DOWN)
     made = export(robot, Path(name).suffix)
     text, lost = made.text, made.lost
-    found = read_robot(text)
+    found, _ = read_robot(text)
     expected = torque(robot, robot.names)
     assert np.abs(torque(found, robot.names) - expected).max() < by_mujoco(1e-9) * np.abs(expected).max()
     assert found.of_joints("viscous").sum() == robot.of_joints("viscous").sum()

@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.config.robot_model import carried_bodies, parse_model, read_model
+from jointid.config.robot_model import parse_model, read_model, read_robot
 from jointid.models.robots.inertial import MassProperties, inertial_of, mass_properties, pseudo_inertia
 from jointid.output.export.bodies import Body, Model, format_xml, robot_bodies, triple
 from jointid.output.export.joint_model import identifier, number
@@ -110,7 +110,7 @@ def _replace(text: str, found: Sequence[Body], locked: Mapping[str, float]) -> t
         found: the robot's bodies.
         locked: positions of the joints that stand still, see `load_robot`.
     """
-    carried = carried_bodies(text, "The robot's URDF", locked)
+    _, carried = read_robot(text, "The robot's URDF", locked)
     root = parse_model(text, "The robot's URDF")
     inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
     joints, lost = {joint.get("name"): joint for joint in root.findall("joint")}, list[str]()
