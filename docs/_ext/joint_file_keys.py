@@ -94,8 +94,10 @@ def _merged(keys: list[Key]) -> list[Key]:
     places: dict[str, list[Key]] = {}
     for key in keys:
         places.setdefault(key.place, []).append(key)
-    kinds = {key.kind for key in keys}
-    return [_together(same, kinds) for same in places.values()]
+    kinds: dict[str, set[str]] = {}
+    for key in keys:
+        kinds.setdefault(key.place.rpartition(".")[0], set()).add(key.kind)
+    return [_together(same, kinds[place.rpartition(".")[0]]) for place, same in places.items()]
 
 
 def _together(same: list[Key], kinds: set[str]) -> Key:
@@ -103,11 +105,12 @@ def _together(same: list[Key], kinds: set[str]) -> Key:
     for name in ("values", "unit", "default", "meaning"):
         said: dict[str, list[str]] = {}
         for key in same:
-            said.setdefault(getattr(key, name), []).append(key.kind)
+            by = said.setdefault(getattr(key, name), [])
+            by += [key.kind] * (key.kind not in by)
         alike = len(said) == 1 or same[0].place == "controller.law"
         told = [text if alike else f"{', '.join(by)}: {text}" for text, by in said.items()]
         cells.append((", " if alike else "; ").join(told))
-    if {key.kind for key in same} != kinds and same[0].place.count(".") == 1:  # what is below says it no more
+    if {key.kind for key in same} != kinds:
         cells[-1] += f" (of {', '.join(dict.fromkeys(key.kind for key in same))})"
     return Key(same[0].place, *cells)
 
@@ -129,7 +132,8 @@ def _values(one: Setting) -> str:
     if one.choices or one.only:
         return _choice(one.choices or one.only)
     if (table := table_of(one.type)) is not None:
-        return f"{_values(table.keys[table.shorthand])} or table" if table.shorthand else "table"
+        keys = table.keys or next(iter(table.variants.values())).keys
+        return f"{_values(keys[table.shorthand])} or table" if table.shorthand else "table"
     if get_origin(one.type) is tuple:
         item = "table" if table_of_items(one.type) else _values(replace(one, type=get_args(one.type)[0]))
         return f"list of {re.sub(r'number|list|table|text', lambda word: f'{word[0]}s', item, count=1)}"

@@ -38,8 +38,6 @@ _NARROW = 0.02  # of the way from the estimate to an end: so near the end is kno
 _UNSEEN = 1e-9  # of the largest: a normalised singular value whose direction leaves no trace in the residual
 _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that it was no minimum
 _LEAST = 1e-4  # of the compliance: a smaller one is negligible
-
-
 _SOLVER = LevenbergMarquardt(1e-8, 30)  # of a fit with the quantity held
 _POINTS = 14  # at most, on each side
 
@@ -110,21 +108,21 @@ class ByCompliance:
     least: float
 
     @property
+    def at(self) -> int:
+        """Place of the stiffness among the parameters."""
+        return [p.quantity for p in self.problem.free].index(Quantity.STIFFNESS)
+
+    @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters, the compliance in the place of the stiffness."""
-        found = list(self.problem.free)
-        stiff = found[self._at]
-        lower = max(1.0 / stiff.upper, self.least)
-        upper = 1.0 / stiff.lower if stiff.lower > 0 else math.inf
-        symbol = f"1/{stiff.symbol}"
-        found[self._at] = Parameter("compliance", symbol, Quantity.COMPLIANCE, lower=lower, upper=upper)
+        found, stiff = list(self.problem.free), self.problem.free[self.at]
+        lower, upper = max(1.0 / stiff.upper, self.least), 1.0 / stiff.lower if stiff.lower > 0 else math.inf
+        found[self.at] = Parameter("compliance", f"1/{stiff.symbol}", Quantity.COMPLIANCE, lower=lower, upper=upper)
         return tuple(found)
 
     def exchange(self, x: FloatArray) -> FloatArray:
         """Exchange stiffness and compliance in a parameter vector."""
-        found = np.array(x, dtype=np.float64)
-        found[self._at] = 1.0 / found[self._at]
-        return found
+        return np.where(np.arange(x.size) == self.at, 1.0 / x[self.at], x)
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""
@@ -133,13 +131,7 @@ class ByCompliance:
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free)."""
         residual, J = self.problem.linearise(self.exchange(x))
-        J = J.copy()
-        J[:, self._at] *= -1.0 / x[self._at] ** 2
-        return residual, J
-
-    @property
-    def _at(self) -> int:
-        return [p.quantity for p in self.problem.free].index(Quantity.STIFFNESS)
+        return residual, J * np.where(np.arange(x.size) == self.at, -1.0 / x[self.at] ** 2, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,12 +148,14 @@ class _Held:
         return self.problem.free
 
     def residual(self, x: FloatArray) -> FloatArray:
-        return np.append(self.problem.residual(x), self.stiffness * (self.weights @ x - self.value))
+        return self._add_row(self.problem.residual(x), x)
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         residual, J = self.problem.linearise(x)
-        row = self.stiffness * (self.weights @ x - self.value)
-        return np.append(residual, row), np.vstack([J, self.stiffness * self.weights])
+        return self._add_row(residual, x), np.vstack([J, self.stiffness * self.weights])
+
+    def _add_row(self, residual: FloatArray, x: FloatArray) -> FloatArray:
+        return np.append(residual, self.stiffness * (self.weights @ x - self.value))
 
 
 class _Point(NamedTuple):
@@ -190,50 +184,42 @@ def profile(
     """
     from scipy.special import stdtrit
 
-    counted = Counted(problem)
-    weights, bounds = combination.vector(problem.free), Bounds.of(problem.free)
+    counted, weights, bounds = Counted(problem), combination.vector(problem.free), Bounds.of(problem.free)
     residual, J = counted.linearise(x)
     direction, flat = _least_rise(J, weights)
-    quantile = float(stdtrit(max(residual.size - x.size, 1), 0.5 + 0.5 * _LEVEL))
-    half = quantile * covariance.std_of(weights)
-    centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
-    found, threshold = [centre], half**2 / flat if flat else 0.0
-    interval: tuple[float | None, float | None] = (None, None)
-    if flat and threshold == 0.0:  # it is known without error
-        interval = centre.value, centre.value
-    elif flat:
-        stiffness = _HELD / math.sqrt(flat)
+    half = float(stdtrit(max(residual.size - x.size, 1), 0.5 + 0.5 * _LEVEL)) * covariance.std_of(weights)
+    threshold = half**2 / flat if flat else 0.0
 
-        def fit(value: float, start: FloatArray) -> _Point:
-            end = solve(_Held(counted, weights, stiffness, value), solver, start)
-            error = end.residual[:-1]
-            return _Point(float(weights @ end.x), float(error @ error), end.x)
+    def fit(value: float, start: FloatArray) -> _Point:
+        end = solve(_Held(counted, weights, _HELD / math.sqrt(flat or 1.0), value), solver, start)
+        error = end.residual[:-1]
+        return _Point(float(weights @ end.x), float(error @ error), end.x)
 
-        for sign in (-1.0, 1.0):
-            furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)[weights != 0]
-            limit = float(np.sum(weights[weights != 0] * furthest))
-            found += _follow(fit, centre, direction, sign * half, limit, threshold, points)
+    centre = _Point(float(weights @ x), float(residual @ residual), x)
+    found, own = [centre], weights != 0
+    for sign in (-1.0, 1.0) if threshold else ():
+        furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)
+        limit = float(np.sum(weights[own] * furthest[own]))
+        found += _follow(fit, centre, direction, sign * half, limit, threshold, points)
     found.sort(key=lambda point: point.value)
-    lowest = min(found, key=lambda point: point.cost)
-    values, best = np.array([point.value for point in found]), found.index(lowest)
-    rise = np.array([point.cost - lowest.cost for point in found])
-    if threshold > 0.0:
-        below = _crossing(values[best::-1], rise[best::-1], threshold)
-        interval = below, _crossing(values[best:], rise[best:], threshold)
+    best = int(np.argmin([point.cost for point in found]))
+    values = np.array([point.value for point in found])
+    rise = np.array([point.cost - found[best].cost for point in found])
     return ProfileInterval(
         combination.name, combination.formula, combination.unit, centre.value, values, rise, threshold,
-        interval, centre.cost - lowest.cost > _IMPROVED * threshold, counted.evaluations,
+        (_crossing(values[best::-1], rise[best::-1], threshold), _crossing(values[best:], rise[best:], threshold)),
+        centre.cost - found[best].cost > _IMPROVED * threshold, counted.evaluations,
     )  # fmt: skip
 
 
-def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
-    """Change of all parameters per unit of the quantity, and ``w' (J' J)^-1 w``, if visible."""
+def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float]:
+    """Change of all parameters per unit of the quantity, and ``w' (J' J)^-1 w``; 0 if it is not visible."""
     norms = column_norms(J)
     _, sizes, directions = np.linalg.svd(J / norms, full_matrices=False)
     seen = sizes > _UNSEEN * sizes[0]
     along = directions @ (weights / norms)
     if np.linalg.norm(along[~seen]) > _UNSEEN * np.linalg.norm(along):
-        return weights, None
+        return weights, 0.0
     flat = float(np.sum((along[seen] / sizes[seen]) ** 2))
     return np.asarray(directions[seen].T @ (along[seen] / sizes[seen] ** 2) / norms / flat), flat
 
@@ -249,10 +235,8 @@ def _follow(
 ) -> list[_Point]:
     """Profile one side, to the threshold, to the limit within the bounds, or so many points.
 
-    The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point.
-
-    `fit` takes the value to hold and a start. Of a linear problem the end is `half` away, to the left if negative, and
-    `direction`, (free,), is the change of the parameters per unit of the quantity.
+    The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point. Of a linear
+    problem the end is `half` away, and `direction` is the change of the parameters per unit of the quantity.
     """
     from scipy.optimize import root_scalar
 
@@ -281,9 +265,9 @@ def _follow(
 
 
 def _crossing(values: FloatArray, rise: FloatArray, threshold: float) -> float | None:
-    """Interpolate where the rise crosses the threshold; None if it does not."""
+    """Interpolate where the rise crosses the threshold; None if it does not, or there is none."""
     above = np.flatnonzero(rise >= threshold)
-    if not above.size:
+    if threshold == 0.0 or not above.size:
         return None
     i = int(above[0])
     roots = np.sqrt(np.maximum(rise[i - 1 : i + 1], 0.0))
@@ -299,19 +283,10 @@ def profile_compliance(
     solver: LevenbergMarquardt = _SOLVER,
     points: int = _POINTS,
 ) -> ProfileInterval:
-    """Profile 1/K12, in which a stiff joint is nearly linear.
-
-    Args:
-        problem: the solved problem, its stiffness free.
-        x: (free,) the estimate.
-        covariance: of the free parameters.
-        unit: returns that of a parameter; a joint's `unit`.
-        solver: of the fits with the compliance held.
-        points: at most, on each side.
-    """
-    at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
-    turn = np.eye(x.size)
-    turn[at, at] = -1.0 / float(x[at]) ** 2  # of 1/K by K
-    by = ByCompliance(problem, _LEAST / float(x[at]))
-    wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
-    return profile(by, by.exchange(x), wanted, covariance_of(turn @ covariance.matrix @ turn.T), solver, points)
+    """Profile 1/K12, in which a stiff joint is nearly linear; arguments as of `profile`, and a joint's `unit`."""
+    stiffness = float(x[[p.quantity for p in problem.free].index(Quantity.STIFFNESS)])
+    by = ByCompliance(problem, _LEAST / stiffness)
+    turn = np.where(np.arange(x.size) == by.at, -1.0 / stiffness**2, 1.0)  # of 1/K by K
+    wanted = Combination("compliance", "1/K12", unit(by.free[by.at]), {"compliance": 1.0})
+    turned = covariance_of(covariance.matrix * np.outer(turn, turn))
+    return profile(by, by.exchange(x), wanted, turned, solver, points)
