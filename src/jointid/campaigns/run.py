@@ -29,7 +29,6 @@ from jointid.common.parallel import THREADS, begin_worker, cores, without_interr
 from jointid.common.text import pluralise
 from jointid.config import loads
 from jointid.estimation.result.answer import Trust
-from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import POOR_FIT
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
@@ -83,7 +82,7 @@ def _identify(case: Case) -> dict[str, Any]:
     estimate = file.identify(file.record(case.record))
     of_robot = estimate.robot is not None  # of which every number counts, those of its logs, too
     known = estimate.checks.known
-    sums = [] if known is None else [one for one in known.physical if one.combination.kind is Kind.SUM]
+    sums = [] if known is None else [one for one in known.physical if one.combination.kind == "sum"]
     numbers = [
         *(
             (p.name, p.value, p.stderr if p.free else None, p.unit)

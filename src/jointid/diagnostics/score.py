@@ -32,7 +32,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
-from jointid.uncertainty.position_dependent_error import Cells, widen
+from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
 RARER = 10
 """Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
@@ -253,7 +253,7 @@ def _test_group(
     test = judge(float(covariance.std[0]))
     if test.p_value > widened:
         return test
-    covariance = widen(covariance, influence, where())[0]
+    covariance = uncertainty(influence, where(), covariance).covariance
     if along_measured_motion:
         covariance = Influence(alone, left - step.size * step.alone).widen_for_motion(covariance)
     test = judge(float(covariance.std[0]))

@@ -1,4 +1,4 @@
-"""Influence of a residual on an estimate, and the covariances that follow from it.
+"""Influence of a residual on an estimate, and the covariances that follow from it (docs/how-it-works.md, Intervals).
 
 An estimate that solves ``Z' e(x) = 0``, with the sensitivities J = -de/dx of the prediction, errs by ``A n``::
 
@@ -9,10 +9,9 @@ covariance of coloured noise n from the residual e, under different assumptions.
 record.
 
 **By time** (Newey and West 1987): the scores ``Z_t e_t`` are summed with the Bartlett kernel over `bandwidth` rows on
-each side. This is robust against autocorrelation and unequal variance. Influential rows, such as a few reversals for
-the Coulomb frictions, have residuals smaller than the noise. Therefore every block of a bandwidth's length gets its
-leave-out residual, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. A residual that grows with the frequency, as that of a
-differentiated position, would be smeared to low ones. It is made white before (`Influence.prewhiten`).
+each side. Influential rows have residuals smaller than the noise, so every block of a bandwidth's length gets its
+leave-out residual, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. A residual that grows with the frequency is made white before
+(`Influence.prewhiten`).
 
 **By spectrum**: the noise is stationary with the power s_b in a band b. With the projection E_b on the band, which has
 w_b degrees of freedom, and ``e = (I - J A) n``::
@@ -21,21 +20,15 @@ w_b degrees of freedom, and ``e = (I - J A) n``::
     E (e' E_a e) = sum_b M_ab s_b,      M_ab = (w_a - 2 tr A E_a J) [a = b] + tr (J' E_a J) (A E_b A')
 
 Solving the second line for s_b >= 0 corrects for the degrees of freedom of the fit in each band (restricted likelihood,
-Patterson and Thompson 1971). The bands are narrow, since the spectrum under a force in the loop rises towards 0, where
-an offset and the total inertia are determined: four frequencies, then a quarter of the frequency, at most sqrt(rows).
+Patterson and Thompson 1971). Bands are narrow: four frequencies, then a quarter of the frequency, at most sqrt(rows).
 The power of a band is chi-square with M_bb degrees of freedom, so a deviation has those of Satterthwaite (1946)::
 
     nu = 2 (h' s)^2 / var (h' s),      h_b = (A E_b A')_ii
 
-These are few for a parameter that few frequencies determine. Half of Student's quantile then scales the deviation, so
-that two deviations have the coverage of 2 sigma.
+Half of Student's quantile then scales the deviation, so that two deviations have the coverage of 2 sigma.
 
-**Robust** is the larger of both in every direction. By time alone, with a loop that rings at 10 Hz, 91 % of the
-2-sigma intervals of the twin's viscous frictions hold the truth; by both 94-98 %. Errors that repeat with the motion
-are the subject of `position_dependent_error`.
-
-A model error does not average out over a long record, but changes with frequency. Two methods widen for it:
-`Influence.widen_for_bands` and `Influence.widen_for_motion`.
+**Robust** is the larger of both in every direction: with a loop that rings at 10 Hz, 91 % of the 2-sigma intervals of
+the twin's viscous frictions hold the truth by time alone, 94-98 % by both.
 """
 
 from __future__ import annotations
@@ -215,20 +208,15 @@ class Influence:
         order: NDArray[np.intp] | slice = np.argsort(block, kind="stable") if sorts else slice(None)
         Z, slopes, before, block = self.columns[order], self.slopes[order], self.error[order], block[order]
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-
-        def add_blocks(rows: FloatArray) -> FloatArray:
-            return np.add.reduceat(rows, first)
-
-        shares = _products(Z, slopes, first)
-        scores = add_blocks(Z * before[:, np.newaxis])
+        shares, scores = _products(Z, slopes, first), np.add.reduceat(Z * before[:, np.newaxis], first)
         inverse = np.linalg.pinv(np.eye(len(self.spread)) - self.spread @ shares, _LOST)
         moved = inverse @ (self.spread @ scores[..., np.newaxis])
         rows = np.diff(first, append=len(block))
         after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
         # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
-        kept = np.repeat(add_blocks(after**2) <= _MOST**2 * add_blocks(before**2), rows)
+        kept = np.add.reduceat(after**2, first) <= _MOST**2 * np.add.reduceat(before**2, first)
         found = np.empty_like(self.error)
-        found[order] = np.where(kept, after, before)
+        found[order] = np.where(np.repeat(kept, rows), after, before)
         return found
 
     def by_spectrum(self, asked: FloatArray | None = None) -> Covariance:
@@ -353,15 +341,8 @@ class Influence:
     def widen_for_motion(self, covariance: Covariance) -> Covariance:
         """Widen the deviations of an estimate along a measured motion for a force in the loop.
 
-        The loop answers to a force d, so columns along the measured motion contain it: the scores ``J' e`` have a mean,
-        which falls where the force and not the reference moves the motor. Their sum over all frequencies is 0 by the
-        estimate, so the bias is of the size of the largest partial sum::
-
-            b = max over F of |(Z' J)^-1  sum over f <= F of Re(Z(f)* e(f))|,    std^2 -> std^2 + b^2
-
-        It is exact to first order where the force moves the motor above F alone, the reference below F alone. Noise on
-        the log alone has partial sums, too (a Brownian bridge): it widens the deviations by a factor of 1.35 on the
-        average.
+        The bias is of the size of the largest partial sum of the influences over frequency (docs/how-it-works.md, T17).
+        Noise on the log alone widens the deviations by a factor of 1.35 on the average.
         """
         bias = np.max(np.abs(np.cumsum(self.by_frequency(), axis=0)), axis=0)
         return replace(covariance, std=np.hypot(covariance.std, bias))

@@ -27,15 +27,6 @@ _PART = 1e-3  # of a combination of unit columns: a smaller term is rounding
 _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, no part of the answer
 
 
-class Kind(StrEnum):
-    """Origin of a combination."""
-
-    ASKED = "asked"
-    SINGLE = "single"
-    SUM = "sum"
-    DIFFERENCE = "difference"
-
-
 class Limitation(StrEnum):
     """Limits of what a record determines."""
 
@@ -50,15 +41,15 @@ class Combination:
     """A weighted sum of parameters.
 
     Attributes:
-        kind: a parameter by itself; the sum or difference of both sides; or what somebody asked for.
-        quantity: of a sum or difference of both sides, the parameter's name without its side: "viscous_forwards".
+        kind: "sum" or "difference" of both sides; empty for others.
+        quantity: of both sides, the parameter's name without its side: "viscous_forwards".
     """
 
     name: str
     formula: str
     unit: str
     weights: Mapping[str, float]
-    kind: Kind = Kind.ASKED
+    kind: str = ""
     quantity: str = ""
 
     def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
@@ -72,7 +63,7 @@ class Combination:
 
 def single(parameter: Parameter, unit: str) -> Combination:
     """Return a parameter by itself."""
-    return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0}, Kind.SINGLE)
+    return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0})
 
 
 def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
@@ -80,17 +71,16 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
 
     These are sum and difference of the frictions, by kind and direction, and the total inertia; none for a rigid joint.
     """
-    known = {p.name: p for p in parameters}
-    found = []
+    known, found = {p.name: p for p in parameters}, list[Combination]()
     for name, motor in known.items():
         side, _, quantity = name.partition("_")
         load = known.get(f"load_{quantity}")
         if side != "motor" or load is None or motor.quantity not in ADDED:
             continue
         words = quantity.replace("_", " ")
-        pairs = [(f"total {words}", "+", 1.0, Kind.SUM)]
+        pairs = [(f"total {words}", "+", 1.0, "sum")]
         if motor.quantity is not Quantity.INERTIA:
-            pairs.append((f"difference of {words}, motor less load", "-", -1.0, Kind.DIFFERENCE))
+            pairs.append((f"difference of {words}, motor less load", "-", -1.0, "difference"))
         for said, sign, weight, kind in pairs:
             formula, weights = f"{motor.symbol} {sign} {load.symbol}", {name: 1.0, load.name: weight}
             found.append(Combination(said, formula, units[name], weights, kind, quantity))
@@ -104,11 +94,6 @@ class Known:
     combination: Combination
     value: float
     std: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Two standard deviations about the value."""
-        return self.value - 2 * self.std, self.value + 2 * self.std
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,40 +128,34 @@ def identifiability(
         J: (rows, free), the sensitivities of the residual or of the prediction.
         covariance: of the estimate.
     """
+    norms, unseen, limitations = column_norms(J), find_unseen(J), list[Message]()
     own = [i for i, p in enumerate(parameters) if p.quantity not in _SURROUNDING]
-    joint = [parameters[i] for i in own]
-    spread = Covariance(covariance.std[own], covariance.correlation[np.ix_(own, own)])
+    apart = [i for i in own if np.all(np.abs(unseen[:, i]) <= _PART)]
 
     def assess(combination: Combination) -> Known:
         weights = combination.vector(parameters)
         return Known(combination, float(weights @ x), covariance.std_of(weights))
 
-    norms, unseen, separable = column_norms(J), find_unseen(J), find_separable(J)
-
     def is_seen(combination: Combination) -> bool:
         weights = combination.vector(parameters) / norms
         return bool(np.all(np.abs(unseen @ weights) <= _PART * np.linalg.norm(weights)))
 
-    each = [assess(single(p, units[p.name])) for p in joint]
-    apart = [k for k, i in enumerate(own) if separable[i]]
-    limitations = []
     for vector in unseen:
-        parts = {p.name: float(vector[i] / norms[i]) for p, i in zip(joint, own, strict=True) if abs(vector[i]) > _PART}
+        parts = {parameters[i].name: float(vector[i] / norms[i]) for i in own if abs(vector[i]) > _PART}
         if parts:
             limitations.append(_describe_unseen(parts, units, assess))
+    each = {i: assess(single(parameters[i], units[parameters[i].name])) for i in apart}
     for i, j in combinations(apart, 2):
-        if abs(spread.correlation[i, j]) > _INSEPARABLE:
-            limitations.append(_describe_pair(each[i], each[j], float(spread.correlation[i, j]), assess))
-    for p, one in ((joint[k], each[k]) for k in apart):
-        if p.lower >= 0 and one.interval[0] <= 0.0:
-            said = f"{p.symbol} is not significant: its interval holds 0"
-            values = {"parameter": p.name, "value": one.value, "std": one.std}
+        if abs(correlation := float(covariance.correlation[i, j])) > _INSEPARABLE:
+            limitations.append(_describe_pair(each[i], each[j], correlation, assess))
+    for i, one in each.items():
+        if parameters[i].lower >= 0 and one.value <= 2 * one.std:
+            said = f"{parameters[i].symbol} is not significant: its interval holds 0"
+            values = {"parameter": parameters[i].name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
-    return Identifiability(
-        tuple(assess(one) for one in physical(joint, units) if is_seen(one)),
-        tuple(limitations),
-        tuple(p.name for k, p in enumerate(joint) if k not in apart),
-    )
+    seen = filter(is_seen, physical([parameters[i] for i in own], units))
+    undetermined = tuple(parameters[i].name for i in own if i not in apart)
+    return Identifiability(tuple(map(assess, seen)), tuple(limitations), undetermined)
 
 
 def find_unseen(J: FloatArray) -> FloatArray:
@@ -209,19 +188,13 @@ def _describe_unseen(
     unseen: Mapping[str, float], units: Mapping[str, str], assess: Callable[[Combination], Known]
 ) -> Message:
     """Message on parameters whose changes in these proportions change nothing in the record."""
-    names = list(unseen)
+    names, values = list(unseen), dict[str, object](parameters=list(unseen))
     listed = join([in_words(name) for name in names])
-    values: dict[str, object] = {"parameters": names}
     said = f"this record does not {'determine' if len(names) == 1 else 'separate'} {listed}"
     weight = -unseen[names[0]] / unseen[names[-1]]
     if len(names) == 2 and units[names[0]] == units[names[1]] and math.isclose(abs(weight), 1.0, rel_tol=_PART):
         clause, more = _sum_of(names, weight, units[names[0]], assess)
         said, values = f"{said}: their {clause}", values | more
-    if any(name.endswith("friction_per_torque") for name in names):
-        said += (
-            ": where the torque never brakes, a share of it scales them all; identify records with other known loads "
-            "in one fit, or brake harder"
-        )
     return Message(Limitation.UNDETERMINED, f"{said}; fix one of them, or record another motion", values)
 
 
@@ -232,20 +205,18 @@ def _describe_pair(first: Known, second: Known, correlation: float, assess: Call
     # Of two in the same unit the plain sum or difference is given, of others the combination that is known best.
     weight = -math.copysign(1.0 if units[0] == units[1] else first.std / second.std, correlation)
     said, values = _sum_of(names, weight, units[0], assess)
-    pair = join([in_words(name) for name in names])
-    clause = f"use {pair} only together: what one gains the other makes up for"
-    clause = f"use {pair} only together: their {said}" if units[0] == units[1] else clause
+    clause = f"use {join([in_words(name) for name in names])} only together"
+    clause += f": their {said}" if units[0] == units[1] else ": what one gains the other makes up for"
     widths = " and ".join(f"± {number(2 * one.std, 2)} {one.combination.unit}" for one in (first, second))
     words = f"{clause}; apart they are known to {widths} (correlation {correlation:+.3f})"
-    values |= {"parameters": names, "correlation": correlation}
-    return Message(Limitation.INSEPARABLE, words, values, clause)
+    return Message(Limitation.INSEPARABLE, words, values | {"parameters": names, "correlation": correlation}, clause)
 
 
 def _sum_of(
     names: Sequence[str], weight: float, unit: str, assess: Callable[[Combination], Known]
 ) -> tuple[str, dict[str, object]]:
     """Return the sum or difference of two parameters with its interval, in words and in values."""
-    kind = Kind.SUM if weight > 0 else Kind.DIFFERENCE
+    kind = "sum" if weight > 0 else "difference"
     known = assess(Combination(kind, "", unit, {names[0]: 1.0, names[1]: weight}, kind))
     values = {"weight": weight, "value": known.value, "std": known.std, "unit": unit}
     return f"{kind} is {interval(known.value, 2 * known.std)} {unit}", values

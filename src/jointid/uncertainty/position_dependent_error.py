@@ -11,10 +11,9 @@ residual and the counts n_cb of the rows of cell c in block b of time, n_c rows 
 **Tested** by turning the signs of blocks of time at random (wild bootstrap, Liu 1988), valid for any autocorrelation
 within a block, a fortieth of the record, and unequal accuracy.
 
-**Covered** by a second covariance (`by_place`) with scores summed over all visits to a cell, and Bartlett weights over
-neighbouring cells of the same direction and speed (Conley 1999). The larger of both covariances is taken in every
-direction (`larger`); the usual sum less the overlap need not be positive. If the test finds nothing, the covariance
-over time stands alone.
+**Covered**, if it is significant, by a second covariance (`by_place`) with scores summed over all visits to a cell, and
+Bartlett weights over neighbouring cells of the same direction and speed (Conley 1999). The larger of both counts in
+every direction (`larger`).
 """
 
 from __future__ import annotations
@@ -180,17 +179,12 @@ def repeatable(error: FloatArray, where: Cells) -> Repeatable:
         others = np.sum((signs @ products) * signs, axis=1)
         as_large = others >= square - _ROUNDING * np.abs(products).sum()  # signs may leave every product as it is
         p_value = float(1 + np.sum(as_large)) / (_FLIPS + 1)
-    return Repeatable(
-        rms=float(np.sqrt(max(square, 0.0))),
-        share=min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0,
-        p_value=p_value,
-    )
+    share = min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0
+    return Repeatable(float(np.sqrt(max(square, 0.0))), share, p_value)
 
 
 def by_place(influence: Influence, where: Cells) -> Covariance:
     """Covariance for errors shared by all visits to a cell (see the module).
-
-    Cells are correlated over ``ceil(4 (cells / 100)^(2/9))`` on each side, the rule of `bandwidth` for rows.
 
     Smoother errors are covered too little: of 2-sigma intervals 95 % hold the truth at a length of half a cell, 88-96 %
     at two and 80-98 % at four (on the EMPS motion, by simulation).
@@ -201,17 +195,13 @@ def by_place(influence: Influence, where: Cells) -> Covariance:
     return influence.covariance(bartlett_sum(sums, _LAGS))
 
 
-def widen(covariance: Covariance, influence: Influence, where: Cells) -> tuple[Covariance, Repeatable]:
-    """Widen a covariance by `by_place` if the residual repeats; return both."""
-    verdict = repeatable(influence.error, where)
-    return larger(covariance, by_place(influence, where)) if verdict.significant else covariance, verdict
-
-
-def uncertainty(influence: Influence, where: Cells) -> Uncertainty:
+def uncertainty(influence: Influence, where: Cells, covariance: Covariance | None = None) -> Uncertainty:
     """Covariance of an estimate's errors, including repeatable ones.
 
     Args:
         influence: the equations of the estimate, and their residual.
         where: the rows' cells.
+        covariance: of what does not repeat; the robust one when None.
     """
-    return Uncertainty(*widen(influence.robust(), influence, where))
+    verdict, known = repeatable(influence.error, where), covariance or influence.robust()
+    return Uncertainty(larger(known, by_place(influence, where)) if verdict.significant else known, verdict)

@@ -51,7 +51,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Influence, white
-from jointid.uncertainty.identifiability import Combination, Kind, Known, find_separable
+from jointid.uncertainty.identifiability import Combination, Known, find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 from jointid.uncertainty.profile import profile_compliance
@@ -155,7 +155,7 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
     """Return the sum of both sides that a rigid joint's parameter is."""
     formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
     weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
-    return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
+    return Combination(f"total {p.name}", formula, unit, weights, "sum", p.name)
 
 
 def visible(

@@ -15,7 +15,6 @@ from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.agreement import DriftTest
 from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, show_value
-from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status, Subject
 
 if TYPE_CHECKING:
@@ -297,7 +296,7 @@ def combinations_table(estimate: Estimate, caption: str = "", *, differences: bo
     rows = tuple(
         (of.name.partition(",")[0], interval(one.value, 2 * one.std), of.unit, of.formula)
         for one in every
-        if (of := one.combination) and (differences or of.kind is not Kind.DIFFERENCE)
+        if (of := one.combination) and (differences or of.kind != "difference")
     )
     header = ("combination", "value ± 2 sigma", "unit", "symbol")
     return Table(header, rows, caption, words=(0, 2, 3)) if rows else None
