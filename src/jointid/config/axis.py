@@ -162,34 +162,27 @@ class Axis:
 
 
 def build_axis(own: Values, kind: Kind, given: Mapping[str, Any]) -> tuple[Axis, Method]:
-    """Build an axis of a file, and its method.
+    """Return an axis of a file from its tables, see `read_tables`, and its method; refuse contradictions between them.
 
-    Args:
-        own: its tables, with what it shares with other axes; see `jointid.config.tables.read_tables`.
-        kind: of its load's motion.
-        given: keys of [method]; without a name it is the first method whose needs are met.
-
-    Raises:
-        JointFileError: with a sentence for each contradiction between the tables.
+    Its load moves in that kind; `given` are the keys of [method], without a name of the first whose needs are met.
     """
     at, columns, source, drive, stated = own["at"], own["channels"], own["source"], own["drive"], own["controller"]
-    ratio = own["transmission"]
-    gear = None if ratio is None else _make(at("transmission"), Transmission, load=kind, **ratio)
+    through = own["transmission"]
+    gear = None if through is None else _make(at("transmission"), Transmission, load=kind, **through)
     if own["torque_constant"] is not None:
         per_volt = "V" in own["texts"].get(at("joint", "torque_constant"), "A")[0]
         name = "torque_per_volt" if per_volt else "torque_constant"
         drive = _make(at("drive"), replace, drive, **{name: own["torque_constant"]})
-    below = at("controller")
-    texts = {place[len(below) :]: text for place, (text, _) in own["texts"].items() if place[: len(below)] == below}
-    units = AxisUnits(kind=kind, gear=gear, drive=drive, texts={".".join(map(str, k)): t for k, t in texts.items()})
+    units = AxisUnits(kind=kind, gear=gear, drive=drive)
     units = replace(units, torque=units.find_torque_unit(columns.get("torque")))
     controller: Any = None
     if stated is not None:
         controller, side, gain = stated
         units = replace(units, side=side)
-        through = {} if gear is None else {"ratio": gear.torque(side)}
-        gain = _make(at(), units.gain, controller, gain)
-        controller = replace(controller, gain=gain, output=units.output(controller, gain), **through)
+        below, ratio = at("controller"), {} if gear is None else {"ratio": gear.torque(side)}
+        texts = {place[len(below) :]: text for place, (text, _) in own["texts"].items() if place[: len(below)] == below}
+        gain, output = _make(at(), units.gain, controller, gain, {".".join(map(str, k)): t for k, t in texts.items()})
+        controller = replace(controller, gain=gain, output=output, **ratio)
     joint = _build_joint(own, kind, gear, units.torque)
     axis = Axis(
         name=own["name"],

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from jointid.common import units
 from jointid.common.errors import JointFileError
@@ -33,7 +32,6 @@ class AxisUnits:
         drive: with the torque constant.
         torque: unit of the torque's channel as the joint has it: "A", "V", or None for N or N m.
         side: of the controller's numbers.
-        texts: of numbers of the controller that are given with a unit, by the path of their key.
     """
 
     kind: Kind = "revolute"
@@ -41,7 +39,6 @@ class AxisUnits:
     drive: Drive = field(default_factory=Drive)
     torque: str | None = None
     side: Side = "motor"
-    texts: Mapping[str, str] = field(default_factory=dict)
 
     def kind_of(self, side: Side) -> Kind:
         """Return the kind of motion of a side."""
@@ -75,19 +72,28 @@ class AxisUnits:
             return None
         return None if unit in TORQUE_UNIT.values() else unit
 
-    def gain(self, law: Controller, given: float | None) -> float:
-        """Return the gain from a controller's output to torque on its side, given or known.
+    def gain(self, law: Controller, given: float | None, texts: Mapping[str, str]) -> tuple[float, str]:
+        """Return the gain from a controller's output to torque on its side, given or known, and the output's unit.
+
+        Args:
+            law: the controller.
+            given: the gain that the file gives.
+            texts: of its numbers that are given with a unit, by the path of their key.
 
         Raises:
             JointFileError: it is not known, or its numbers are of different outputs.
         """
-        outputs = self._outputs(law)
-        if len(outputs) > 1:
-            rest = f" has outputs in {' and '.join(outputs)}, as {join(list(outputs.values()))} say; use one unit."
+        found, kind = dict[str, str](), self.kind_of(self.side)
+        for name in (one for one in texts if one in numbers_of(law)):
+            if output := output_of(texts[name], declared_unit(law, name), kind):
+                found.setdefault(output, name)
+        if len(found) > 1:
+            rest = f" has outputs in {' and '.join(found)}, as {join(list(found.values()))} say; use one unit."
             raise JointFileError(fault_at(("controller",), rest, "unit"))
-        if not outputs:
-            return given or self.plain_gain
-        ((output, name),) = outputs.items()
+        if not found:
+            plain = "A" if self.drive.torque_constant else "V" if self.drive.torque_per_volt else ""
+            return given or self.plain_gain, plain if given in (None, self.plain_gain) else ""
+        ((output, name),) = found.items()
         known = self._torque_per(output)
         if given is None and known is None:
             rest = f" is of an output in {output}; expected what takes it to the torque: give the joint a "
@@ -96,20 +102,7 @@ class AxisUnits:
         if given is not None and known is not None and abs(given / known - 1) > _AGREES:
             rest = f" is {given:g}, but {name} makes it {known:.6g}; leave the wrong one out."
             raise JointFileError(fault_at(("controller", "gain"), rest))
-        return given or known or 1.0
-
-    def output(self, law: Controller, gain: float) -> str:
-        """Return the unit of a controller's output; empty where it is not known."""
-        plain = "A" if self.drive.torque_constant else "V" if self.drive.torque_per_volt else ""
-        return next(iter(self._outputs(law)), plain if gain == self.plain_gain else "")
-
-    def _outputs(self, law: Any) -> dict[str, str]:
-        """Return the units of a controller's output, each with a number that says it."""
-        found, kind = dict[str, str](), self.kind_of(self.side)
-        for name in (one for one in self.texts if one in numbers_of(law)):
-            if output := output_of(self.texts[name], declared_unit(law, name), kind):
-                found.setdefault(output, name)
-        return found
+        return given or known or 1.0, output
 
     def _torque_per(self, output: str) -> float | None:
         """Return the torque per unit of an output; None where nothing but a gain can say it."""

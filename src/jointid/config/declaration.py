@@ -195,7 +195,8 @@ class Reader:
     def _single(self, one: Setting, raw: Any, place: Place) -> Any:
         """Return a value that is no table."""
         try:
-            if one.type is float and isinstance(raw, str) and is_quantity(raw) and list_units(one.unit):
+            stated = units.QUANTITY.fullmatch(raw) if one.type is float and isinstance(raw, str) else None
+            if stated is not None and stated["unit"].strip() and list_units(one.unit):  # known or not
                 self.texts[place] = raw, one.unit
                 found = to_si(raw, one.unit)
             else:
@@ -301,7 +302,7 @@ def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
         declared: of the setting: "1/s", "m/s or rad/s", "controller units per m/s or rad/s".
         kind: how the side moves; None for both.
     """
-    if in_controller_units(declared):
+    if declared.startswith(CONTROLLER_UNITS):
         kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
         below = declared.removeprefix(CONTROLLER_UNITS).removeprefix(" per ").split(" or ")
         found = (units.per(output, below[-(one == "revolute")]) for one in kinds for output in OUTPUTS[one])
@@ -322,22 +323,11 @@ def _is_unit(unit: str) -> bool:
 
 def output_of(text: str, declared: str, kind: Kind) -> str | None:
     """Return the controller's output unit (N, N m, A, V or %) in a text; None without one."""
-    if not in_controller_units(declared):
+    if not declared.startswith(CONTROLLER_UNITS):
         return None
     stated = units.parse_quantity(text)
     known = zip(OUTPUTS[kind], list_units(declared, kind), strict=True)
     return next((output for output, unit in known if units.convert(*stated, unit) is not None), None)
-
-
-def in_controller_units(declared: str) -> bool:
-    """Return True for a declaration in controller units, possibly per another unit."""
-    return declared.startswith(CONTROLLER_UNITS)
-
-
-def is_quantity(text: str) -> bool:
-    """Return True for a number followed by a unit, known or not."""
-    stated = units.QUANTITY.fullmatch(text)
-    return stated is not None and stated["unit"].strip() != ""
 
 
 def to_si(text: str, declared: str, kind: Kind | None = None) -> float:

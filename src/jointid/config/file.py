@@ -324,11 +324,5 @@ class File:
 
     def _run(self, path: str | os.PathLike[str]) -> Run:
         """Return the entry of the record at a path."""
-        at = _find_place(path)
-        listed = (run for run, one in zip(self.runs, self.listed, strict=True) if _find_place(one) == at)
-        return next(listed, Run(""))
-
-
-def _find_place(path: str | os.PathLike[str]) -> Path:
-    """Return the one path of a file by which it is known, whatever folders lead to it."""
-    return Path(path).parent.resolve() / Path(path).name
+        at = Path(path).resolve()
+        return next((run for run, one in zip(self.runs, self.listed, strict=True) if one.resolve() == at), Run(""))

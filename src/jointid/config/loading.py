@@ -111,13 +111,8 @@ def save_with_controller(
 ) -> None:
     """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
 
-    But for the paths of records: in another folder they lead to the same files from there.
-
-    Args:
-        file: the joint file.
-        controller: what takes the place of the one there.
-        path: to write to; a file that is there is replaced.
-        record: the record that the file is to name, instead of the one it names.
+    But for the paths of records: in another folder they lead to the same files from there. A record that is given takes
+    the place of the one that the file names.
 
     Raises:
         JointFileError: the file cannot be written.

@@ -28,15 +28,9 @@ _CHANNELS = """
 
 
 def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
-    """Return the text of a joint file that reads a log; what no log states is a remark.
+    """Return the text of a joint file that reads an inspected log; what no log states is a remark.
 
-    Args:
-        found: what `inspect` gave.
-        file: path of the log, from the folder of the joint file.
-        axis: number or name of the axis, of a log of several.
-
-    Raises:
-        RecordError: there is no such axis, or none of several is named.
+    The file is the log's path from the joint file's folder, the axis the number or name of one of several.
     """
     log = found.recognised
     if log is None:

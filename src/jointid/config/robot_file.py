@@ -42,16 +42,7 @@ _OF_SPRING = ("stiffness", "damping", "load_viscous", "load_coulomb")
 
 
 def build_robot(file: Values, axes: Sequence[Values], folder: Path) -> Values:
-    """Return what `File` has of a robot.
-
-    Args:
-        file: tables of the robot file; see `jointid.config.tables.read_tables`.
-        axes: those of its joints.
-        folder: of the file.
-
-    Raises:
-        JointFileError: with one sentence for each fault, of the file or of the model that it names.
-    """
+    """Return what `File` has of a robot, from the tables of its file, see `read_tables`, and of its joints."""
     stated, name, bare = file["robot"], _choose_method(file, axes), _read_model(file["robot"], axes, folder)
     method = make_method(name, file["method"], "robot")
     made = tuple(_build_axis(own, number, bare, name, {})[0] for number, own in enumerate(axes))
@@ -71,10 +62,6 @@ def build_joint_of_robot(file: Values, axes: Sequence[Values], folder: Path, joi
     """Return one joint of a robot as if no other moved; arguments as of `build_robot`.
 
     Its method is that of `joints.method`, or that of the robot with default settings.
-
-    Raises:
-        JointFileError: see `build_robot`.
-        MethodError: the robot has no such joint.
     """
     name, bare = _choose_method(file, axes), _read_model(file["robot"], axes, folder)
     if joint not in bare.names:

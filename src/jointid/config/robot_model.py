@@ -289,7 +289,7 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
     for number in range(1, model.nbody):
         carrier, rotation, origin = placed[int(model.body_parentid[number])]
         origin = origin + rotation @ model.body_pos[number]
-        rotation = rotation @ _matrix(model.body_quat[number])
+        rotation = rotation @ Rotation.from_quat(model.body_quat[number], scalar_first=True).as_matrix()
         body = model.body(number).name or f"link{number}"
         first, count = int(model.body_jntadr[number]), int(model.body_jntnum[number])
         for place in range(first, first + count):
@@ -335,13 +335,9 @@ def _body(model: Any, number: int) -> FloatArray:
     mass, moments = float(model.body_mass[number]), model.body_inertia[number]
     if mass <= 2 * _LEAST_MASS:
         return np.zeros(10)
-    axes = _matrix(model.body_iquat[number])
+    axes = Rotation.from_quat(model.body_iquat[number], scalar_first=True).as_matrix()
     inertia = axes @ np.diag(np.where(moments <= 2 * _LEAST_MASS, 0.0, moments)) @ axes.T
     return MassProperties(mass, model.body_ipos[number].copy(), inertia).inertial
-
-
-def _matrix(quaternion: FloatArray) -> FloatArray:
-    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
 
 
 def reorder_joints(robot: Robot, names: Sequence[str]) -> Robot:

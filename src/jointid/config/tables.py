@@ -106,16 +106,7 @@ _METHOD = Table(
 
 
 def make_method(name: str, given: Mapping[str, Any], system: str) -> Method:
-    """Return the method of that name with the keys of [method].
-
-    Args:
-        name: of the method.
-        given: the keys.
-        system: "rigid" or "flexible" for a joint, "robot".
-
-    Raises:
-        JointFileError: a key is of another method or system.
-    """
+    """Return the method of that name with the keys of [method]; refuse those of other methods or systems."""
     made: Any = method_of(name)
     own = {one: value for one, value in given.items() if one != "name"}
     for one in own.keys() - keys_of(made, system=system):
@@ -273,17 +264,10 @@ ROBOT_FILE = Table(
 
 
 def read_tables(raw: Mapping[str, Any]) -> tuple[Values, tuple[Values, ...]]:
-    """Read the tables of a joint file or a robot file.
+    """Return the tables of a file, as `tomllib` reads them, and those of each axis; refuse them by all their faults.
 
-    Args:
-        raw: as `tomllib` reads them.
-
-    Returns:
-        Those of the file, and those of each axis with what it shares with the others: source, drive and records of the
-        file, its channels, the numbers that are given with a unit, and a function that returns the place of a key.
-
-    Raises:
-        JointFileError: with one sentence for each fault.
+    An axis has beside its own what it shares with the others: source, drive, records and channels of the file, the
+    numbers that are given with a unit (`Reader.texts`), and `at`, which returns the place of a key of the axis.
     """
     reader = Reader()
     file: Values = reader.read_all(ROBOT_FILE if "robot" in raw else JOINT_FILE, raw)

@@ -72,16 +72,7 @@ def _count_points(text: str) -> int:
 
 
 def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:
-    """Return the tables of a joint file with some keys set, not checked yet.
-
-    Args:
-        tables: as `tomllib` reads them; they stay as they are.
-        changes: each ``key=value``: the dotted key as faults name it, and a value in TOML; a single word needs no
-            quotes. Later ones win.
-
-    Raises:
-        JointFileError: a change cannot be read, or its place is inside another value.
-    """
+    """Return the tables of a joint file with some keys set, not checked yet; see `parse_change`. Later ones win."""
     changed = copy.deepcopy(dict(tables))
     for change in changes:
         parse_change(change)(changed)
@@ -89,10 +80,12 @@ def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str
 
 
 def parse_change(change: str) -> Change:
-    """Return the function that applies a change; see `apply_changes`.
+    """Return the function that applies a change ``key=value``.
+
+    The key is dotted as faults name it, the value in TOML; a single word needs no quotes.
 
     Raises:
-        JointFileError: it is not ``key=value``.
+        JointFileError: it cannot be read, or, when it is applied, its place is inside another value.
     """
     name, equals, text = change.partition("=")
     text = text.strip()
