@@ -82,7 +82,7 @@ def _identify(case: Case) -> dict[str, Any]:
     estimate = file.identify(file.record(case.record))
     of_robot = estimate.robot is not None  # of which every number counts, those of its logs, too
     known = estimate.checks.known
-    sums = [] if known is None else [one for one in known.physical if one.combination.kind == "sum"]
+    sums = [] if known is None else known.physical
     numbers = [
         *(
             (p.name, p.value, p.stderr if p.free else None, p.unit)

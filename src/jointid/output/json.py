@@ -218,7 +218,7 @@ def _of_first_form(old: Json) -> Json:
     else:
         system = {"name": robot["name"], "joints": [{"name": name} for name in robot["joints"]]}
     sums = old["parameters"].values()
-    sums_of_both = [one for one in old.get("combinations") or () if one["kind"] in ("sum", "difference")]
+    sums_of_both = [one for one in old.get("combinations") or () if one["kind"] == "sum"]
     physical = [{**one, "combination": one} for one in sums_of_both]
     positions = {"": old.get("position_rms")} if robot is None else robot.get("position_rms", {})
     return {

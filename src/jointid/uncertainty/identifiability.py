@@ -41,15 +41,13 @@ class Combination:
     """A weighted sum of parameters.
 
     Attributes:
-        kind: "sum" or "difference" of both sides; empty for others.
-        quantity: of both sides, the parameter's name without its side: "viscous_forwards".
+        quantity: of a sum of both sides, the parameter's name without its side: "viscous_forwards".
     """
 
     name: str
     formula: str
     unit: str
     weights: Mapping[str, float]
-    kind: str = ""
     quantity: str = ""
 
     def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
@@ -66,24 +64,15 @@ def single(parameter: Parameter, unit: str) -> Combination:
     return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0})
 
 
-def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
-    """Physically meaningful combinations of both sides of a joint.
-
-    These are sum and difference of the frictions, by kind and direction, and the total inertia; none for a rigid joint.
-    """
+def sums_of(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
+    """Sums of both sides of a joint: of the frictions, by kind and direction, and of the inertias."""
     known, found = {p.name: p for p in parameters}, list[Combination]()
     for name, motor in known.items():
         side, _, quantity = name.partition("_")
         load = known.get(f"load_{quantity}")
-        if side != "motor" or load is None or motor.quantity not in ADDED:
-            continue
-        words = quantity.replace("_", " ")
-        pairs = [(f"total {words}", "+", 1.0, "sum")]
-        if motor.quantity is not Quantity.INERTIA:
-            pairs.append((f"difference of {words}, motor less load", "-", -1.0, "difference"))
-        for said, sign, weight, kind in pairs:
-            formula, weights = f"{motor.symbol} {sign} {load.symbol}", {name: 1.0, load.name: weight}
-            found.append(Combination(said, formula, units[name], weights, kind, quantity))
+        if side == "motor" and load is not None and motor.quantity in ADDED:
+            said, formula = f"total {quantity.replace('_', ' ')}", f"{motor.symbol} + {load.symbol}"
+            found.append(Combination(said, formula, units[name], {name: 1.0, load.name: 1.0}, quantity))
     return tuple(found)
 
 
@@ -101,7 +90,7 @@ class Identifiability:
     """Accuracy of parameters and their combinations.
 
     Attributes:
-        physical: sums and differences with a meaning of their own.
+        physical: sums of both sides.
         limitations: parameters that are known only together, and what must be positive and whose 2-sigma interval
             holds 0; none of a good record.
         undetermined: names of parameters of which the record determines only combinations with others.
@@ -153,7 +142,7 @@ def identifiability(
             said = f"{parameters[i].symbol} is not significant: its interval holds 0"
             values = {"parameter": parameters[i].name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
-    seen = filter(is_seen, physical([parameters[i] for i in own], units))
+    seen = filter(is_seen, sums_of([parameters[i] for i in own], units))
     undetermined = tuple(parameters[i].name for i in own if i not in apart)
     return Identifiability(tuple(map(assess, seen)), tuple(limitations), undetermined)
 
@@ -217,6 +206,6 @@ def _sum_of(
 ) -> tuple[str, dict[str, object]]:
     """Return the sum or difference of two parameters with its interval, in words and in values."""
     kind = "sum" if weight > 0 else "difference"
-    known = assess(Combination(kind, "", unit, {names[0]: 1.0, names[1]: weight}, kind))
+    known = assess(Combination(kind, "", unit, {names[0]: 1.0, names[1]: weight}))
     values = {"weight": weight, "value": known.value, "std": known.std, "unit": unit}
     return f"{kind} is {interval(known.value, 2 * known.std)} {unit}", values

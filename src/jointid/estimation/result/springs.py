@@ -155,7 +155,7 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
     """Return the sum of both sides that a rigid joint's parameter is."""
     formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
     weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
-    return Combination(f"total {p.name}", formula, unit, weights, "sum", p.name)
+    return Combination(f"total {p.name}", formula, unit, weights, p.name)
 
 
 def visible(

@@ -66,7 +66,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     if moved_by_loop(estimate, threshold=_SHOWN_SHIFT):
         yield Paragraph("loop: how much the value changes once loop and log are as the verdict says")
     bounds = bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, mode damped by up to 15 %)")
-    combinations = combinations_table(estimate, "known together", differences=details)
+    combinations = combinations_table(estimate, "known together")
     yield from (table for table in (combinations, bounds) if table is not None)
     if estimate.checks.drift is not None and estimate.checks.drift.segments:
         yield _segments_table(estimate, estimate.checks.drift)
@@ -283,21 +283,11 @@ def _segments_table(estimate: Estimate, drift: DriftTest) -> Table:
     return Table(header, tuple(rows), "each segment by itself, ± 2 sigma without what all of them err alike", words=())
 
 
-def combinations_table(estimate: Estimate, caption: str = "", *, differences: bool = True) -> Table | None:
-    """Return sums and differences of both sides; None where there are none.
-
-    Args:
-        estimate: whose combinations are shown.
-        caption: of the table.
-        differences: whether to show the differences of both sides, too; else only their sums.
-    """
+def combinations_table(estimate: Estimate, caption: str = "") -> Table | None:
+    """Return the sums of both sides as a table with a caption; None where there are none."""
     known = estimate.checks.known
-    every = () if known is None else known.physical
-    rows = tuple(
-        (of.name.partition(",")[0], interval(one.value, 2 * one.std), of.unit, of.formula)
-        for one in every
-        if (of := one.combination) and (differences or of.kind != "difference")
-    )
+    every = [] if known is None else [(one, one.combination) for one in known.physical]
+    rows = tuple((of.name, interval(one.value, 2 * one.std), of.unit, of.formula) for one, of in every)
     header = ("combination", "value ± 2 sigma", "unit", "symbol")
     return Table(header, rows, caption, words=(0, 2, 3)) if rows else None
 
