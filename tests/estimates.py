@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import jointid as ji
 from jointid.diagnostics.validation import validate
-from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
@@ -31,8 +30,8 @@ def amended(estimate: T, **parts: Mapping[str, Any]) -> T:
 def errors_of_bodies(estimate: Estimate, bodies: Robot, records: Sequence[Record]) -> list[float | None]:
     """Return what a robot leaves of the records of another motion, in the place of the estimate's nominal one."""
     part = estimate.require_robot()
-    if isinstance(part, InverseModelRobot):
-        other = replace(part, nominal=part.base.with_friction(bodies))
+    if estimate.settings.method == "idim":
+        other = replace(part, nominal=part.parameters_of(bodies))
         return [axis.nominal_error for axis in validate(replace(estimate, robot=other), records).axes]
     problem: Any = problem_of(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
     return [*errors_of(problem, RobotNumbers.of(bodies))]

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.identify_record import identify_record
-from jointid.estimation.unknown_timing import fit_unstated_timing
 from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
 
@@ -121,18 +119,3 @@ def test_intervals_are_not_wider_than_the_timing_asks():
     free, told = (ji.identify(one, ji.RigidJoint("revolute"), ji.IDIM(), checks=False) for one in (record, stated))
     for name in TRUE:
         assert told[name].stderr <= free[name].stderr < 5 * told[name].stderr, name
-
-
-@pytest.mark.parametrize("fails", ["averaged", "sampled"])
-def test_a_reading_that_cannot_be_fitted_is_said(fails):
-    record, joint = logged(50.0, True, 1)[0], ji.RigidJoint("revolute")
-    stated = replace(record, torque=replace(record.torque, stated=True))
-
-    def fit(records):
-        if records[0].torque.timing == fails:
-            raise ji.JointidError("nothing is determined")
-        return identify_record(records[0], joint, ji.IDIM())
-
-    found, told = fit_unstated_timing([record], fit), fit([stated])
-    assert "the other reading is as possible" in found.checks.warnings[0]
-    assert (found.params["viscous"].stderr > 1.05 * told.params["viscous"].stderr) == (fails == "averaged")

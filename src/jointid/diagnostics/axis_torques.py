@@ -22,17 +22,13 @@ from jointid.diagnostics.axis_laws import list_reference_laws
 from jointid.diagnostics.faults.fault import FaultSignature
 from jointid.diagnostics.seen import Seen
 from jointid.diagnostics.suspects import list_signatures
-from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import MeasuredMotion
+from jointid.estimation.problems.inverse_model import MeasuredMotion, read_as
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
-from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.simulated import SimulatedRobot, solve_again
-from jointid.estimation.unknown_timing import read_as
-from jointid.models.robots.base_parameters import inverse_columns
-from jointid.models.robots.friction_terms import Friction, friction_terms
+from jointid.estimation.robots.regression import inverse_of_robot
+from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
@@ -130,16 +126,16 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
         RecordError, MethodError: as of the identification.
     """
     part, filtering = estimate.require_robot(), estimate.settings.filtering
-    if isinstance(part, InverseModelRobot):
+    if estimate.settings.method == "idim":
         return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
-    assert isinstance(part, SimulatedRobot)
     solved = estimate.solved if isinstance(estimate, Estimate) else None
     return _by_simulation(part, records, solved or solve_again(part, records, filtering))
 
 
-def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
-    robot, motion = part.model, motion_of_robot(part.model, records, filtering)
-    rows = base_rows(robot, part.base, motion)
+def _by_inverse_model(part: IdentifiedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
+    robot, inverse = part.model, inverse_of_robot(part.model, part.parameters)
+    motion = inverse.measure(records, filtering)
+    rows = inverse.rows([motion])
     coupling = robot.coupling.T
     q, v, a = (one @ coupling for one in (motion.q, motion.v, motion.a))
     seen = motion.whole_rows
@@ -150,8 +146,8 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     everywhere = replace(motion, moving=np.ones_like(motion.moving))
     path = everywhere.decimate_columns(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
     measured = rows.by_equation(rows.Y)
-    own = [0.0 if term.number is Friction.OFFSET else 1.0 for term in friction_terms(robot)]
-    friction = rows.by_equation(rows.W[:, len(part.base) :] @ (own * part.values[len(part.base) :]))
+    of_friction = ~part.parameters.inertial & np.array([not name.endswith(".offset") for name in part.names])
+    friction = rows.by_equation(rows.W @ np.where(of_friction, part.values, 0.0))
     found = _torques(
         robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values)),
         seen, path, (q, v, a), motion.torque, thin,
@@ -161,18 +157,18 @@ def _by_inverse_model(part: InverseModelRobot, filtering: Filtering, records: Se
     return replace(found, springs=bends.reshape(len(robot), len(ROTORS), *bends.shape[1:]))
 
 
-def _bend(part: InverseModelRobot, motion: MeasuredMotion) -> FloatArray:
+def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
     """Return the torques of a compliance in each joint, (samples, n, n shares).
 
     The links behind it turn back by the torque that winds it. That moves them all, and not the motors. What share of
     the joint's own inertia is its rotor is not known where both are one base parameter: several are tried.
     """
-    robot, n, size = part.model, len(part.model), len(part.base)
-    of_links = np.any(part.base.grouping[:, : len(SYMBOLS) * n], axis=1)  # a rotor may begin a sum with its link
-    values = np.where(of_links, part.values[:size], 0.0)
+    n = len(part.model)
+    of_links = np.any(part.of_standard[:, : len(SYMBOLS) * n], axis=1)  # a rotor may begin a sum with its link
+    values = np.where(of_links & part.parameters.inertial, part.values, 0.0)
 
     def through(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        return np.asarray(inverse_columns(robot, q, v, a)[:, :, part.base.chosen] @ values)
+        return np.asarray(part.regressor(q, v, a) @ values)
 
     q, v, a, raw = motion.q, motion.v, motion.a, motion.raw
     still, found = through(q, v, a), []
@@ -192,7 +188,7 @@ def _bend(part: InverseModelRobot, motion: MeasuredMotion) -> FloatArray:
     return np.stack(found, axis=2)
 
 
-def _by_simulation(part: SimulatedRobot, records: Sequence[Record], solved: SolvedRobot) -> AxisTorques:
+def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: SolvedRobot) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
     problem = cast("RobotLoopProblem | RobotDriveSideProblem", solved.problem)
     measured = problem.by_joint(problem.decimate(problem.measured))

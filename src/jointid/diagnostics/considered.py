@@ -33,7 +33,6 @@ from jointid.estimation.result.assemble import Widening
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
-from jointid.estimation.robots.simulated import SimulatedRobot
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.closed_loop import Outcome
@@ -82,7 +81,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     if torques is None or not tried:
         return
     names, scales = [p.name for p in fit.problem.free] if fit.problem is not None else [], np.ones(1)
-    if isinstance(part, SimulatedRobot):
+    if part is not None:
         names, values = list(part.parameters.names), part.values[: len(part.parameters.places)]
         scales = np.where(part.parameters.logarithmic, values, 1.0)
     rows = {row.name: row for row in fit.params.rows if row.stderr}
@@ -115,7 +114,7 @@ def _list_elements(fit: Estimate, found: Diagnosis) -> list[tuple[int, Element]]
     """Return the elements to try, each with its axis: those neither free, nor found as faults."""
     part, problem = fit.robot, fit.problem
     of_axes: tuple[Controller, ...] = () if problem is None else (problem.loop.controller,)
-    if isinstance(part, SimulatedRobot) and isinstance(part.setup, RobotLoop) and fit.solved is not None:
+    if part is not None and isinstance(part.setup, RobotLoop) and fit.solved is not None:
         of_axes = part.setup.controllers
     taken = [
         {fault.name for finding in axis.faults.findings for fault in (finding.test.fault, *finding.test.alike)}

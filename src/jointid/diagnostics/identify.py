@@ -35,7 +35,7 @@ from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
-from jointid.estimation.result.robot import IdentifiedRobot
+from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord

@@ -17,7 +17,7 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
 from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
-from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, joint_columns, motion_of, through_window
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, inverse_of_joint, through_window
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop
@@ -71,14 +71,14 @@ def predict_joint(estimate: Estimate, record: Record) -> Predicted:
     if settings.method == "drive_side":
         return _simulate_along_motion(estimate, record)
     assert record.torque is not None
-    joint, filtering, zeros = settings.joint, settings.filtering, settings.joint.model == "flexible"
-    names = [p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ()))]
-    motion = motion_of(record, settings.delay, filtering, joint)
-    raw = joint_columns(joint, motion.q, motion.v, motion.a, zeros=zeros)
-    values = np.array([known.get(name, 0.0) for name in names])
-    columns, whole = motion.decimate_columns(raw), motion.thinned_torque()
+    joint, filtering = settings.joint, settings.filtering
+    inverse = inverse_of_joint(joint, settings.delay, zeros=joint.model == "flexible")
+    motion = inverse.measure([record], filtering)
+    raw = inverse.columns_along(motion)
+    values, rows = np.array([known.get(name, 0.0) for name in inverse.names]), inverse.rows([motion], [raw])
+    columns, whole = rows.W, rows.Y
     error = whole - columns @ values
-    zero = np.array([name == ENCODER_OFFSET.name for name in names])  # counted from elsewhere in each record
+    zero = np.array([name == ENCODER_OFFSET.name for name in inverse.names])  # counted from elsewhere in each record
     step = np.linalg.lstsq(columns[:, zero], error, rcond=None)[0]
     values[zero] += step
     predicted = through_window(raw[:, :1], filtering) @ values
@@ -176,27 +176,25 @@ def predict_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
     Raises:
         MethodError: the robot cannot be simulated along these records.
     """
-    from jointid.estimation.methods.idim import InverseModelRobot
-    from jointid.estimation.methods.linear import rows_of
     from jointid.estimation.robots.numbers import robot_parameters
-    from jointid.estimation.robots.regression import base_columns, motion_of_robot, relative_errors
-    from jointid.estimation.robots.simulated import SimulatedRobot, errors_of, nominal_numbers, problem_of
+    from jointid.estimation.robots.regression import inverse_of_robot
+    from jointid.estimation.robots.simulated import errors_of, nominal_numbers, problem_of
     from jointid.simulation.robots import motion_at
 
     part, filtering = estimate.require_robot(), estimate.settings.filtering
     robot, coupling = part.model, part.model.coupling.T
-    if isinstance(part, InverseModelRobot):
-        motion = motion_of_robot(robot, records, filtering)
-        columns = base_columns(robot, part.base, motion.q, motion.v, motion.a)
-        rows = rows_of([motion], [columns], part.names, len(robot))
+    if estimate.settings.method == "idim":
+        inverse = inverse_of_robot(robot, part.parameters)
+        motion = inverse.measure(records, filtering)
+        columns = inverse.columns_along(motion)
+        rows = inverse.rows([motion], [columns])
         return Predicted(
             motion.sample_time, motion.filtering.borders, motion.torque,
             columns @ part.values, rows.by_equation(rows.Y - rows.W @ part.values), rows.by_equation(rows.Y),
             [one @ coupling for one in (motion.q, motion.v, motion.a)],
             lambda: _fit_columns(rows.W, rows.by_equation(rows.Y)), motion.moving,
-            nominal_errors=lambda: relative_errors(rows, part.nominal),
+            nominal_errors=lambda: rows.relative_errors(part.nominal),
         )  # fmt: skip
-    assert isinstance(part, SimulatedRobot)
     numbers = part.numbers()
     problem: Any = problem_of(part.setup, records, robot_parameters(robot), filtering)
     run = problem.run_of(numbers)

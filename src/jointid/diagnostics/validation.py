@@ -26,8 +26,8 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.record_prediction import predict_joint, predict_robot
+from jointid.estimation.problems.inverse_model import read_as
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.unknown_timing import read_as
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record

@@ -14,12 +14,13 @@ from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several, require_distinct
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.idim import IDIM, identify_robot
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.outputs import fit_outputs, state_position, state_scale
+from jointid.estimation.outputs import fit_outputs, state_position, state_scale, state_timing
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.regression import (
     Records,
@@ -29,7 +30,6 @@ from jointid.estimation.robots.regression import (
     robot_record_warnings,
 )
 from jointid.estimation.robots.simulated import identify_simulated_robot
-from jointid.estimation.unknown_timing import fit_unstated_timing
 from jointid.estimation.windowed import require_windows
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -187,7 +187,7 @@ def _of_joint(
 
 def _in_time(fit: Callable[[Sequence[Record]], Estimate]) -> Callable[[Sequence[Record]], Estimate]:
     """Return the fit of records whose torques may have no stated timing, or may be computed."""
-    return lambda records: state_scale(fit_unstated_timing(records, fit), records)
+    return lambda records: state_scale(state_timing(fit(records), records), records)
 
 
 def fit_robot(

@@ -26,7 +26,6 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
 from jointid.estimation.identify_several import describe_record
-from jointid.estimation.methods.idim import InverseModelRobot, drives
 from jointid.estimation.problems.log_windows import (
     FEW,
     NO_MOTION,
@@ -342,7 +341,6 @@ def _answer(starts: Sequence[Start], solved: Solved, warnings: list[str]) -> Est
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     robot = told.robot
     names = [] if robot is None else robot.model.names
-    wrong = [name for k, name in enumerate(names) if isinstance(robot, InverseModelRobot) and drives(robot, k)]
     axis_errors = dict(zip(names, map(float, errors), strict=False))
     # Of what is searched for by its logarithm, the changes are none of the parameter.
     plain = all(told.params[p.name].value == value for p, value in zip(problem.free, x, strict=True))
@@ -362,7 +360,7 @@ def _answer(starts: Sequence[Start], solved: Solved, warnings: list[str]) -> Est
             axis_errors=axis_errors,
         ),
         checks=Checks(
-            verdicts=negative_friction(wrong),
+            verdicts=negative_friction(() if robot is None else robot.driving),
             known=None if names else identifiability(problem.free, units, x, slopes, covariance),
             repeatable=repeated if len(errors) == 1 and len(spans) == 1 else None,
             drift=changes if len(spans) == 1 and plain else None,

@@ -15,6 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
+from jointid.estimation.problems.base import LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
@@ -128,6 +129,31 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
     read = {*fit.data.channels, "motor_position", *(name for _, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
     return replace(fit, checks=checks, data=data, undetermined=lost)
+
+
+def state_timing(fit: Estimate, records: Logs) -> Estimate:
+    """Return a fit of the drive side whose log's delay covers half a sample, where no timing is stated; or as it is.
+
+    Another reading of the torque, held or sampled, changes that delay by half a sample and nothing else. To DIDIM both
+    are one: a controller's output is the same at its stamp and until its next period.
+    """
+    stated = all(one.torque.stated for one in records if one.torque is not None)
+    if not stated and fit.settings.method == "idim" and fit.data.windows is not None:
+        return fit.warn(
+            f"it is not stated whether the torque is held or sampled: it is read as {fit.settings.timing}, and of "
+            "windows the intervals do not cover the other reading; state timing of its channel"
+        )
+    if stated or fit.settings.method != "drive_side":
+        return fit
+    more = 0.25 * fit.data.sample_time  # half of it in two deviations
+    rows = tuple(
+        replace(row, stderr=float(np.hypot(row.stderr, more))) if row.name == LOG_DELAY.name and row.stderr else row
+        for row in fit.params.rows
+    )
+    return replace(fit, params=replace(fit.params, rows=rows)).warn(
+        "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
+        "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
+    )
 
 
 def _tells_scale(record: Record) -> bool:

@@ -19,21 +19,18 @@ from jointid.common.errors import RecordError
 from jointid.common.fields import finite, read
 from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.methods.idim import InverseModelRobot, friction_formulas
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
-from jointid.estimation.result.robot import IdentifiedRobot, SpringVerdict
+from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.drive_side import of_record
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
-from jointid.estimation.robots.simulated import SimulatedRobot, at_estimate
+from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.models.robots.base_parameters import BaseParameters, base_parameters
-from jointid.models.robots.friction_terms import friction_terms
 from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Timing
@@ -124,7 +121,7 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
 def _part(
     answer: dict[str, Any],
     system: RobotSystem,
-    own: BaseParameters | RobotParameters,
+    own: RobotParameters,
     rows: Sequence[EstimatedParameter],
 ) -> IdentifiedRobot:
     """Return the robot-only content, its parameters in the order of the rows."""
@@ -144,23 +141,24 @@ def _part(
         "formulas": tuple(str(said["formulas"][i]) for i in order),
         "springs": read(tuple[SpringVerdict, ...], said["springs"]),
     }
-    robot = system if isinstance(system, Robot) else system.robot
-    if isinstance(own, BaseParameters):
-        return InverseModelRobot(setup=system if isinstance(system, RobotLoop) else robot, base=own, **common)
-    under = isinstance(system, RobotLoop) and answer["settings"]["method"] == "didim"
-    setup = at_estimate(system, own, common["values"]) if under else RobotDriveSide(robot)  # type: ignore[arg-type]
-    return SimulatedRobot(setup=setup, parameters=own, **common)
+    robot, method, setup = system if isinstance(system, Robot) else system.robot, answer["settings"]["method"], system
+    if method == "idim":
+        setup = replace(system, robot=robot.rigid) if isinstance(system, RobotLoop) else robot.rigid
+    elif method == "didim" and isinstance(system, RobotLoop):
+        setup = at_estimate(system, own, common["values"])
+    else:
+        setup = RobotDriveSide(robot)
+    return IdentifiedRobot(setup=setup, parameters=own, **common)
 
 
 def _compute_sums(
     answer: dict[str, Any], system: RobotSystem, robot: Robot, rows: Sequence[EstimatedParameter]
-) -> tuple[BaseParameters | RobotParameters, dict[str, str]]:
+) -> tuple[RobotParameters, dict[str, str]]:
     """Return the parameters of the robot, and their sums as text by name."""
     method = answer["settings"]["method"]
     if method == "idim":
-        base = base_parameters(robot)
-        names = (*base.names, *(term.name(robot) for term in friction_terms(robot)))
-        return base, dict(zip(names, (*base.formulas, *friction_formulas(robot, base)), strict=True))
+        found = robot_parameters(robot.rigid, whole=False)
+        return found, dict(zip(found.names, found.formulas(robot.rigid), strict=True))
     if method == "didim" and not isinstance(system, RobotLoop):
         raise RecordError("it was identified under controllers, and this robot has none; add the [controller] tables")
     found = _parameters(robot, rows, answer["robot"], finite(answer["data"]["sample_time"]))

@@ -19,15 +19,14 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.idim import IDIM, InverseModelRobot
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
     REST,
-    MeasuredMotion,
-    joint_columns,
-    motion_of,
+    inverse_of_joint,
+    read_as,
 )
 from jointid.estimation.problems.log_windows import (
     NotSimulatedError,
@@ -41,8 +40,8 @@ from jointid.estimation.problems.log_windows import (
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Params, Settings
 from jointid.estimation.robots.problem import RobotProblem
-from jointid.estimation.robots.regression import base_columns, motion_of_robot
-from jointid.estimation.robots.simulated import SimulatedRobot, nominal_numbers, problem_of
+from jointid.estimation.robots.regression import inverse_of_robot
+from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers, problem_of
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -228,14 +227,15 @@ class InverseWindow:
         """Return the fit of all windows; see `WindowModel`."""
         return _tell(window, [p.name for p in self.free], solved.x, solved, robot=self._robot(window, solved))
 
-    def _robot(self, window: Estimate, solved: Solved) -> InverseModelRobot | None:
-        if not isinstance(window.robot, InverseModelRobot):
+    def _robot(self, window: Estimate, solved: Solved) -> IdentifiedRobot | None:
+        if window.robot is None:
             return None
         part, values, places = window.robot, self.kept.copy(), np.array(self.places)
         values[places] = solved.x
         # The model's own masses, with the friction that fits best beside them.
         step, sums = part.nominal[places] - solved.x, solved.found.sums
-        friction, masses = places >= len(part.base), places < len(part.base)
+        masses = part.parameters.inertial[places]
+        friction = ~masses
         target = sums.b[friction] + sums.A[np.ix_(friction, masses)] @ step[masses]
         step[friction] = -np.linalg.lstsq(sums.A[np.ix_(friction, friction)], target, rcond=None)[0]
         nominal = values.copy()
@@ -256,15 +256,6 @@ def _speeds_of(found: Seen) -> FloatArray:
     return np.array([np.sqrt(np.mean(velocity**2)) for _, velocity in found.motion])
 
 
-def _regress(motion: MeasuredMotion, columns: FloatArray) -> Seen:
-    """Return torque and columns of a window, from columns of its motion, (samples, n, parameters)."""
-    n, keep = columns.shape[1], motion.filtering.decimation
-    assert keep is not None
-    Y, W = motion.thinned_torque().reshape(n, -1), motion.decimate_columns(columns)
-    poses = list(zip(motion.q.T, motion.v.T, strict=True))
-    return Seen(Y, W.reshape(n, -1, columns.shape[2]), Y, motion.rows_at(), len(motion.q), keep, poses)
-
-
 # A robot that is simulated
 
 
@@ -279,7 +270,7 @@ class SimulatedRobotWindow:
     """
 
     setup: RobotLoop | RobotDriveSide
-    part: SimulatedRobot
+    part: IdentifiedRobot
     filtering: Filtering
 
     @property
@@ -419,11 +410,12 @@ def pose(
         start = {row.name: row.value for row in fit.params.rows if row.value is not None}
         return LoopWindow(window), window.vector(start)
     part, settings = fit.robot, fit.settings
-    if isinstance(part, SimulatedRobot) and isinstance(model, RobotLoop | RobotDriveSide):
+    if part is not None and settings.method != "idim":
+        assert isinstance(model, RobotLoop | RobotDriveSide)
         x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
         return SimulatedRobotWindow(model, part, settings.filtering), x
     found = {row.name: row for row in fit.params.rows}
-    if isinstance(part, InverseModelRobot):
+    if part is not None:
         wanted = [
             replace(known.get(name) or Parameter(name, row.symbol, Quantity.RATIO), start=row.value, free=row.free)
             # What a bound held in a window may be off it in all of them.
@@ -431,22 +423,21 @@ def pose(
             else known[name]
             for name, row in found.items()
         ]
-        robot, base = part.model, part.base
-
-        def regress(records: Sequence[Record]) -> Seen:
-            motion = motion_of_robot(robot, records, settings.filtering)
-            return _regress(motion, base_columns(robot, base, motion.q, motion.v, motion.a))
-
+        inverse = inverse_of_robot(part.model, part.parameters)
     else:
         joint = model if isinstance(model, Joint) else getattr(model, "joint", None)
         assert isinstance(joint, Joint)
         zeros = ENCODER_OFFSET.name in found
         wanted = [*adjust_parameters(joint.parameters, known), *([ENCODER_OFFSET] if zeros else [])]
+        inverse = inverse_of_joint(joint, settings.delay, zeros=zeros)
 
-        def regress(records: Sequence[Record]) -> Seen:
-            motion = motion_of(records[0], settings.delay, settings.filtering, joint)
-            return _regress(motion, joint_columns(joint, motion.q, motion.v, motion.a, zeros=zeros))
+    def regress(records: Sequence[Record]) -> Seen:
+        motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
+        rows, keep = inverse.rows([motion]), motion.filtering.decimation
+        assert keep is not None
+        Y, poses = rows.by_equation(rows.Y), list(zip(motion.q.T, motion.v.T, strict=True))
+        return Seen(Y, rows.W.reshape(*Y.shape, -1), Y, motion.rows_at(), len(motion.q), keep, poses)
 
     rings = ringing(settings.filtering, fit.data.sample_time)
-    inverse = InverseWindow.of(wanted, regress, records, rings)
-    return inverse, np.array([found[p.name].value for p in inverse.free], dtype=np.float64)
+    whole = InverseWindow.of(wanted, regress, records, rings)
+    return whole, np.array([found[p.name].value for p in whole.free], dtype=np.float64)

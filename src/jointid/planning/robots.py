@@ -31,7 +31,7 @@ from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_a
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.robots.simulated import SimulatedRobot, nominal_numbers, parameter_units
+from jointid.estimation.robots.simulated import nominal_numbers, parameter_units
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import friction_columns, friction_terms
@@ -367,9 +367,7 @@ def _identified_robot(estimate: Estimate, loop: RobotLoop | None) -> Robot:
     try:
         robot = consistent_robot(estimate).robot
     except MethodError:  # a spring is not shown, or a link has no mass: friction is known nevertheless
-        robot = part.model
-        if isinstance(part, SimulatedRobot):
-            robot = robot_with(robot, nominal_numbers(robot, part.numbers()))
+        robot = robot_with(part.model, nominal_numbers(part.model, part.numbers()))
     return robot if loop is None or robot.flexible == loop.robot.flexible else loop.robot  # IDIM knows no springs
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
-from jointid.estimation.methods.idim import InverseModelRobot
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.consistent import consistent_robot, least_inertia
 from jointid.models.robots.inertial import (
@@ -54,11 +53,10 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     found = consistent_robot(estimate)
     assert all(is_physical(link.inertial) for link in found.robot.links)
     assert found.misfit < 1.0 and found.least_inertia > 0
-    part = estimate.robot
-    assert isinstance(part, InverseModelRobot)
-    values = np.concatenate([part.base.of(found.robot), np.zeros(18)])[: len(part.base)]
-    off = (values - part.base.of(ARM)) / part.covariance.std[: len(part.base)]
-    assert np.abs(off).max() < 5
+    part = estimate.require_robot()
+    values, true = (part.parameters_of(robot) for robot in (found.robot, ARM))
+    assert values is not None and true is not None
+    assert np.abs((values - true) / part.covariance.std)[part.parameters.inertial].max() < 5
     # The rotors of joints 1 and 2 are told only with their links.
     assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)

@@ -12,8 +12,9 @@ pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the ind
 import mujoco
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.idim import IDIM, identify_robot
-from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import Filtering
 from tests.robots_mujoco import model_of
@@ -65,12 +66,13 @@ def errors(twin: Twin, records: list[Record], fresh: list[Record], cutoff: float
     """Return the largest error of a joint's fresh torque, of a friction or rotor, as shares; and the cut-off, Hz."""
     found = identify_robot(twin.robot, records, IDIM(), filtering=Filtering(cutoff=cutoff))
     part = found.require_robot()
-    rows = base_rows(twin.robot, part.base, motion_of_robot(twin.robot, fresh, Filtering(cutoff=10.0)))
+    inverse = inverse_of_robot(twin.robot, part.parameters)
+    rows = inverse.rows([inverse.measure(fresh, Filtering(cutoff=10.0))])
     true = part.parameters_of(twin.robot)
     own = np.array([name.endswith(("viscous", "coulomb", "rotor_inertia")) for name in part.names])
     used = found.settings.filtering.cutoff
     off: FloatArray = np.abs(part.values - true)[own] / true[own]
-    return float(np.max(relative_errors(rows, part.values))), float(np.max(off)), used
+    return float(np.max(rows.relative_errors(part.values))), float(np.max(off)), used
 
 
 @pytest.mark.slow

@@ -12,26 +12,31 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.validation import Prediction, validate
-from jointid.estimation.methods.idim import IDIM, InverseModelRobot, simulate_robot
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.inverse_model import filter_motion
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
-from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.models.robots.base_parameters import base_parameters
+from jointid.estimation.robots.idim import simulate_robot
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.regression import inverse_of_robot
+from jointid.estimation.robots.simulated import IdentifiedRobot
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
-from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, axis_errors, by_idim, identified, records_of
+from tests.estimation.robots.twin import VISCOUS, arm, axis_errors, by_idim, identified, records_of
 from tests.robots_plants import two
 
 ARM = arm()
-FRICTION = np.column_stack([VISCOUS, COULOMB, OFFSETS]).ravel()
 
 
-def truth(estimate_base) -> np.ndarray:  # type: ignore[no-untyped-def]
-    return np.concatenate([estimate_base.of(ARM), FRICTION])
+def truth(part: IdentifiedRobot, robot: Robot = ARM) -> np.ndarray:
+    values = part.parameters_of(robot)
+    assert values is not None
+    return values
 
 
 def known(estimate: Estimate) -> set[str]:
@@ -43,8 +48,8 @@ def known(estimate: Estimate) -> set[str]:
 def test_without_noise_all_parameters_come_back() -> None:
     estimate = identified(ARM, records_of(ARM, 1))
     found = estimate.robot
-    assert isinstance(found, InverseModelRobot)
-    assert np.abs(found.values - truth(found.base)).max() < 2e-2  # of numbers up to 10: reversals are filtered
+    assert found is not None
+    assert np.abs(found.values - truth(found)).max() < 2e-2  # of numbers up to 10: reversals are filtered
     assert np.all(axis_errors(estimate) < 2e-3)
     assert [estimate.params[f"joint{k}.viscous"].value for k in range(1, 7)] == pytest.approx(VISCOUS, rel=5e-3)
     assert [estimate.params[f"joint{k}.viscous"].axis for k in range(1, 7)] == list(ARM.names)
@@ -56,7 +61,7 @@ def test_without_noise_all_parameters_come_back() -> None:
 def test_intervals_hold_the_truth_and_weights_help_the_wrist() -> None:
     records = records_of(ARM, 2, noise=1.0)
     found = by_idim(ARM, records)
-    off = (found.values - truth(found.base)) / found.covariance.std
+    off = (found.values - truth(found)) / found.covariance.std
     assert np.mean(np.abs(off) < 2) > 0.85 and np.abs(off).max() < 5
     plain = by_idim(ARM, records, IDIM("ols"))
     last = [i for i, name in enumerate(found.names) if name.endswith("6")]
@@ -77,16 +82,16 @@ def test_friction_by_direction_and_towards_standstill_comes_back() -> None:
     records, _ = recorded(RobotLoop(declared, loop.controllers), two().records(10.0), 0.01)
     estimate = identified(declared, records)
     found = estimate.robot
-    assert isinstance(found, InverseModelRobot)
-    assert [name for name in found.names if ".visc" in name or ".coul" in name or ".strib" in name] == [
+    assert found is not None
+    assert {name for name in found.names if ".visc" in name or ".coul" in name or ".strib" in name} == {
         "joint1.viscous_forwards",
         "joint1.viscous_backwards",
         "joint1.coulomb",
         "joint2.viscous",
         "joint2.coulomb",
         "joint2.stribeck_force",
-    ]
-    off = (found.values - found.base.with_friction(declared)) / found.covariance.std
+    }
+    off = (found.values - truth(found, declared)) / found.covariance.std
     assert np.max(np.abs(off)) < 4.0 and np.mean(np.abs(off) < 2.0) > 0.8
     assert {"joint1.viscous_forwards", "joint1.viscous_backwards", "joint1.coulomb", "joint2.stribeck_force"} <= known(
         estimate
@@ -119,11 +124,11 @@ def test_intervals_hold_where_there_is_little_noise() -> None:
     off = []
     for seed in range(10, 14):
         found = by_idim(ARM, records_of(ARM, seed, noise=0.01))
-        off.append((found.values - truth(found.base)) / found.covariance.std)
+        off.append((found.values - truth(found)) / found.covariance.std)
     inside = np.abs(off) < 2
     assert 0.91 < np.mean(inside) < 0.998  # they are widened for a force in the loop, which is not in this record
-    for first in (18, 17):  # Fv, Fc
-        assert np.mean(inside[:, -first::3]) > 0.85
+    for number in ("viscous", "coulomb"):
+        assert np.mean(inside[:, [name.endswith(number) for name in found.names]]) > 0.85
 
 
 def test_an_estimate_is_held_beside_the_nominal_model() -> None:
@@ -174,11 +179,13 @@ def test_instruments_begin_in_motion_where_the_loop_does() -> None:
         assert one.reference is not None
         driven.append(Record(reference=replace(one.reference, values=one.reference.values[2000:].copy())))
     records = simulate(loop, driven).records(driven)
-    base, motion = base_parameters(loop.robot), motion_of_robot(loop.robot, records, Filtering())
-    measured = base_rows(loop.robot, base, motion).W
-    there = simulate_robot(loop, records, base)(base.with_friction(loop.robot))
+    parameters = robot_parameters(loop.robot, whole=False)
+    inverse = inverse_of_robot(loop.robot, parameters)
+    motion = inverse.measure(records, Filtering())
+    measured = inverse.rows([motion]).W
+    there = simulate_robot(loop, records, parameters)(parameters.group(RobotNumbers.of(loop.robot)))
     q, v, a = filter_motion(there, motion.sample_time, motion.filtering)
-    made = base_rows(loop.robot, base, replace(motion, q=q, v=v, a=a)).W
+    made = inverse.rows([motion], [inverse.columns(q, v, a)]).W
     assert np.linalg.norm(made - measured) < 1e-3 * np.linalg.norm(measured)
 
 
@@ -192,8 +199,7 @@ def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
             estimate = identified(loop, records, IDIM(name))  # type: ignore[arg-type]
             assert estimate.success
             part = estimate.require_robot()
-            truths = part.parameters_of(loop.robot)
-            assert truths is not None
+            truths = truth(part, loop.robot)
             errors.append(part.values - truths)
             assert np.mean(np.abs(errors[-1]) < 2 * part.covariance.std) > 0.85
     there = np.abs(truths) > 0.0

@@ -40,10 +40,7 @@ def test_idim_takes_from_each_log_what_it_tells(estimator: Any) -> None:
     information = 1 / one.covariance.std**2 + 1 / other.covariance.std**2
     # The logs tell different sums best, so together they tell each parameter better than both answers averaged.
     assert np.all(both.covariance.std * np.sqrt(information) < 1.1)
-    truth = np.concatenate(
-        [both.base.of(TWIN.robot), [n for j in TWIN.robot.joints for n in (j.viscous, j.coulomb, j.offset)]]
-    )
-    assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
+    assert np.all(np.abs(both.values - both.parameters_of(TWIN.robot)) < 5 * both.covariance.std)
 
 
 @pytest.mark.parametrize("model", [LOOP, TWIN.robot])

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.idim import IDIM, InverseModelRobot
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
@@ -123,11 +124,9 @@ def by_idim(
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
-) -> InverseModelRobot:
+) -> IdentifiedRobot:
     """Return the robot-only content of an estimate by IDIM."""
-    part = identified(model, records, method or IDIM(), filtering=filtering).require_robot()
-    assert isinstance(part, InverseModelRobot)
-    return part
+    return identified(model, records, method or IDIM(), filtering=filtering).require_robot()
 
 
 def axis_errors(estimate: Estimate) -> np.ndarray:

@@ -15,8 +15,9 @@ without these rows all do.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,8 @@ _FEW = 0.1  # of the moving samples: if less were left without reversals, these 
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 
-
-def idim_channels(model: str) -> tuple[str, ...]:
-    """Return the channels that IDIM of a rigid or a flexible joint reads."""
-    return ("torque", "motor_position", *(("load_position",) if model == "flexible" else ()))
+Columns: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+"""The columns, (samples, equations, parameters), of positions, velocities and accelerations, (samples, n) each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +78,8 @@ class MeasuredMotion:
         filtering: resolved.
         limit: Hz, the highest cut-off that the noise of the positions allows.
         raw: (samples, n) positions as measured.
-        resting: share of the record in which the motor of a joint rests.
+        if_sampled: (samples, n) what torques of unstated timing, read as held, are more if read as sampled; None where
+            all are stated.
         stated: (instants,) the decimated rows that are kept; None keeps all, 0 at rest.
     """
 
@@ -92,8 +92,13 @@ class MeasuredMotion:
     filtering: Filtering
     limit: float
     raw: FloatArray
-    resting: float = 0.0
+    if_sampled: FloatArray | None = None
     stated: NDArray[np.bool_] | None = None
+
+    @property
+    def sampled(self) -> MeasuredMotion | None:
+        """The motion with torques of unstated timing read as sampled; None where all are stated."""
+        return None if self.if_sampled is None else replace(self, torque=self.torque + self.if_sampled)
 
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
@@ -114,7 +119,7 @@ class MeasuredMotion:
     def begin(self, size: int) -> MeasuredMotion:
         """Return the motion of the first samples."""
         named = ("q", "v", "a", "torque", "moving", "raw")
-        return replace(self, **{name: getattr(self, name)[:size] for name in named})
+        return replace(self, if_sampled=None, **{name: getattr(self, name)[:size] for name in named})
 
     @property
     def inside(self) -> slice:
@@ -136,6 +141,80 @@ class MeasuredMotion:
             [columns[self.inside] * moving[:, np.newaxis], moving], self.filtering, self.sample_time
         )
         return np.where(whole[:, np.newaxis] <= _TOLD, 0.0, rows) if self.stated is None else rows[self.stated]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A linear regression.
+
+    Attributes:
+        Y: (rows,) the torque, filtered and decimated; the rows of one equation after those of the other.
+        W: (rows, parameters) the columns.
+        names: of the parameters.
+        equations: how many share their instants.
+        driven: how many of them, the first, have the torque of a motor; the others are homogeneous.
+    """
+
+    Y: FloatArray
+    W: FloatArray
+    names: tuple[str, ...]
+    equations: int
+    driven: int = 1
+
+    def by_equation(self, values: FloatArray) -> FloatArray:
+        """Return the values of all rows, (equations, instants)."""
+        return values.reshape(self.equations, -1)
+
+    def spread_out(self, sizes: FloatArray) -> FloatArray:
+        """Return one number for each row, (rows,), from one for each equation."""
+        return np.repeat(sizes, self.Y.size // self.equations)
+
+    def relative_errors(self, values: FloatArray) -> FloatArray:
+        """Return the residual share of each equation's torque, (equations,)."""
+        left, whole = (np.linalg.norm(self.by_equation(one), axis=1) for one in (self.Y - self.W @ values, self.Y))
+        return np.asarray(left / whole)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverse:
+    """The inverse model of a joint or a robot.
+
+    Attributes:
+        names: of the parameters.
+        driven: how many equations, the first, have the torque of a motor.
+        columns: of the parameters.
+        measure: from the records of a log, and the filtering of positions and rows, to the motion.
+    """
+
+    names: tuple[str, ...]
+    driven: int
+    columns: Columns
+    measure: Callable[[Sequence[Record], Filtering], MeasuredMotion]
+
+    def columns_along(self, motion: MeasuredMotion) -> FloatArray:
+        """Return the columns of a motion, (samples, equations, parameters), not filtered."""
+        return self.columns(motion.q, motion.v, motion.a)
+
+    def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
+        """Return the regression along the motions of one log or several; of other columns where these are given."""
+        pairs = zip(motions, columns or map(self.columns_along, motions), strict=True)
+        W = join_rows([motion.decimate_columns(each) for motion, each in pairs], motions[0].q.shape[1])
+        return Rows(self.torques(motions), W, self.names, motions[0].q.shape[1], self.driven)
+
+    def torques(self, motions: Sequence[MeasuredMotion]) -> FloatArray:
+        """Return the torques of the rows, (rows,)."""
+        return join_rows([motion.thinned_torque() for motion in motions], motions[0].q.shape[1])
+
+
+def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
+    """Return the rows of several logs as of one: those of one equation after those of the other.
+
+    Args:
+        each: (rows,) or (rows, columns) of each log.
+        equations: how many share their instants.
+    """
+    whole = np.concatenate([rows.reshape(equations, -1, *rows.shape[1:]) for rows in each], axis=1)
+    return whole.reshape(-1, *whole.shape[2:])
 
 
 def filter_motion(
@@ -169,52 +248,36 @@ def motion_along(
         filtering: resolved.
         delay: seconds from the logged torque to the torque that acts.
     """
-    measured, sample_time = np.zeros(positions.shape), torques[0].sample_time
+    measured, more, sample_time = np.zeros(positions.shape), np.zeros(positions.shape), torques[0].sample_time
+    respected, size = filtering.timing == "respected", len(positions)
     for j, torque in enumerate(torques):
-        seen = window_torque(torque, delay) if filtering.timing == "respected" else torque.values
-        measured[:, j] = seen[: len(positions)]
+        read = torque if torque.stated else replace(torque, timing=Timing.HELD)
+        measured[:, j] = (window_torque(read, delay) if respected else torque.values)[:size]
+        if respected and not torque.stated:
+            more[:, j] = window_torque(replace(torque, timing=Timing.SAMPLED), delay)[:size] - measured[:, j]
     limit = find_noise_limit(positions.T, sample_time)
     moved = filter_motion(positions, sample_time, filtering)
-    return MeasuredMotion(*moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions)
+    return MeasuredMotion(
+        *moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions,
+        None if all(torque.stated for torque in torques) else more,
+    )  # fmt: skip
 
 
-def joint_columns(joint: Joint, q: FloatArray, v: FloatArray, a: FloatArray, *, zeros: bool = False) -> FloatArray:
-    """Return the columns of a joint's parameters in its equations, (samples, equations, parameters).
+def read_as(records: Sequence[Record], timing: Timing | None) -> list[Record]:
+    """Return records whose torques of unstated timing have this one; None keeps it."""
 
-    Args:
-        joint: whose columns come first.
-        q: (samples, sides) positions of motor and load.
-        v: their velocities.
-        a: their accelerations.
-        zeros: whether the column of the encoders' zeros follows, see `ENCODER_OFFSET`.
-    """
-    motor, *load = (Motion(*side) for side in zip(q.T, v.T, a.T, strict=True))
-    columns = joint.regressor(motor, load[0] if load else None).transpose(1, 0, 2)
-    if not zeros:
-        return columns
-    offset = np.array([[-1.0], [1.0]])
-    return np.concatenate([columns, np.broadcast_to(offset, (len(q), *offset.shape))], axis=2)
+    def read(torque: Channel) -> Channel:
+        return replace(torque, timing=timing, stated=True) if timing and not torque.stated else torque
 
-
-def motor_torque(record: Record) -> Channel:
-    """Return the torque on the motor: the log, with what was injected after the limit where the log lacks it."""
-    assert record.torque is not None
-    torque, added = record.torque, record.injected
-    if not isinstance(added, Injection) or added.at is InjectionPoint.BEFORE_LIMIT or added.in_torque:
-        return torque
-    if added.channel.sample_time != torque.sample_time:
-        raise RecordError(
-            "IDIM adds the injected signal to the logged torque, so both need one sample time; "
-            f"they have {added.channel.sample_time:g} s and {torque.sample_time:g} s."
-        )
-    size = min(len(torque), len(added.channel))
-    return replace(torque, values=torque.values[:size] + added.channel.values[:size])
+    return [one if one.torque is None else replace(one, torque=read(one.torque)) for one in records]
 
 
 def torque_and_positions(
     record: Record, joint: Joint, names: Sequence[str], method: str
 ) -> tuple[Channel, tuple[FloatArray, ...]]:
     """Return the torque on the motor, and positions of as many samples, (samples,) each.
+
+    The log lacks a signal that was injected after the controller's limit; it is added.
 
     Args:
         record: with all of them.
@@ -227,42 +290,88 @@ def torque_and_positions(
     """
     record.require(("torque", *names), method)
     require_units(record, joint.kind, joint.torque_unit)
-    torque = motor_torque(record)
-    positions = [thin_channel(getattr(record, name), torque.sample_time) for name in names]
-    for name, position in zip(names, positions, strict=True):
-        if position.timing is not Timing.SAMPLED or abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
+    assert record.torque is not None
+    torque, added, period = record.torque, record.injected, record.torque.sample_time
+    channels = [(name, thin_channel(getattr(record, name), period)) for name in names]
+    acting = list[Channel]()
+    if isinstance(added, Injection) and added.at is not InjectionPoint.BEFORE_LIMIT and not added.in_torque:
+        acting = [added.channel]
+    for name, one in (*channels, *(("injected", one) for one in acting)):
+        sampled = name == "injected" or one.timing is Timing.SAMPLED
+        if not sampled or abs(one.sample_time / period - 1.0) > 1e-9:
             raise RecordError(
-                f"{method} needs a sampled {name} at the torque's rate; this one is {position.timing.value} every "
-                f"{position.sample_time:g} s, and the torque comes every {torque.sample_time:g} s: resample it, or use "
-                "DIDIM, which needs no position."
+                f"{method} needs a sampled {name} at the torque's rate; this one is {one.timing.value} every "
+                f"{one.sample_time:g} s, and the torque comes every {period:g} s: resample it, or use DIDIM, which "
+                "needs no position."
             )
-    size = min(map(len, (torque, *positions)))
-    return replace(torque, values=torque.values[:size]), tuple(position.values[:size] for position in positions)
+    size = min(map(len, (torque, *acting, *(one for _, one in channels))))
+    values = sum((one.values[:size] for one in acting), torque.values[:size])
+    return replace(torque, values=values), tuple(one.values[:size] for _, one in channels)
 
 
-def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) -> MeasuredMotion:
+# A joint
+
+
+def idim_channels(model: str) -> tuple[str, ...]:
+    """Return the channels that IDIM of a rigid or a flexible joint reads."""
+    return ("torque", "motor_position", *(("load_position",) if model == "flexible" else ()))
+
+
+def inverse_of_joint(joint: Joint, delay: float = 0.0, *, zeros: bool = False) -> Inverse:
+    """Return the inverse model of a joint.
+
+    Args:
+        joint: whose parameters come first.
+        delay: seconds from the controller's output to the torque that acts.
+        zeros: whether the encoders' zeros follow, see `ENCODER_OFFSET`.
+    """
+    names = tuple(p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ())))
+
+    def columns(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return joint_columns(joint, q, v, a, zeros=zeros)
+
+    def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
+        return motion_of_joint(records[0], delay, filtering, joint)
+
+    return Inverse(names, 1, columns, measure)
+
+
+def joint_columns(joint: Joint, q: FloatArray, v: FloatArray, a: FloatArray, *, zeros: bool = False) -> FloatArray:
+    """Return the columns of a joint's parameters in its equations, (samples, equations, parameters).
+
+    Args:
+        joint: whose columns come first.
+        q: (samples, sides) positions of motor and load.
+        v: their velocities.
+        a: their accelerations.
+        zeros: whether the column of the encoders' zeros follows.
+    """
+    motor, *load = (Motion(*side) for side in zip(q.T, v.T, a.T, strict=True))
+    columns = joint.regressor(motor, load[0] if load else None).transpose(1, 0, 2)
+    offset = np.array([[-1.0], [1.0]])
+    return np.concatenate([columns, np.broadcast_to(offset, (len(q), *offset.shape))], axis=2) if zeros else columns
+
+
+def motion_of_joint(record: Record, delay: float, filtering: Filtering, joint: Joint) -> MeasuredMotion:
     """Return the motion of a record with the positions a joint needs.
 
     Raises:
         RecordError: a channel is missing, not sampled, or at another rate.
     """
-    torque, each = torque_and_positions(record, joint, idim_channels(joint.model)[1:], _title(joint))
+    flexible = joint.model == "flexible"
+    said = "IDIM of a flexible joint" if flexible else "IDIM"
+    torque, each = torque_and_positions(record, joint, idim_channels(joint.model)[1:], said)
     positions, sample_time = np.column_stack(each), torque.sample_time
     filtering = filtering.resolve(sample_time, joint.model, find_noise_limit(positions.T, sample_time))
     motion = motion_along([torque], positions, filtering, _late(record, delay, sample_time))
     if filtering.timing != "respected":  # the published pipeline takes all rows
         return motion
     assert filtering.position_cutoff is not None
-    weights = [steady_weights(side, filtering.position_cutoff, sample_time) for side in motion.v.T]
     # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
-    steady = np.column_stack([moving if joint.model == "flexible" else without for moving, without in weights])
+    kept = [steady_weights(side, filtering.position_cutoff, sample_time)[0 if flexible else 1] for side in motion.v.T]
+    steady = np.column_stack(kept)
     (share,) = decimate_all([steady[motion.inside]], filtering, sample_time)
-    resting, stated = 1.0 - float(np.mean(weights[0][0])), np.any(share > _TOLD, axis=1)
-    return replace(motion, moving=steady, resting=resting, stated=stated)
-
-
-def _title(joint: Joint) -> str:
-    return "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM"
+    return replace(motion, moving=steady, stated=np.any(share > _TOLD, axis=1))
 
 
 def _late(record: Record, delay: float, period: float) -> float:
@@ -292,28 +401,15 @@ def moving_weights(velocity: FloatArray, long: int = _LONG, reach: int = _REACH)
     speed = np.abs(velocity)
     slow = speed < REST * float(np.sqrt(np.mean(speed**2)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
-    weights = np.ones(speed.size)
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - start >= long:
-            weights[max(start - reach, 0) : end + reach] = 0.0
-    return weights
+    begins, ends = edges[::2], edges[1::2]
+    rests = ends - begins >= long
+    return _leave_out(velocity.size, begins[rests], ends[rests], reach)
 
 
 def turning_weights(velocity: FloatArray, reach: int = _REACH) -> FloatArray:
-    """Return 0 for the samples about each at which a mass turns round, and 1 for the others.
-
-    The sign of a filtered velocity changes some samples before or after the mass did, so rows there are off by up to
-    twice the Coulomb friction, every time alike: far more than the noise of many a record.
-
-    Args:
-        velocity: (samples,).
-        reach: samples on each side.
-    """
-    sign = np.sign(velocity)
-    weights = np.ones(sign.size)
-    for after in np.flatnonzero(sign[1:] != sign[:-1]) + 1:
-        weights[max(after - reach, 0) : after + reach] = 0.0
-    return weights
+    """Return 0 for so many samples on each side of those at which a mass turns round, and 1 for the others."""
+    turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
+    return _leave_out(velocity.size, turns, turns, reach)
 
 
 def steady_weights(
@@ -322,7 +418,8 @@ def steady_weights(
     """Return 0 for the samples at which a mass rests, else 1; and the same with those about reversals.
 
     At a reversal the acceleration jumps by the Coulomb friction. The position filter smears the jump, which looks like
-    inertia: at 30 Hz it was 14 % of an inertia, and as much as half a sample of timing.
+    inertia: at 30 Hz it was 14 % of an inertia, and as much as half a sample of timing. And the sign of a filtered
+    velocity changes some samples before or after the mass turned, where rows are off by up to twice that friction.
 
     Args:
         velocity: (samples,) of positions filtered with this cut-off.
@@ -335,3 +432,11 @@ def steady_weights(
     moving = moving_weights(velocity, max(_REST_LONG, 4 * reach), reach)
     steady = moving * turning_weights(velocity, reach)
     return moving, moving if np.mean(steady) < few * np.mean(moving) else steady
+
+
+def _leave_out(size: int, begins: NDArray[np.intp], ends: NDArray[np.intp], reach: int) -> FloatArray:
+    """Return weights, (size,), that are 0 from each begin to each end, and so many samples on each side."""
+    weights = np.ones(size)
+    for begin, end in zip(begins, ends, strict=True):
+        weights[max(begin - reach, 0) : end + reach] = 0.0
+    return weights

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.judge import negative_friction
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
-from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -24,6 +24,9 @@ from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import ResidualReport, whiteness
+
+if TYPE_CHECKING:
+    from jointid.estimation.robots.simulated import IdentifiedRobot
 
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
@@ -209,7 +212,6 @@ def build_robot_result(
     end: tuple[str, bool],
     simulations: int,
     *,
-    negative: Sequence[str] = (),
     warnings: tuple[str, ...] = (),
 ) -> Estimate:
     """Return the fit of a robot.
@@ -225,7 +227,6 @@ def build_robot_result(
         count: of the filtered samples that were fitted.
         end: why the search ended, and whether that is a good end.
         simulations: that were run.
-        negative: joints whose friction comes out negative.
         warnings: of the method.
     """
     model, free = part.model, [i for i, row in enumerate(rows) if row.free]
@@ -241,7 +242,7 @@ def build_robot_result(
         simulations,
         Settings(*method, system=model, loop=None, filtering=filtering),
         dict.fromkeys(name for record in records for name in record.channels),
-        Checks(negative_friction(negative), warnings=(*model.remarks, *warnings)),
+        Checks(negative_friction(part.driving), warnings=(*model.remarks, *warnings)),
     )
     return replace(
         found,

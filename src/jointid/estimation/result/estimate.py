@@ -25,7 +25,6 @@ from jointid.estimation.result.parts import (
     Settings,
     on_other_side,
 )
-from jointid.estimation.result.robot import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.position_forces import Motion
 from jointid.uncertainty.verdict import Subject
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     import jointid
     from jointid.estimation.problems.closed_loop import ClosedLoopProblem
     from jointid.estimation.robots.problem import SolvedRobot
+    from jointid.estimation.robots.simulated import IdentifiedRobot
     from jointid.records.record import Record
 
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared

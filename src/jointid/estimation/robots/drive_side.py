@@ -34,7 +34,6 @@ from jointid.estimation.robots.fit import RobotFit, fixed_point
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, each_log, motion_of_robot
-from jointid.estimation.unknown_timing import all_stated
 from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
@@ -313,7 +312,7 @@ def identify_flexible_drive_side(
     stiff, known = robot.rigid, known or {}
     parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
     logs = each_log(records)
-    stated = all_stated(logs)
+    stated = all(record.torque.stated for log in logs for record in log if record.torque is not None)
     parts = [drive_side_problem(robot, log, parameters, filtering, delay, stated=stated) for log in logs]
     _require_one_beginning(robot, parts)
     problem = add_problems(parts)

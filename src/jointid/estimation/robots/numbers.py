@@ -26,6 +26,7 @@ from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
     formula_of,
     group_columns,
+    inverse_columns,
     name_sum,
     standard_symbols,
 )
@@ -40,6 +41,7 @@ from jointid.simulation.robot_numbers import (
     NumberPlace,
     RobotNumbers,
     law_places,
+    stribeck_share,
     with_values,
 )
 from jointid.simulation.robot_sensitivities import columns_of
@@ -92,6 +94,46 @@ class RobotParameters:
     def of_robot(self) -> NDArray[np.bool_]:
         """Which are of the robot, and not of the record, (parameters,)."""
         return np.array([not place.is_of_record for place in self.places], dtype=np.bool_)
+
+    @property
+    def inertial(self) -> NDArray[np.bool_]:
+        """Which are inertias, or sums of them, (parameters,)."""
+        return np.array([standard_index(one, self.base.rotors) is not None for one in self.places], dtype=np.bool_)
+
+    def columns(
+        self, robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, numbers: RobotNumbers | None = None
+    ) -> FloatArray:
+        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
+
+        Args:
+            robot: its tree, gravity and coupling are read.
+            q: (samples, n) positions of the joints, rad or m.
+            v: (samples, n) their velocities.
+            a: (samples, n) their accelerations.
+            numbers: with the speeds below which frictions rise; those of `base` without it.
+        """
+        masses, rotors = (numbers or self.base).masses, self.base.rotors
+        motor, behind = v @ robot.coupling.T, np.linalg.inv(robot.coupling)  # what acts on a link, on the motors
+        links, places = inverse_columns(robot, q, v, a), (*self.places, *self.kept)
+        found = np.zeros((*v.shape, len(places)))
+        for k, place in enumerate(places):
+            if place.of is NumberOf.LINK:
+                found[:, :, k] = links[:, :, 10 * place.row + place.column]
+            elif place.of is NumberOf.MASS:
+                j = joint_of(place, rotors)
+                of_motor = place.row == rotors[j]
+                speed = (motor if of_motor else v)[:, j]
+                column = {
+                    MassNumbers.VISCOUS: speed,
+                    MassNumbers.FORWARDS: np.maximum(speed, 0.0),
+                    MassNumbers.BACKWARDS: np.minimum(speed, 0.0),
+                    MassNumbers.COULOMB: np.sign(speed),
+                    MassNumbers.RISE: np.sign(speed) * stribeck_share(masses[place.row], speed),
+                    MassNumbers.OFFSET: np.ones_like(speed),
+                    MassNumbers.INERTIA: links[:, j, 10 * len(robot) + j],
+                }.get(MassNumbers(place.column), np.zeros_like(speed))
+                found[:, :, k] = column[:, np.newaxis] * (np.eye(len(robot)) if of_motor else behind)[j]
+        return found
 
     def add(self, *more: tuple[Parameter, NumberPlace]) -> RobotParameters:
         """Return these and more parameters, with which nothing is grouped."""

@@ -14,7 +14,7 @@ from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter
-from jointid.estimation.methods.linear import join_rows
+from jointid.estimation.problems.inverse_model import join_rows
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.regression import require_one_log, require_torques
 from jointid.models.joints import ClosedLoop, RigidJoint

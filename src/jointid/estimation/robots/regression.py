@@ -14,21 +14,23 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.methods.linear import Rows, rows_of
 from jointid.estimation.problems.inverse_model import (
     SMEAR,
+    Inverse,
     MeasuredMotion,
+    Rows,
     motion_along,
     steady_weights,
     through_window,
     torque_and_positions,
 )
+from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.joints import RigidJoint
-from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
-from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_columns, friction_terms
+from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, range_faults, scale_faults
+from jointid.records.columns import finite_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit
 
@@ -145,13 +147,9 @@ def motion_of_robot(
             torque, (position,) = torque_and_positions(record, RigidJoint(link.kind), ("motor_position",), said)
         except RecordError as error:
             raise RecordError([f"{joint.name}: {fault}" for fault in error.faults]) from error
-        for what, values in (("torque", torque.values), ("motor_position", position)):
-            if not np.all(np.isfinite(values)):
-                at = int(np.flatnonzero(~np.isfinite(values))[0])
-                raise RecordError(
-                    f"{joint.name}: {what} is {values[at]} at sample {at}; expected numbers: cut the record there, or "
-                    "mend the channel."
-                )
+        faults = [*finite_faults("torque", torque.values), *finite_faults("motor_position", position)]
+        if faults:
+            raise RecordError([f"{joint.name}: {fault}" for fault in faults])
         channels.append(torque)
         positions.append(position)
     require_torques(robot, [channel.values for channel in channels])
@@ -176,30 +174,16 @@ def motion_of_robot(
     return replace(motion, q=q, v=v, a=a, torque=measured, moving=np.column_stack(moving))
 
 
-def motions_of_logs(robot: Robot, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
-    """Return the motions of several logs through one filtering: of the defaults the lowest."""
-    motions = [motion_of_robot(robot, log, filtering) for log in logs]
-    common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
-    return [
-        motion if motion.filtering == common else motion_of_robot(robot, log, common)
-        for motion, log in zip(motions, logs, strict=True)
-    ]
+def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
+    """Return the inverse model of a robot of rigid joints."""
 
+    def columns(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return parameters.columns(robot, q, v, a)
 
-def base_columns(robot: Robot, base: BaseParameters, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    """Return the columns of base parameters, then of the motors' friction, (samples, n, parameters)."""
-    return np.concatenate([inverse_columns(robot, q, v, a)[:, :, base.chosen], friction_columns(robot, v)], axis=2)
+    def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
+        return motion_of_robot(robot, records, filtering)
 
-
-def base_names(robot: Robot, base: BaseParameters) -> tuple[str, ...]:
-    """Return the names of the base parameters, then of the numbers of the motors' friction."""
-    return (*base.names, *(term.name(robot) for term in friction_terms(robot)))
-
-
-def base_rows(robot: Robot, base: BaseParameters, motion: MeasuredMotion) -> Rows:
-    """Return the regression of the base parameters, then of the numbers of the motors' friction, along a motion."""
-    columns = base_columns(robot, base, motion.q, motion.v, motion.a)
-    return rows_of([motion], [columns], base_names(robot, base), len(robot))
+    return Inverse((*parameters.names, *(one.name for one in parameters.fixed)), len(robot), columns, measure)
 
 
 def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> None:
@@ -207,22 +191,15 @@ def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) 
 
     Args:
         robot: whose motors' friction may rise towards standstill.
-        rows: of `base_rows`, without the samples about reversals.
+        rows: of the inverse model, without the samples about reversals.
         fixed: names of parameters that are known.
     """
     sizes = dict(zip(rows.names, np.linalg.norm(rows.W, axis=0), strict=True))
-    for term in friction_terms(robot):
-        joint = robot.joints[term.joint]
-        name, coulomb = term.name(robot), FrictionTerm(term.joint, Friction.COULOMB).name(robot)
-        if term.number is Friction.RISE and name not in fixed and sizes[name] < _REACHED * sizes[coulomb]:
+    for joint in robot.joints:
+        name, coulomb = (f"{joint.name}.{number}" for number in ("stribeck_force", "coulomb"))
+        if name not in fixed and sizes.get(name, math.inf) < _REACHED * sizes[coulomb]:
             raise MethodError(
-                f"The friction of {joint.name} is declared to rise below {joint.motor['stribeck_speed']:g} "
-                f"{robot.position_unit(term.joint)}/s, and beside reversals, which IDIM leaves out, this record has "
-                f"hardly a sample there; move it slowly, leave the speed out, or fix {name} by its value."
+                f"The friction of {joint.name} is declared to rise towards standstill, and beside reversals, which "
+                f"IDIM leaves out, this record has hardly a sample where it does; move it slowly, leave the speed out, "
+                f"or fix {name} by its value."
             )
-
-
-def relative_errors(rows: Rows, values: FloatArray) -> FloatArray:
-    """Return the residual share of each joint's torque, (n,)."""
-    error = rows.by_equation(rows.Y - rows.W @ values)
-    return np.asarray(np.linalg.norm(error, axis=1) / np.linalg.norm(rows.by_equation(rows.Y), axis=1))

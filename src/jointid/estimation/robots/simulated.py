@@ -23,7 +23,7 @@ from jointid.estimation.outputs import position_rms
 from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.estimation.result.robot import IdentifiedRobot, Sums
+from jointid.estimation.result.robot import SpringVerdict, Sums
 from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.fit import RobotFit
@@ -37,7 +37,6 @@ from jointid.estimation.robots.numbers import (
 )
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, SolvedRobot, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
-from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
@@ -46,16 +45,16 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import (
-    MassNumbers,
     NumberOf,
     NumberPlace,
     RobotNumbers,
     robot_with,
-    stribeck_share,
     with_values,
 )
 from jointid.simulation.robots import RobotLoop, RobotRun, motion_at
+from jointid.uncertainty.covariance import Covariance
 
+_TWO = 2.0  # standard deviations
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
     "no joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
@@ -64,15 +63,43 @@ _WITHOUT = (
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SimulatedRobot(IdentifiedRobot):
-    """Friction, rotors, springs and base parameters of a robot that was simulated.
+class IdentifiedRobot:
+    """The robot-only content of an estimate: friction, rotors, springs and base parameters.
 
     Attributes:
+        setup: the nominal robot at the start of the identification: alone, under its controllers, or along the
+            motion of its motors. To IDIM all of its joints are rigid.
         parameters: of the search; the fixed ones follow them in `names`.
+        names: (parameters,) in the order of all arrays.
+        values: (parameters,) in SI units; that of a refused parameter is not to be used.
+        covariance: of the values; 0 for a fixed parameter.
+        nominal: (parameters,) of the nominal robot.
+        nominal_errors: (n,) share of each joint's filtered torque that the nominal robot leaves, with friction as
+            identified or fitted beside it; infinite where it cannot be simulated.
+        formulas: (parameters,) the sums of standard parameters; the symbol of a parameter that is no sum.
+        springs: a verdict for each flexible joint.
     """
 
-    setup: RobotLoop | RobotDriveSide
+    in_json = "nominal nominal_errors log_delay -setup -covariance -parameters"
+    setup: Robot | RobotLoop | RobotDriveSide
     parameters: RobotParameters
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: Covariance
+    nominal: FloatArray
+    nominal_errors: FloatArray
+    formulas: tuple[str, ...]
+    springs: tuple[SpringVerdict, ...] = ()
+
+    @property
+    def model(self) -> Robot:
+        """The nominal robot."""
+        return self.setup if isinstance(self.setup, Robot) else self.setup.robot
+
+    @property
+    def has_controllers(self) -> bool:
+        """True if the robot was identified under its controllers."""
+        return hasattr(self.setup, "controllers")
 
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
@@ -80,9 +107,23 @@ class SimulatedRobot(IdentifiedRobot):
 
     @property
     def log_delay(self) -> float | None:
-        """Seconds by which the log shows torques late; None under controllers."""
+        """Seconds by which the log shows torques late; None where the method does not say."""
         log = self.numbers().log
         return float(log[0, 0]) if log.size else None
+
+    @property
+    def driving(self) -> tuple[str, ...]:
+        """Joints whose friction is negative by more than two deviations, far from standstill or close to it."""
+        found = []
+        for joint in self.model.names:
+            sums = [("viscous",), ("viscous_forwards",), ("viscous_backwards",), ("coulomb",)]
+            weights = [
+                np.isin(self.names, [f"{joint}.{number}" for number in numbers]).astype(np.float64)
+                for numbers in (*sums, ("coulomb", "stribeck_force"))
+            ]
+            if any(float(one @ self.values) < -_TWO * self.covariance.std_of(one) for one in weights):
+                found.append(joint)
+        return tuple(found)
 
     @property
     def of_standard(self) -> FloatArray:
@@ -91,33 +132,27 @@ class SimulatedRobot(IdentifiedRobot):
         return np.pad(found, ((0, len(self.names) - len(found)), (0, 0)))
 
     def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters)."""
-        robot, numbers = self.model, self.numbers()
-        robot.require_linear("A regressor takes", "simulate the robot")
-        motor = v @ robot.coupling.T
-        links, found = inverse_columns(robot, q, v, a), np.zeros((*v.shape, len(self.values)))
-        behind = np.linalg.inv(robot.coupling)  # what acts on a link, on the motors
-        for k, place in enumerate((*self.parameters.places, *self.parameters.kept)):
-            if place.of is NumberOf.LINK:
-                found[:, :, k] = links[:, :, 10 * place.row + place.column]
-            elif place.of is NumberOf.MASS:
-                j = joint_of(place, numbers.rotors)
-                of_motor = place.row == numbers.rotors[j]
-                speed = (motor if of_motor else v)[:, j]
-                column = {
-                    MassNumbers.VISCOUS: speed,
-                    MassNumbers.FORWARDS: np.maximum(speed, 0.0),
-                    MassNumbers.BACKWARDS: np.minimum(speed, 0.0),
-                    MassNumbers.COULOMB: np.sign(speed),
-                    MassNumbers.RISE: np.sign(speed) * stribeck_share(numbers.masses[place.row], speed),
-                    MassNumbers.OFFSET: np.ones_like(speed),
-                    MassNumbers.INERTIA: links[:, j, 10 * len(robot) + j],
-                }.get(MassNumbers(place.column), np.zeros_like(speed))
-                found[:, :, k] = column[:, np.newaxis] * (np.eye(len(robot)) if of_motor else behind)[j]
-        return found
+        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
+
+        Args:
+            q: (samples, n) positions of the joints, rad or m.
+            v: (samples, n) their velocities.
+            a: (samples, n) their accelerations.
+
+        Raises:
+            MethodError: a friction is not linear in its parameters.
+        """
+        self.model.require_linear("A regressor takes", "simulate the robot")
+        return self.parameters.columns(self.model, q, v, a, self.numbers())
 
     def robot(self) -> Robot:
-        """Return the robot that was identified: what is grouped stands in the parameter that is kept."""
+        """Return the robot that was identified, for a simulation: the same torques.
+
+        What is grouped stands in the parameter that is kept, so that its links need not be bodies.
+
+        Raises:
+            MethodError: a rotor's inertia, with what is grouped with it, was found negative.
+        """
         return robot_with(self.model, self.numbers())
 
     def sums(self, prior: Robot) -> Sums:
@@ -157,7 +192,9 @@ class SimulatedRobot(IdentifiedRobot):
         return Sums(self.values[:size], covariance, self.of_standard[:size], both[:, apart], about, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
-        """Return the same parameters of a known robot."""
+        """Return the same parameters of a known robot; None where it has others."""
+        if robot.flexible != self.model.flexible:
+            return None
         return self.parameters.group_all(RobotNumbers.of(robot))
 
 
@@ -202,7 +239,7 @@ def identify_simulated_robot(
     logs, free = each_log(records), robot_parameters(robot)
     problem = add_problems([problem_of(model, log, free, filtering) for log in logs])
     nominal = nominal_numbers(robot, parameters.numbers(fit.values))
-    part = SimulatedRobot(
+    part = IdentifiedRobot(
         setup=model,
         names=(*fit.names, *(one.name for one in parameters.fixed)),
         values=np.array([*fit.values, *(one.start for one in parameters.fixed)], dtype=np.float64),
@@ -222,7 +259,7 @@ def identify_simulated_robot(
     result = build_robot_result(
         [record for log in logs for record in log],
         part,
-        _rows(part, parameters, _held_by_bounds(fit)),
+        table_of_robot(part, parameters, _held_by_bounds(fit)),
         fit.relative_error,
         (problem.measured, problem.predict(fit.run)),
         (method[0], f"{method[1]}, {kind}"),
@@ -258,8 +295,8 @@ def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
     return {p.name: min(p.lower, p.upper, key=lambda b: abs(x - b)) for p, x, at in pairs if at}
 
 
-def _rows(
-    part: SimulatedRobot, parameters: RobotParameters, held: Mapping[str, float]
+def table_of_robot(
+    part: IdentifiedRobot, parameters: RobotParameters, held: Mapping[str, float]
 ) -> tuple[EstimatedParameter, ...]:
     """Return the table of the parameters; of a spring that is not shown, a bound at most."""
     robot, rotors = part.model, parameters.base.rotors
@@ -323,7 +360,7 @@ def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     return replace(numbers, masses=masses, log=found.log, delays=found.delays)
 
 
-def solve_again(part: SimulatedRobot, records: Sequence[Record], filtering: Filtering | None) -> SolvedRobot:
+def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Filtering | None) -> SolvedRobot:
     """Return the problem of an identified robot, with its run and slopes, from the records it was identified from.
 
     Raises:
@@ -348,7 +385,7 @@ def errors_of(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:
 
 
 def problem_of(
-    setup: RobotLoop | RobotDriveSide,
+    setup: Robot | RobotLoop | RobotDriveSide,
     records: Sequence[Record],
     parameters: RobotParameters,
     filtering: Filtering | None = None,
@@ -356,4 +393,4 @@ def problem_of(
     """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
     if isinstance(setup, RobotLoop):
         return robot_problem(setup, records, parameters, filtering)
-    return drive_side_problem(setup.robot, records, parameters, filtering)
+    return drive_side_problem(setup if isinstance(setup, Robot) else setup.robot, records, parameters, filtering)

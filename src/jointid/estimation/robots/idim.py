@@ -1,0 +1,152 @@
+"""IDIM of a robot: base parameters and friction of all joints at once, by the estimators of one joint.
+
+Rows share their instants, and their errors differ in size by powers of ten from base to wrist: each joint's rows are
+divided by the size of its own error, again until that settles [Gautier 1997, who takes it once]. Least squares without
+weights ("ols") lets the large joints decide the wrist's parameters. Beside it stand the model's own masses, with
+friction fitted as the estimate's was: an opponent without friction would be none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import Bounds, Parameter
+from jointid.common.text import join
+from jointid.estimation.methods.idim import IDIM, VARIANTS, SimulatedMotion, regress, require_simulated
+from jointid.estimation.problems.inverse_model import Rows
+from jointid.estimation.result.build_result import build_robot_result
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
+from jointid.estimation.robots.regression import Records, each_log, inverse_of_robot, require_slow_samples
+from jointid.estimation.robots.simulated import IdentifiedRobot, table_of_robot
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering, describe_noise_limit
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
+
+
+def identify_robot(
+    model: Robot | RobotLoop,
+    records: Records,
+    settings: IDIM | None = None,
+    *,
+    filtering: Filtering | None = None,
+    known: Mapping[str, Parameter] | None = None,
+) -> Estimate:
+    """Identify a robot's base parameters and friction from motor positions and torques of all joints.
+
+    Args:
+        model: its geometry, gravity and coupling are taken as known; its masses are only what is compared with. With
+            its controllers for the estimator "iv", which simulates them from the records' references and what is
+            injected; at the first sample at rest, or in motion where the loop says so.
+        records: of each joint, with torque and motor position behind the gear, on one clock; or those of several logs.
+        settings: of the method.
+        filtering: of positions and rows.
+        known: values and bounds of friction to keep, by name as "joint1.viscous"; a value outside its
+            bounds is fixed at the bound.
+
+    Raises:
+        MethodError: the record does not determine all base parameters; the sentence names those involved. Or "iv" has
+            no loop, or cannot simulate it.
+        RecordError: a channel is missing, or the joints' records have not one clock.
+
+    Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
+    """
+    robot, estimator = model if isinstance(model, Robot) else model.robot, (settings or IDIM()).estimator or "weighted"
+    robot.require_linear("IDIM of a robot takes", 'identify the robot by "didim"')
+    if of_links := [name for name in known or {} if ".link_" in name]:
+        raise MethodError(
+            f"{join(of_links)} is of the link's side, and to IDIM a joint is rigid, with the friction of both sides: "
+            "leave it out."
+        )
+    soft = [joint.name for joint in robot.joints if joint.spring is not None]
+    robot, logs = robot.rigid, each_log(records)
+    setup = robot if isinstance(model, Robot) else replace(model, robot=robot)
+    parameters, simulated = robot_parameters(robot, whole=False), None
+    inverse = inverse_of_robot(robot, parameters)
+    motions = [inverse.measure(log, filtering or Filtering()) for log in logs]
+    common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
+    motions = [
+        motion if motion.filtering == common else inverse.measure(log, common)
+        for motion, log in zip(motions, logs, strict=True)
+    ]
+    if estimator == "iv" and isinstance(setup, RobotLoop):
+        simulated = [simulate_robot(setup, log, parameters) for log in logs]
+    limits = {name: one for name, one in (known or {}).items() if name in parameters.names}
+    fixed = {name for name, one in limits.items() if not one.free}
+    found = regress(inverse, motions, estimator, limits, simulated)
+    rows, solution, values = found.rows, found.solution, found.solution.values
+    require_slow_samples(robot, rows, fixed)
+    fixed |= solution.held.keys()
+    stated = zip(parameters.parameters, map(float, values), strict=True)
+    parameters = replace(parameters, parameters=tuple(p.fix(x) if p.name in fixed else p for p, x in stated))
+    nominal = _nominal(robot, parameters, rows)
+    part = IdentifiedRobot(
+        setup=setup,
+        parameters=parameters,
+        names=parameters.names,
+        values=values,
+        covariance=solution.covariance,
+        nominal=nominal,
+        nominal_errors=rows.relative_errors(nominal),
+        formulas=parameters.formulas(robot),
+    )
+    warnings = [*found.said]
+    warnings += describe_noise_limit(common, min(one.limit for one in motions), motions[0].sample_time, "rigid")
+    if soft:
+        warnings.append(
+            f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a "
+            "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side."
+        )
+    made = build_robot_result(
+        [record for log in logs for record in log],
+        part,
+        table_of_robot(part, parameters, solution.held),
+        rows.relative_errors(values),
+        (np.vstack([one.torque for one in found.motions]), np.vstack([one @ values for one in found.columns])),
+        ("idim", VARIANTS[estimator].replace("IDIM", "IDIM of a robot")),
+        common,
+        solution.residual.size,
+        (solution.stop, solution.converged),
+        solution.simulations,
+        warnings=tuple(warnings),
+    )
+    return replace(made, settings=replace(made.settings, timing=found.timing))
+
+
+def _nominal(robot: Robot, parameters: RobotParameters, rows: Rows) -> FloatArray:
+    """Return the base parameters of the model's own masses, and the friction that fits best beside them."""
+    found, masses = parameters.group(RobotNumbers.of(robot)), parameters.inertial
+    left = rows.Y - rows.W[:, masses] @ found[masses]
+    found[~masses] = np.linalg.lstsq(rows.W[:, ~masses], left, rcond=None)[0]
+    return found
+
+
+def simulate_robot(loop: RobotLoop, records: Sequence[Record], parameters: RobotParameters) -> SimulatedMotion:
+    """Return the positions of the joints that a robot makes under its controllers.
+
+    Args:
+        loop: robot, of rigid joints, and controllers, at rest or in motion at the first sample.
+        records: of each joint, with reference, torque and motor position.
+        parameters: of the robot; those outside of their bounds are simulated at the bound.
+
+    Raises:
+        RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
+        MethodError: controllers or logs share no clock.
+    """
+    experiment, bounds = prepare_robot(loop, records), Bounds.of(parameters.parameters)
+    joints = np.linalg.inv(loop.robot.coupling).T
+
+    def run_loop(values: FloatArray) -> FloatArray:
+        run = run_robot(experiment, parameters.numbers(bounds.clip(values)), keep=True)
+        require_simulated(run.outcome)
+        return np.asarray(simulation_of(run).motor_position @ joints)
+
+    return run_loop
