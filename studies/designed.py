@@ -59,7 +59,7 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, search_time: float) -> 
     axis = twin(loop, noise=noise)
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), checks=False)
-    known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
+    known = {"log": axis.noise} if noise == "white" else {"force": axis.noise}
     design = ji.design(estimate, record, noise=known, goal=goal, search_time=search_time)
     told = design.proposed
     played = design.records()[0]

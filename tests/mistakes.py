@@ -21,12 +21,12 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.find_causes import explain_failure, find_causes
+from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Reason
 
 AxisName: TypeAlias = Literal["rigid", "flexible", "direct", "screw", "fast", "table", "lift"]
 

@@ -16,8 +16,8 @@ from jointid.campaigns.campaign import Case
 from jointid.campaigns.run import run_case
 from jointid.campaigns.store import Outcome
 from jointid.config import File
+from jointid.estimation.result.verdict import Subject
 from jointid.output.report import sections
-from jointid.uncertainty.verdict import Subject
 
 _JOINT = """[joint]
 kind = "prismatic"

@@ -119,7 +119,7 @@ record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
 estimate = ji.identify(record, loop, progress=lambda _: threads.add(read()))
 validation.check_record = planned._predict = lambda *_: threads.add(read())
 ji.validate(estimate, record)
-ji.design(loop, record, values=truth, noise=ji.Noise(log=1.0), motion=record)
+ji.design(loop, record, values=truth, noise={"log": 1.0}, motion=record)
 print(*threads, read())
 """
 

@@ -5,7 +5,7 @@ Where to begin, after `import jointid as ji`:
 - `ji.twin("L19")` makes a record to try things on, and the loop that it was simulated with.
 - `ji.read(path, columns)` reads a log as a `ji.Record`; `ji.inspect(path)` shows what a file holds, and
   `ji.diagnose(record, loop)` what is wrong with a record.
-- `ji.ClosedLoop(joint, controller)` describes the drive, with `ji.RigidJoint`, `ji.FlexibleJoint` or `ji.Robot`;
+- `ji.ClosedLoop(joint, controller)` describes the drive, with `ji.RigidJoint`, `ji.FlexibleJoint` or `ji.robots.Robot`;
   `ji.load(path)` reads it from a joint file or a robot file.
 - `ji.identify(record, loop)` returns a `ji.Estimate`: print it, then `ji.validate` it with another record.
 

@@ -1,12 +1,13 @@
-"""Parts of a robot, and what is computed of a robot alone: `ji.robots.Link(...)`."""
+"""A robot and its parts, `ji.robots.Link(...)`, and what is computed of a robot alone."""
 
 from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.consistent import consistent_robot
-from jointid.models.robots.robot import JointSpring, Link, RobotJoint
+from jointid.estimation.robots.payload import identify_payload
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 
 __all__ = [
-    "JointSpring", "Link", "RobotDriveSide", "RobotJoint", "RobotLoop", "add_feed_forward", "consistent_robot",
-    "load_robot",
+    "JointSpring", "Link", "Robot", "RobotDriveSide", "RobotJoint", "RobotLoop", "add_feed_forward",
+    "consistent_robot", "identify_payload", "load_robot",
 ]  # fmt: skip

@@ -117,7 +117,7 @@ def test_several_records(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other.write_bytes(run.read_bytes())
     for paths in ((), (other, folder / "runs" / ".." / "b.csv")):  # one is known by its path
         file.identify_together(paths)
-    both = SeveralRecords(added_inertia=[0.0, 10.0], own=[(), ("coulomb",)], free=("drive_gain",))
+    both = {"added_inertia": [0.0, 10.0], "own": [(), ("coulomb",)], "free": ("drive_gain",)}
     assert asked == [both, both]
 
 

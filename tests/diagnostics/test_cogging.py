@@ -9,8 +9,8 @@ import pytest
 
 from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.suspects import COGGING
+from jointid.estimation.result.verdict import Reason
 from jointid.models.position_forces import PositionHarmonics
-from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled
 from tests.estimates import identify
 from tests.tested import faults_of

@@ -13,13 +13,13 @@ from jointid.diagnostics.find_causes import list_hypotheses
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.diagnostics.variants import has_unstated_delay
 from jointid.estimation.identify import fit
+from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Status, Subject
 
 LAW = Cascade(position_gain=100.0, velocity_gain=4000.0, velocity_filter=(0.5, 0.5))
 WOUND = {"inertia": 30.0, "viscous": 80.0, "coulomb": 20.0, "presliding_distance": 1e-2, "offset": -1.0}

@@ -12,13 +12,13 @@ import jointid as ji
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.variants import PERIOD, Variants
+from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import at_period
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Subject
 from tests.estimates import identify
 from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
 from tests.tested import faults_of

@@ -21,12 +21,12 @@ from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_unexplained_share
 from jointid.diagnostics.samples import find_plain_cause
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.result.verdict import Reason, Status, Subject
 from jointid.models.controllers import Cascade, FirstOrder, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.verdict import Reason, Status, Subject
 from studies.healthy import drive
 from tests.estimates import amended, identify
 from tests.mistakes import (

@@ -8,7 +8,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.in_time import find_part
-from jointid.uncertainty.verdict import Reason, Status, Subject
+from jointid.estimation.result.verdict import Reason, Status, Subject
 from studies.robot_mistakes import judge
 
 STEP = 1e-3

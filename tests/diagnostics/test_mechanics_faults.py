@@ -38,10 +38,10 @@ from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import Reason
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
-from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled
 from tests.estimates import identify

@@ -12,9 +12,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill
+from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
-from jointid.uncertainty.verdict import Reason
 from studies.mechanics import lose
 from tests.mistakes import Axis, AxisName, axis, mistakes_of, run, tell, without_positions
 

@@ -17,9 +17,9 @@ from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_res
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import assemble
+from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
 from jointid.models.springs import LinearSpring
 from jointid.records.record import Record
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 from tests.estimates import amended, identify
 from tests.plants import Case, gapped_axis, prismatic, with_spring
 

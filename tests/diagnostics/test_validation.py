@@ -11,6 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.validation import Prediction
+from jointid.simulation.prescribed import DriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -88,7 +89,7 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
-@pytest.mark.parametrize("setup", [LOOP.joint, ji.DriveSide(LOOP.joint)])
+@pytest.mark.parametrize("setup", [LOOP.joint, DriveSide(LOOP.joint)])
 def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1), setup)
     found = ji.validate(estimate, made(0.13, 2, inertia=inertia))

@@ -13,9 +13,7 @@ from jointid.estimation.result.answer import Found, Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import Params
-from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.records.checks import EncoderLag
-from jointid.uncertainty.verdict import (
+from jointid.estimation.result.verdict import (
     AGAINST_EVERY_VALUE,
     Reason,
     Status,
@@ -23,6 +21,8 @@ from jointid.uncertainty.verdict import (
     Subject,
     Verdict,
 )
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.records.checks import EncoderLag
 from tests.estimates import amended
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 
@@ -153,6 +153,6 @@ def test_an_inertia_of_each_record_comes_before_what_they_share() -> None:
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     records = [ji.simulated_record(loop, reference, truth | {"inertia": m}, sample_time=1e-3) for m in (30.0, 45.0)]
-    both = ji.identify(records, loop, several=ji.SeveralRecords(own=(("inertia",), ("inertia",))))
+    both = ji.identify(records, loop, several={"own": (("inertia",), ("inertia",))})
     assert both.answer.found.values["parameter"] == "inertia@1"
     assert both["inertia@1"].value == pytest.approx(30.0)

@@ -11,6 +11,7 @@ from jointid.estimation.problems.base import log_delay
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.prescribed import DriveSide
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import Influence
@@ -21,13 +22,13 @@ FILTERING = ji.Filtering(cutoff=60.0)
 
 
 def problem_of(record: Record, delay: float | None = None) -> DriveSideProblem:
-    return motion_problem(record, ji.DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
+    return motion_problem(record, DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
 
 
 @pytest.mark.slow
 def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
     made = twin("L19", noise="none")
-    estimate = ji.identify(made.record.without("reference", "injected"), ji.DriveSide(JOINT), filtering=FILTERING)
+    estimate = ji.identify(made.record.without("reference", "injected"), DriveSide(JOINT), filtering=FILTERING)
     for p in JOINT.parameters:
         assert estimate[p.name].value == pytest.approx(made.truth[p.name], rel=2e-3), p.name
     for name in PHYSICAL:
@@ -40,7 +41,7 @@ def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
 @pytest.mark.slow
 def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
     record = twin("L30", noise="none").record  # a command that acts one period later
-    assert ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)[
+    assert ji.identify(record, DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)[
         "log_delay"
     ].value == pytest.approx(-1e-3, abs=2e-6)
 
@@ -55,7 +56,7 @@ def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     for noise, told in ((0.1, True), (40.0, False)):
         record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise * random)
         settings = ji.DriveSideFit(log_delay=0.0)
-        found = ji.identify(record.without("reference"), ji.DriveSide(joint), settings)
+        found = ji.identify(record.without("reference"), DriveSide(joint), settings)
         assert found["inertia"].value is not None
         assert found["inertia"].identifiable is told
         assert found["viscous"].identifiable
@@ -74,7 +75,7 @@ def test_a_load_that_sticks_is_identified() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, injected=known)
     record = record.without("load_position", "reference", "injected")
     filtering = ji.Filtering(cutoff=60.0, position_cutoff=300.0)
-    estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=filtering)
+    estimate = ji.identify(record, DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=filtering)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
 
@@ -116,7 +117,7 @@ def test_a_rigid_joint_needs_no_load() -> None:
     loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    estimate = ji.identify(record.without("reference"), ji.DriveSide(joint))
+    estimate = ji.identify(record.without("reference"), DriveSide(joint))
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
     assert any("rests in" in warning for warning in estimate.checks.warnings)

@@ -12,7 +12,6 @@ import jointid as ji
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import LOAD_DEPENDENT_FRICTION
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.models.controllers import Cascade
 from jointid.models.friction import FRICTIONS, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -50,7 +49,7 @@ def without_torque(record: Record, rng: np.random.Generator) -> Record:
 @pytest.mark.slow
 def test_two_loads_tell_it() -> None:
     one, other = slow_record(0, TRUTH["inertia"]), slow_record(1, TRUTH["inertia"] + ADDED)
-    found = identify([one, other], LOOP, several=SeveralRecords(added_inertia=(0.0, ADDED)))
+    found = identify([one, other], LOOP, several={"added_inertia": (0.0, ADDED)})
     for name, value in TRUTH.items():
         stderr = found.params[name].stderr
         assert stderr is not None and stderr < 0.03 * value

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
+from jointid.simulation.prescribed import DriveSide
 from tests.estimation.motorbench import JOINT, Bench
 
 FILTERING = ji.Filtering(cutoff=150.0, position_cutoff=600.0)
@@ -21,7 +22,7 @@ def bench(data_dir: Path) -> Bench:
 
 @pytest.fixture(scope="module")
 def hidden(bench: Bench) -> ji.Estimate:
-    return ji.identify(bench.record(), ji.DriveSide(JOINT), filtering=FILTERING)
+    return ji.identify(bench.record(), DriveSide(JOINT), filtering=FILTERING)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def reference(bench: Bench) -> dict[str, float]:
 def fit(bench: Bench, current: str, cutoff: float, **settings: float | None) -> ji.Estimate:
     filtering = ji.Filtering(cutoff=cutoff, position_cutoff=600.0)
     return ji.identify(
-        bench.record(current), ji.DriveSide(JOINT), ji.DriveSideFit(frequency=54.0, **settings), filtering=filtering
+        bench.record(current), DriveSide(JOINT), ji.DriveSideFit(frequency=54.0, **settings), filtering=filtering
     )
 
 

@@ -108,10 +108,10 @@ def test_positions_are_of_several_records_and_of_windows() -> None:
     noise = 0.3 * np.random.default_rng(1).standard_normal((2, 6000))
     first = logged(law, torque_noise=noise[0])
     second = logged(law, TRUTH | {"coulomb": 1.8}, noise=-1e-4, torque_noise=noise[1])
-    own = ji.SeveralRecords(own=((), ("coulomb",)))
+    own = {"own": ((), ("coulomb",))}
     together = ji.identify([first, second], loop, ji.DIDIM(outputs=("motor_position",)), several=own)
     assert together.params["coulomb@2"].value == pytest.approx(1.8, rel=0.01)
-    windows = ji.identify(first, loop, ji.DIDIM(outputs=("motor_position",)), windows=ji.Windowing(length=2.0))
+    windows = ji.identify(first, loop, ji.DIDIM(outputs=("motor_position",)), windows=2.0)
     for found in (together, windows):
         assert "motor_position" in found.data.channels
         assert len(deviations(found)) in (3, 4) and max(map(abs, deviations(found))) < 4.0
@@ -144,7 +144,7 @@ def test_an_integral_leaves_no_constant_torque(begin: float) -> None:
 def test_the_derivatives_are_those_of_the_residual() -> None:
     law = replace(LAW, period=1e-3)
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
-    record = ji.compute_controller_torque(logged(law).without("torque"), loop)
+    record = ji.controller.compute_controller_torque(logged(law).without("torque"), loop)
     problem = torque_problem(record, loop, ji.Filtering(), loop.joint.parameters)
     x = problem.vector(TRUTH | {"initial_position": 0.0, "initial_velocity": 0.0}) * 1.02
     slopes = problem.linearise(x)[1]
@@ -158,7 +158,7 @@ def test_the_derivatives_are_those_of_the_residual() -> None:
 def test_the_controller_is_not_compared_with_its_own_torque() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
     assert compare_law(logged(), loop) is not None
-    assert compare_law(ji.compute_controller_torque(logged(), loop), loop) is None
+    assert compare_law(ji.controller.compute_controller_torque(logged(), loop), loop) is None
 
 
 @pytest.mark.parametrize("outputs", [("load_position",), ("torque", "motor_position")])
@@ -169,7 +169,7 @@ def test_outputs_that_no_record_has_are_refused(outputs: tuple[str, ...]) -> Non
 
 def test_idim_takes_a_computed_torque() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
-    found = ji.identify(ji.compute_controller_torque(logged().without("torque"), loop), loop, ji.IDIM())
+    found = ji.identify(ji.controller.compute_controller_torque(logged().without("torque"), loop), loop, ji.IDIM())
     assert found.params["inertia"].value == pytest.approx(0.5, rel=0.01)
     assert scale_status(found) == ["unknown"]
     assert found.answer.trust.values["reasons"] == ["motion_measured"]
@@ -233,7 +233,7 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
         assert record.motor_position is not None
         values = record.motor_position.values + 5e-4 * random.standard_normal(len(record.motor_position))
         noisy = record.with_channels({"motor_position": replace(record.motor_position, values=values)})
-        computed.append(ji.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))
+        computed.append(ji.controller.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))
     problem = robot_problem(loop, computed, robot_parameters(twin.robot))
     assert problem.filtering.cutoff is not None and problem.filtering.cutoff < 30.0
     error = problem.error_of(RobotNumbers.of(twin.robot))

@@ -80,14 +80,14 @@ def resting() -> None:
         (lambda: Counterbalance(rate=float("nan")), ji.MethodError),
         # several records
         (lambda: ji.identify([RECORD, RECORD], RIGID), ji.MethodError),
-        (lambda: ji.identify(RECORD, LOOP, several=ji.SeveralRecords()), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, several={}), ji.MethodError),
         (lambda: ji.identify("log.csv", LOOP), ji.MethodError),  # type: ignore[arg-type]
-        (lambda: ji.identify(ji.Record(), LOOP, windows=ji.Windowing(4.0)), ji.RecordError),
+        (lambda: ji.identify(ji.Record(), LOOP, windows=4.0), ji.RecordError),
         # robots
         (lambda: ji.identify(records_of(ARM, 1)[0], ARM), ji.MethodError),
         (lambda: ji.identify(records_of(ARM, 1)[:1], ARM), ji.RecordError),
         (lambda: ji.identify(records_of(ARM, 1), ARM, ji.IDIM("iv")), ji.MethodError),
-        (lambda: ji.identify_payload(LOOP, [RECORD], [RECORD]), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.robots.identify_payload(LOOP, [RECORD], [RECORD]), ji.MethodError),  # type: ignore[arg-type]
     ],
 )
 def test_it_is_refused(refused: Callable[[], object], by: type[Exception]) -> None:

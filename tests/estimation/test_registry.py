@@ -6,6 +6,7 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.methods.registry import METHODS, MODELS, default_method, methods
+from jointid.simulation.prescribed import DriveSide
 
 
 @pytest.mark.parametrize(("name", "method"), list(zip(METHODS, methods(), strict=True)))
@@ -18,5 +19,5 @@ def test_a_method_says_its_name_and_its_needs(name: str, method: type[ji.DIDIM])
 def test_what_is_identified_chooses_its_method() -> None:
     joint = ji.FlexibleJoint("prismatic")
     loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    chosen = [default_method(model) for model in (loop, joint, ji.DriveSide(joint))]
+    chosen = [default_method(model) for model in (loop, joint, DriveSide(joint))]
     assert chosen == [ji.DIDIM, ji.IDIM, ji.DriveSideFit]

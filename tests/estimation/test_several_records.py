@@ -13,7 +13,6 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.estimation.identify_several import fill_starts
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -69,7 +68,7 @@ def test_two_records_under_different_gains() -> None:
         assert value == pytest.approx(axis.truth[name], rel=1e-4), name
     assert not found.checks.agreement.differs
     with pytest.raises(MethodError, match="gain cannot be distinguished"):
-        identify(records, [axis.loop, slower], several=SeveralRecords(free=["drive_gain"]), method=QUICK)
+        identify(records, [axis.loop, slower], several={"free": ["drive_gain"]}, method=QUICK)
     wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
     assert wrong.checks.agreement.differs
     assert "agreement" in [v.subject for v in wrong.checks.verdicts if v.status == "failed"]
@@ -79,7 +78,7 @@ def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
     axis, gain = twins("none"), 1.03
     loaded = heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0}
     per_log = [{name: value / gain for name, value in truth.items()} for truth in (axis.truth, loaded)]
-    shared = SeveralRecords(added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"])
+    shared = {"added_inertia": [0.0, KILOGRAMS], "own": [(), FRICTION], "free": ["drive_gain"]}
     found = identify([logged(axis.loop, values) for values in per_log], axis.loop, several=shared, method=QUICK)
     assert found["drive_gain"].value == pytest.approx(gain, rel=1e-6)
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping", "offset"):
@@ -105,7 +104,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
         for seed, (values, more) in enumerate(((first, 0.0), (others, 10.0), (others, 6.0)))
     ]  # fmt: skip
     added = (0.0, 10.0, 6.0)
-    found = identify(records, RIGID, several=SeveralRecords(added_inertia=added, own=(("coulomb",), (), ())))
+    found = identify(records, RIGID, several={"added_inertia": added, "own": (("coulomb",), (), ())})
     for name, truth in (others | {"coulomb@1": 20.0}).items():
         assert found[name].value == pytest.approx(truth, abs=0.2), name
         assert abs(found[name].value - truth) <= 4 * found[name].stderr, name
@@ -113,7 +112,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
     last = identify(
         records[::-1],
         RIGID,
-        several=SeveralRecords(added_inertia=added[::-1], own=((), (), ("coulomb",))),
+        several={"added_inertia": added[::-1], "own": ((), (), ("coulomb",))},
     )
     names = {"coulomb": "coulomb", "offset": "offset", "viscous": "viscous", "coulomb@1": "coulomb@3"}
 
@@ -149,8 +148,8 @@ def test_a_torque_constant_from_a_known_mass() -> None:
         for values in (truth, truth | {"inertia": 105.0})
     ]
     with pytest.raises(MethodError, match="per A; free drive_gain"):
-        identify(records, loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]))
-    found = identify(records, loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS], free=["drive_gain"]))
+        identify(records, loop, several={"added_inertia": [0.0, KILOGRAMS]})
+    found = identify(records, loop, several={"added_inertia": [0.0, KILOGRAMS], "free": ["drive_gain"]})
     assert found["drive_gain"].value == pytest.approx(35.0, rel=1e-6)
     assert found["drive_gain"].unit == "N/A"
     assert found["inertia"].value == pytest.approx(95.0, rel=1e-6)
@@ -164,7 +163,7 @@ def test_a_torque_constant_from_a_known_mass() -> None:
 def noisy() -> Estimate:
     axis = twins("white")
     records = [logged(axis.loop, t, "white", s) for s, t in enumerate((axis.truth, heavier(axis.truth)), 50)]
-    return identify(records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), method=QUICK)
+    return identify(records, axis.loop, several={"added_inertia": [0.0, KILOGRAMS]}, method=QUICK)
 
 
 def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:

@@ -18,9 +18,9 @@ from jointid.estimation.result.springs import (
     profile_modes,
     spring,
 )
+from jointid.estimation.result.verdict import StiffnessBound
 from jointid.models.joints import FlexibleJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.verdict import StiffnessBound
 from studies.stiffness_bounds import random_plant
 
 DIP = 200.0

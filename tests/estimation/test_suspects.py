@@ -20,11 +20,11 @@ from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.suspects import FAULTS as KNOWN
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.uncertainty.position_dependent_error import cells
-from jointid.uncertainty.verdict import Reason
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import FAULTS, problem, setting, solved

@@ -17,6 +17,7 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
+from jointid.estimation.result.verdict import POOR_FIT, Status
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
@@ -25,7 +26,6 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.verdict import POOR_FIT, Status
 from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive

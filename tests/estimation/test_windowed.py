@@ -13,11 +13,10 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.identify import _flat, windows_of
-from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.verdict import Status, Subject
 from jointid.records.chunks import cut
 from jointid.records.record import Channel, Record
-from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots import twin
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.test_log import LOOP, TRUTH, rigid
@@ -79,7 +78,7 @@ def test_idim_of_a_joint_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPat
 
 def test_windows_of_a_flexible_joint_are_weighed_as_its_whole_record_is() -> None:
     axis = ji.twin("L19")
-    ways = (False, Windowing(3.0))
+    ways = (False, 3.0)
     whole, found = (ji.identify(axis.record, axis.loop.joint, IDIM, windows=way, checks=False) for way in ways)
     assert found.fit.converged
     assert_same(found, whole)
@@ -93,14 +92,14 @@ def test_a_friction_at_its_bound_in_the_first_window_is_free_in_all() -> None:
         if not all(row.free for row in first.params.rows):
             break
     assert not all(row.free for row in first.params.rows)
-    found = ji.identify(record, LOOP.joint, IDIM, windows=Windowing(5.0))
+    found = ji.identify(record, LOOP.joint, IDIM, windows=5.0)
     assert all(row.stderr for row in found.params.rows)
     assert found.answer.trust.code == Trust.NOT_CHECKED
 
 
 def test_a_last_window_that_is_shorter_than_its_filters_is_passed_over() -> None:
     record = cut(rigid(30.0), 0, 20_030)
-    found = ji.identify(record, LOOP.joint, IDIM, windows=Windowing(4.0, settling=0.01))
+    found = ji.identify(record, LOOP.joint, IDIM, windows=4.0)
     assert found.data.windows is not None and found.data.windows.count == 5
 
 
@@ -110,7 +109,7 @@ def test_a_window_in_which_a_brake_holds_a_joint_is_passed_over() -> None:
     held = second.torque.values.copy()
     held[len(held) // 2 :] = 0.0
     records = (first, replace(second, torque=replace(second.torque, values=held)))
-    found = ji.identify(records, arm, windows=Windowing(2.0))
+    found = ji.identify(records, arm, windows=2.0)
     assert found.data.windows is not None and found.data.windows.still >= 4
 
 
@@ -124,7 +123,7 @@ def test_a_force_in_the_loop_widens_an_inverse_model_in_windows_as_in_the_whole(
         force[k] = 0.995 * force[k - 1] + 0.3 * random.standard_normal()
     record = ji.simulated_record(LOOP, reference.values, TRUTH, sample_time=1e-3, disturbance=force)
     whole = ji.identify(record, LOOP.joint, IDIM)
-    parts = ji.identify(record, LOOP.joint, IDIM, windows=Windowing(10.0))
+    parts = ji.identify(record, LOOP.joint, IDIM, windows=10.0)
     assert_same(parts, whole)
 
 
@@ -137,7 +136,7 @@ def test_a_window_at_rest_says_nothing_of_an_inverse_model() -> None:
     resting = Record(
         torque=replace(record.torque, values=torque), motor_position=replace(record.motor_position, values=position)
     )
-    found = ji.identify(resting, LOOP.joint, IDIM, windows=Windowing(5.0))
+    found = ji.identify(resting, LOOP.joint, IDIM, windows=5.0)
     assert found.data.windows is not None and found.data.windows.still >= 3
     for name, truth in TRUTH.items():
         row = found.params[name]
@@ -148,7 +147,7 @@ def test_a_window_at_rest_says_nothing_of_an_inverse_model() -> None:
 def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     records = [rigid(20.0, 1), rigid(20.0, 2, noise=4.0, viscous=90.0)]
     records = [replace(record, name=f"run {k}") for k, record in enumerate(records)]
-    shared, said = ji.SeveralRecords(own=((), ("viscous",))), list[str]()
+    shared, said = {"own": ((), ("viscous",))}, list[str]()
     whole = ji.identify(records, LOOP, several=shared)
     limit(monkeypatch, records, LOOP, share=5.0)
     found = ji.identify(records, LOOP, several=shared, progress=said.append)
@@ -167,7 +166,7 @@ def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyP
 @pytest.mark.slow
 def test_records_that_differ_are_seen_in_windows() -> None:
     records = [rigid(40.0, 1), rigid(40.0, 2, viscous=100.0)]
-    found = ji.identify(records, LOOP, windows=Windowing(4.0), checks=False)
+    found = ji.identify(records, LOOP, windows=4.0, checks=False)
     assert found.checks.agreement is not None
     assert found.checks.agreement["viscous"].differs
     assert not found.checks.agreement["inertia"].differs
@@ -207,7 +206,7 @@ def test_two_logs_of_a_robot_go_in_windows() -> None:
     arm, log = arm_log()
     half = [[half_of(record, part) for record in log] for part in (0, 1)]
     whole = ji.identify(half, arm, checks=False)
-    assert_same(ji.identify(half, arm, windows=Windowing(5.0), checks=False), whole)
+    assert_same(ji.identify(half, arm, windows=5.0, checks=False), whole)
 
 
 def half_of(record: Record, part: int) -> Record:
@@ -225,7 +224,7 @@ def test_the_nominal_robot_is_compared_in_all_of_a_record(under_loop: bool) -> N
     log: Sequence[Record] = recorded(loop, plant.records(12.0, 1), 0.05, 1)[0]
     heavy = replace(plant.robot, links=tuple(replace(one, inertial=1.2 * one.inertial) for one in plant.robot.links))
     model = replace(loop, robot=heavy) if under_loop else heavy
-    whole, parts = (ji.identify(log, model, windows=w, checks=False) for w in (None, Windowing(1.5)))
+    whole, parts = (ji.identify(log, model, windows=w, checks=False) for w in (None, 1.5))
     assert parts.require_robot().nominal_errors == pytest.approx(whole.require_robot().nominal_errors, rel=0.03)
     assert parts.require_robot().nominal == pytest.approx(whole.require_robot().nominal, abs=0.1)
 
@@ -233,7 +232,7 @@ def test_the_nominal_robot_is_compared_in_all_of_a_record(under_loop: bool) -> N
 def test_known_friction_of_a_robot_holds_in_windows() -> None:
     fixed, (arm, log) = {"joint1.viscous": 8.0}, arm_log(20.0)
     known = {"joint1.viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fix(8.0)}
-    whole, parts = (ji.identify(log, arm, parameters=known, windows=w, checks=False) for w in (None, Windowing(5.0)))
+    whole, parts = (ji.identify(log, arm, parameters=known, windows=w, checks=False) for w in (None, 5.0))
     assert_same(parts, whole, apart=0.6, ratio=2.5)
     for name, value in fixed.items():
         assert parts.params[name].value == value and parts.params[name].stderr is None

@@ -26,7 +26,7 @@ def answer_of(result: Any) -> dict[str, Any]:
         rows = {row.name: [number(row.value), number(row.stderr)] for row in result.params.rows if row.free}
         bounds = [number(bound.stiffness) for bound in result.checks.bounds]
         return {"values": rows, "trust": str(result.answer.trust.code), "bounds": bounds, "cause": first_cause(result)}
-    if isinstance(result, ji.Robot):
+    if isinstance(result, ji.robots.Robot):
         return {"values": {joint.name: [number(joint.rotor_inertia), None] for joint in result.joints}}
     if hasattr(result, "numbers"):  # of a learned controller
         numbers = {one.name: [number(one.value), number(one.std)] for one in result.numbers}

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import jointid as ji
+from jointid.simulation.prescribed import DriveSide
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("JOINTID_DATA", ROOT.parent / "shared" / "data"))
@@ -251,17 +252,17 @@ def several(seed: int) -> ji.Estimate:
     kind = KINDS[seed % 2]
     if seed >= 6:
         one = draw(600 + seed, kind, duration=24.0)
-        return ji.identify(record(one), ji.ClosedLoop(one.joint, one.declared), windows=ji.Windowing(length=6.0))
+        return ji.identify(record(one), ji.ClosedLoop(one.joint, one.declared), windows=6.0)
     one, two = draw(600 + seed, kind), draw(600 + seed, kind)
     name = "inertia" if kind == "rigid" else "load_inertia"
     added = 0.5 * two.values[name]
     two.values[name] += added
     two.rng = np.random.default_rng(seed)
-    shared = ji.SeveralRecords(added_inertia=(0.0, added), free=("drive_gain",) if seed >= 4 else ())
+    shared = {"added_inertia": (0.0, added), "free": ("drive_gain",) if seed >= 4 else ()}
     return ji.identify([record(one), record(two)], ji.ClosedLoop(one.joint, one.declared), several=shared)
 
 
-def arm(count: int, springs: bool, seed: int) -> ji.Robot:
+def arm(count: int, springs: bool, seed: int) -> ji.robots.Robot:
     """Return a chain of bodies about axes that alternate, with rotors, friction and perhaps springs."""
     rng, links, joints = np.random.default_rng([seed, count]), [], []
     for k in range(count):
@@ -278,7 +279,7 @@ def arm(count: int, springs: bool, seed: int) -> ji.Robot:
             stiffness = rotor * (2 * math.pi * rng.uniform(10, 20)) ** 2
             spring = ji.robots.JointSpring(stiffness, 0.005 * stiffness / math.pi, 0.4 * viscous, 0.3 * coulomb)
         joints.append(ji.robots.RobotJoint(f"joint{k + 1}", rotor, viscous, coulomb, 0.1 * coulomb, spring=spring))
-    return ji.Robot(tuple(links), tuple(joints), np.array([0.0, 0.0, -9.81]))
+    return ji.robots.Robot(tuple(links), tuple(joints), np.array([0.0, 0.0, -9.81]))
 
 
 def robot(count: int, springs: bool, way: str, seed: int) -> ji.Estimate:
@@ -338,7 +339,7 @@ def real(name: str) -> Any:
         file = ji.load(ROOT / "examples" / "emps" / "joint.toml")
         logged = file.record(DATA / "emps" / ("DATA_EMPS.mat" if folder == "emps" else "DATA_EMPS_PULSES.mat"))
         if way == "drive_side":
-            return ji.identify(logged, ji.DriveSide(file.loop.joint))
+            return ji.identify(logged, DriveSide(file.loop.joint))
         return ji.learn_controller(logged) if way == "learned" else ji.identify(logged, file.loop, methods[way])
     if folder == "motorbench":
         file = ji.load(ROOT / "examples" / "motorbench" / "joint.toml")

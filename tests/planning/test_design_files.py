@@ -17,7 +17,6 @@ from jointid.config import load, loads
 from jointid.models.limits import AxisLimits
 from jointid.output.test_layout import lay_out
 from jointid.planning.design import design
-from jointid.planning.predict import Noise
 from jointid.records.formats import read_table
 from tests.robots_plants import six, two
 
@@ -51,7 +50,7 @@ FRICTION = np.array([6.0, 2.5])  # N m of load, that the file does not state
 NOISE = np.array([0.05, 0.03])
 
 
-def played(robot: ji.Robot, q: np.ndarray, seed: int) -> np.ndarray:
+def played(robot: ji.robots.Robot, q: np.ndarray, seed: int) -> np.ndarray:
     """Return what the motors give for a motion, N m of load, with friction that no file states, and noise."""
     from jointid.models.robots.dynamics import inverse_dynamics
 
@@ -67,7 +66,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("arm")
     (folder / "arm.urdf").write_text(ARM, encoding="utf-8")
     (folder / "robot.toml").write_text(ROBOT, encoding="utf-8")
-    robot: ji.Robot = load(folder / "robot.toml").robot
+    robot: ji.robots.Robot = load(folder / "robot.toml").robot
     t = np.arange(6000) * 1e-3
     q = np.column_stack([0.5 * np.sin(2.1 * t) + 0.2 * np.sin(5.3 * t), 0.5 * np.sin(3.2 * t) - 0.2 * np.cos(4.4 * t)])
     ratios = np.array([100.0, 50.0])
@@ -93,7 +92,7 @@ def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
     ratios = np.array([100.0, 50.0])
     q = np.radians(np.column_stack([columns["s.reference"], columns["e.reference"]])) / ratios
     assert 0.5 < np.abs(q).max() < 0.9, "degrees of the motor"
-    robot: ji.Robot = load(folder / "robot.toml").robot
+    robot: ji.robots.Robot = load(folder / "robot.toml").robot
     peaks = np.abs(played(robot, q, 2)).max(axis=0)
     stated = np.array([axis["reached"]["torque"] for axis in told["axes"]])
     assert np.all(np.abs(np.log(peaks / stated)) < math.log(1.1)), "friction is in the predicted torque"
@@ -121,7 +120,7 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     assert file.loop is not None
     values = {"inertia": 2.0, "viscous": 4.0, "coulomb": 1.0, "offset": 0.0}
     limits = AxisLimits(stroke=1.0, speed=2.0, acceleration=10.0, torque=60.0)
-    asked = {"values": values, "noise": Noise(log=0.05), "limits": limits, "duration": 3.0, "sample_time": 1e-3}
+    asked = {"values": values, "noise": {"log": 0.05}, "limits": limits, "duration": 3.0, "sample_time": 1e-3}
     found = lay_out(file, design(file.loop, injection=False, search_time=0.5, **asked))  # type: ignore[arg-type]
     (record,) = found.records()
     assert record.injected is None and "on the torque" not in found.description, "the drive adds nothing"

@@ -63,7 +63,7 @@ def designed() -> Design:
         return ji.design(
             AXIS.loop,
             values=AXIS.truth,
-            noise=NOISE,
+            noise={"log": AXIS.noise},
             goal="stiffness",
             record=short_record(),
             within=2.0,
@@ -103,7 +103,7 @@ def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> No
 def test_without_a_record_a_test_keeps_limits_of_jerk_and_positions(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
     limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
-    asked = {"values": PLAIN_VALUES, "noise": Noise(log=0.02), "duration": 4.0, "sample_time": 1e-3, "limits": limits}
+    asked = {"values": PLAIN_VALUES, "noise": {"log": 0.02}, "duration": 4.0, "sample_time": 1e-3, "limits": limits}
     found = ji.design(PLAIN, search_time=30.0, **asked)  # type: ignore[call-overload]
     (reached,) = (axis.reached for axis in found.axes)
     assert reached["lower"] >= 1.0 and reached["upper"] <= 2.5 and reached["jerk"] < 400.0 * 1.05
@@ -254,7 +254,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     slow = 1.2 + excitation.trapezoids((0.5, 1.0), 8.0, 1.0, 4e-3, duration=4.0)
     torque = ji.Channel(np.zeros(4000), "N m", 1e-3)
     present = replace(planned_record(loop, slow, 4e-3), torque=torque)
-    found = ji.design(loop, values=values, noise=Noise(log=0.01), record=present, within=4.0, search_time=80.0)
+    found = ji.design(loop, values=values, noise={"log": 0.01}, record=present, within=4.0, search_time=80.0)
     assert not found.passed
     assert found.axes[0].reached["lower"] > 1.19 and found.axes[0].reached["upper"] < 2.21
     assert found.proposed.sample_time == 1e-3

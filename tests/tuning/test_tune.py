@@ -16,6 +16,7 @@ from jointid.config import loads
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -24,10 +25,9 @@ from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set, possible_joints
-from jointid.tuning.proposals import Tuning, with_gains
+from jointid.tuning.proposals import with_gains
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
-from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
 from tests.estimates import amended, identify
 
@@ -105,7 +105,7 @@ integral_gain = "20000 A/(m s)"
     file = loads(text)
     assert file.controller is not None
     estimate = rigid(file.controller)
-    tuned = tune(estimate, Tuning(notch=False))
+    tuned = tune(estimate, notch=False)
     assert [gain.key for gain in tuned.gains] == ["position_gain", "derivative_gain", "integral_gain"]
     assert [gain.unit for gain in tuned.gains] == ["A per m", "A per m/s", "A per m s"]
     [_, derivative, integral] = [(gain.before, gain.after) for gain in tuned.gains]
@@ -127,7 +127,7 @@ def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
     late = replace(slow, delay=2 * drive.period)
     drive = replace(drive, loop=ClosedLoop(drive.loop.joint, late), truth=truth, noise=0.1 * drive.noise)
     estimate = drive.identified(drive.record(1))
-    with_it, without = tune(estimate), tune(estimate, Tuning(notch=False))
+    with_it, without = tune(estimate), tune(estimate, notch=False)
     assert without.notch is None and with_it.notch is not None
     assert with_it.notch.frequency == pytest.approx(drive.mode, rel=0.02)
     assert with_it.proposed is not None and without.proposed is not None
@@ -199,9 +199,7 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     fast = ClosedLoop(
         estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain)
     )  # 8.5 times as fast it would not be stable
-    found = tune(
-        amended(estimate, params={"rows": wide}, settings={"loop": fast}), Tuning(gain_margin=1e6, notch=False)
-    )
+    found = tune(amended(estimate, params={"rows": wide}, settings={"loop": fast}), gain_margin=1e6, notch=False)
     assert found.present.estimate.stable
     assert not found.present.worst.stable
     assert json.loads(dumps(to_dict(found)))["present"]["worst"]["modulus"] == 0.0
@@ -225,7 +223,7 @@ def test_of_a_state_space_law_only_margins_are_told() -> None:
 
 
 def test_gains_beyond_any_margin_are_not_proposed(estimate: Estimate) -> None:
-    assert tune(estimate, Tuning(gain_margin=1e6)).proposed is None
+    assert tune(estimate, gain_margin=1e6).proposed is None
 
 
 def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) -> None:
@@ -241,8 +239,8 @@ def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) ->
         lambda found: tune(identify(twin().record, twin().loop.joint.rigid, IDIM())),  # type: ignore[union-attr]
         lambda found: tune(amended(found, params={"correlation": np.zeros((0, 0))})),
         lambda found: tune(amended(found, checks={"bounds": (StiffnessBound(0.3, 8e5, 30.0),)})),
-        lambda found: Tuning(gain_margin=0.5),
-        lambda found: Tuning(confidence=1.0),
+        lambda found: tune(found, gain_margin=0.5),
+        lambda found: tune(found, confidence=1.0),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(estimate: Estimate, asked: Callable[[Estimate], object]) -> None:

@@ -29,7 +29,7 @@ from jointid.common.parallel import THREADS, begin_worker, cores, without_interr
 from jointid.common.text import pluralise
 from jointid.config import loads
 from jointid.estimation.result.answer import Trust
-from jointid.uncertainty.verdict import POOR_FIT
+from jointid.estimation.result.verdict import POOR_FIT
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
 _LOOK = 5.0  # s without a result, after which it is seen whether any can come

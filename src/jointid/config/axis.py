@@ -74,7 +74,7 @@ class Axis:
         """Return a record of this axis with the computed torque, if it is not a logged one.
 
         Raises:
-            RecordError: see `jointid.compute_controller_torque`.
+            RecordError: see `jointid.controller.compute_controller_torque`.
         """
         if not self.computes_torque or self.loop is None:
             return record

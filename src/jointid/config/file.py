@@ -22,7 +22,6 @@ from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint
@@ -54,7 +53,7 @@ class File:
         path: of the file; a text is taken to stand in `joint.toml`.
         name: what reports call the joint or the robot.
         runs: records that the file lists, to be identified together.
-        together: what is identified beside the joint then; see `jointid.SeveralRecords.free`.
+        together: what is identified beside the joint then.
         text: of the file. changes: of `load`, which it does not have.
 
     Example:
@@ -249,7 +248,7 @@ class File:
         runs, gear = [self._run(path) for path in paths or self.listed], self.joint.transmission
         to_joint = 1.0 if gear is None else gear.torque("load") ** 2
         added = [to_joint * run.added_inertia for run in runs]
-        several = SeveralRecords(added_inertia=added, own=[run.own for run in runs], free=self.together)
+        several = {"added_inertia": added, "own": [run.own for run in runs], "free": self.together}
         return self.identify(each, progress, several=several)
 
     @property

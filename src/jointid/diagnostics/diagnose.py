@@ -33,6 +33,7 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
+from jointid.estimation.result.verdict import POOR_FIT, Status, Subject
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -42,7 +43,6 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
-from jointid.uncertainty.verdict import POOR_FIT, Status, Subject
 
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
 _UNREADABLE, _POOR_MOTION = "unreadable", "motion_poor"

@@ -19,8 +19,8 @@ from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition
 from jointid.diagnostics.robot_causes import RobotCause
+from jointid.estimation.result.verdict import Reason
 from jointid.uncertainty.residual_tests import Whiteness
-from jointid.uncertainty.verdict import Reason
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
 _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together

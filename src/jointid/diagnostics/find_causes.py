@@ -49,12 +49,12 @@ from jointid.estimation.identify import WINDOW, windows_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import POOR_FIT, Reason
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.verdict import POOR_FIT, Reason
 
 _SECONDS = 20.0  # of the processor, for the search
 _FITS = 0.15  # of the torque: largest residual of a right model

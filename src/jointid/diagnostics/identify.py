@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
+from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.robots.robot import Robot
@@ -44,7 +45,6 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, skip_test
 
 _OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
 
@@ -57,8 +57,8 @@ def identify(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    several: SeveralRecords | None = None,
-    windows: Windowing | Literal[False] | None = None,
+    several: Mapping[str, Any] | None = None,
+    windows: float | Literal[False] | None = None,
     checks: bool = True,
     unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = ignore_progress,
@@ -66,22 +66,25 @@ def identify(
     """Identify a joint, or a robot, from what its drives logged.
 
     Args:
-        record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or a
-            `Log` that is read in chunks, identified in windows in bounded memory. Of a robot the records of its joints,
-            on one clock; or those of several logs, in one fit, which is not checked.
-        model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
-            prescribe the motor's motion and simulate the load. For several records a loop, or one for each record: of
-            one joint under different gains. A `Robot` alone, a `RobotLoop` with its controllers, or a `RobotDriveSide`
-            along the motors' motion.
+        record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or
+            the log of a joint file, `load(path).log()`, that is read in chunks, identified in windows in bounded
+            memory. Of a robot the records of its joints, on one clock; or those of several logs, in one fit, which is
+            not checked.
+        model: the loop (joint and controller), or the joint alone when the controller is not known. For several records
+            a loop, or one for each record: of one joint under different gains. A `robots.Robot` alone, a
+            `robots.RobotLoop` with its controllers, or a `robots.RobotDriveSide` along the motors' motion.
         method: `DIDIM`, `IDIM` or `DriveSideFit` with its settings; by default DIDIM when the controller is known, even
-            where the record has a motor position, which is then not read; that of a `DriveSide`; otherwise IDIM.
-            Several records and a log are identified by DIDIM. A robot likewise.
+            where the record has a motor position, which is then not read; otherwise IDIM. Several records and a log are
+            identified by DIDIM. A robot likewise.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".
-        several: what the records share, and what was added to the load; see `SeveralRecords`.
-        windows: of a log; see `Windowing`. With it records in memory are identified in windows, too: of a joint by
-            DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
+        several: how several records of one joint belong together. "added_inertia": for each record the known inertia
+            added to the load, kg or kg m2. "own": for each record names of parameters of its own, as of friction that a
+            load changes. "free": names of what surrounds the joint and is identified too: "drive_gain", which needs an
+            added inertia, "position_gain", "log_delay", ...
+        windows: seconds of the windows of a log. With it records in memory are identified in windows, too: of a joint
+            by DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
             windows without it, of which one is checked. False identifies all of them at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
@@ -112,7 +115,7 @@ def identify(
         Two records, the second with 10 kg on the load and a friction of its own:
 
         >>> heavier = ji.simulated_record(loop, reference, truth | {"inertia": 40.0, "coulomb": 18.0}, sample_time=1e-3)
-        >>> shared = ji.SeveralRecords(added_inertia=(0.0, 10.0), own=((), ("coulomb",)))
+        >>> shared = {"added_inertia": (0.0, 10.0), "own": ((), ("coulomb",))}
         >>> both = ji.identify([record, heavier], loop, several=shared)
         >>> round(both.params["inertia"].value, 4), round(both.params["coulomb@2"].value, 4)
         (30.0, 18.0)
@@ -121,11 +124,12 @@ def identify(
 
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=60.0)
         >>> minute = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> estimate = ji.identify(minute, loop, windows=ji.Windowing(length=6.0))
+        >>> estimate = ji.identify(minute, loop, windows=6.0)
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    streamed = windows_of(record, model, method, several) if windows is None else None
+    shared = None if several is None else SeveralRecords(**several)
+    streamed = windows_of(record, model, method, shared) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):
         raise MethodError(
             "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
@@ -136,7 +140,8 @@ def identify(
     if streamed is not None:
         said = f"the record is long, and is identified in windows of {streamed.length:.3g} s, of which one is checked"
         progress(said)
-    fit = fit_one(record, model, method, several=several, windows=streamed or windows or None)
+    asked = streamed if windows is None or windows is False else Windowing(windows)
+    fit = fit_one(record, model, method, several=shared, windows=asked)
     checked = fit
     if streamed is not None:
         fit = fit.warn(said)

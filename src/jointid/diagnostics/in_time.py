@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.uncertainty.verdict import Reason
+from jointid.estimation.result.verdict import Reason
 
 _BLOCKS = 40  # of a residual
 _FEWEST = 4  # rows of a block

@@ -22,13 +22,13 @@ from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import TORQUE_SCALE, say_times
 from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
 from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_law_changes
+from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
-from jointid.uncertainty.verdict import Reason
 
 _IMMOVABLE = 1e20  # kg or kg m2
 _FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them

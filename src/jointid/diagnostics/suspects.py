@@ -19,6 +19,7 @@ from jointid.diagnostics.faults import loop_gain, numbers, other_laws, record
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure
 from jointid.diagnostics.score import fit_whitener
 from jointid.diagnostics.seen import Columns, Seen
+from jointid.estimation.result.verdict import Reason
 from jointid.models.friction import (
     PARTS,
     AsymmetricFriction,
@@ -34,7 +35,6 @@ from jointid.models.joints import FlexibleJoint, frictions_beside, springs_besid
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, Spring, ThreePieceSpring, TwoPieceSpring
 from jointid.records.signals.filtering import lowpass_below_noise
-from jointid.uncertainty.verdict import Reason
 
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest

@@ -24,8 +24,8 @@ from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.diagnostics.law_comparison import TIMES, cut, mean_logarithm, squares_of
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
 from jointid.simulation.closed_loop import Simulation
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 
 _LAGS = 8  # of each response ...
 _MEMORY = 0.08  # s that they reach back

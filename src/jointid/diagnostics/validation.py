@@ -28,12 +28,12 @@ from jointid.common.transmission import Transmission
 from jointid.diagnostics.record_prediction import predict_joint, predict_robot
 from jointid.estimation.problems.inverse_model import read_as
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
+from jointid.estimation.result.verdict import POOR_FIT, scale_verdict
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.controller_torque import compute_controller_torque
-from jointid.uncertainty.verdict import POOR_FIT, scale_verdict
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise

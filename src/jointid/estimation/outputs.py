@@ -18,10 +18,10 @@ from jointid.common.text import join
 from jointid.estimation.problems.base import LOG_DELAY
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import scale_verdict
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import CHANNELS, Record
 from jointid.simulation.controller_torque import compute_controller_torque
-from jointid.uncertainty.verdict import scale_verdict
 
 Logs: TypeAlias = Sequence[Record]
 

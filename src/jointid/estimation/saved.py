@@ -26,6 +26,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import SpringVerdict
+from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
 from jointid.estimation.robots.drive_side import of_record
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
@@ -39,7 +40,6 @@ from jointid.simulation.prescribed import DriveSide
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide
 System = Joint | ClosedLoop | DriveSide | RobotSystem

@@ -42,7 +42,7 @@ def design(
     record: Record | Sequence[Record] | None = None,
     *,
     values: Mapping[str, float] | None = None,
-    noise: Noise | Sequence[float] | FloatArray | None = None,
+    noise: Mapping[str, Any] | Sequence[float] | FloatArray | None = None,
     goal: str = "all",
     limits: AxisLimits | Sequence[AxisLimits] | None = None,
     motion: Record | Sequence[Record] | None = None,
@@ -68,8 +68,8 @@ def design(
             limits of stroke and torque that are not given, of a robot those of positions and speed. Of a robot one for
             each joint.
         values: every parameter of a joint that is roughly known, by name; an estimate has its own.
-        noise: what will disturb the test; by default the residual of the record. Of a robot the standard deviation of
-            white noise on each joint's torque; without a record 1 % of the torque.
+        noise: standard deviations {"log": of white noise on the torque, "force": of a white force on the motor}; by
+            default the residual of the record. Of a robot one for each joint; without a record 1 % of the torque.
         goal: a parameter, a sum or a difference of parameters, or "all" (the volume of all intervals).
         limits: of the axis; of a robot those of each joint.
         motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
@@ -99,7 +99,7 @@ def design(
         >>> import jointid as ji
         >>> axis = ji.twin("L19", noise="white")
         >>> found = ji.design(
-        ...     axis.loop, axis.record, values=axis.truth, noise=ji.Noise(log=axis.noise), goal="stiffness",
+        ...     axis.loop, axis.record, values=axis.truth, noise={"log": axis.noise}, goal="stiffness",
         ...     duration=4.0, search_time=1.0,
         ... )
         >>> found.floor < found.proposed.std["stiffness"]
@@ -128,7 +128,7 @@ def design(
         own = of_joint | {"filtering": filtering} if isinstance(model, Estimate) else {}
         _refuse_unread("joint", own | {"loop": loop, "feed_forward": None if feed_forward == "none" else feed_forward})
         at = _read_times(present, played, duration, sample_time)
-        common |= of_joint | {"noise": noise, "injection": injection}
+        common |= of_joint | {"noise": Noise(**noise) if isinstance(noise, Mapping) else None, "injection": injection}
         known = joint_model(model, present, at, **common)
     else:
         _refuse_unread("robot", of_joint)

@@ -236,9 +236,9 @@ def joint_model(
         values, noise, filtering = model.values, noise or Noise.of(model, present[0]), model.settings.filtering
         free = {p.name for p in model.params.rows if p.free}
         parameters = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
-    if loop is None or values is None or not isinstance(noise, Noise):
+    if loop is None or values is None or noise is None:
         raise MethodError(
-            "A joint's test needs an estimate by DIDIM and its record, or a loop with values and a Noise; give these."
+            "A joint's test needs an estimate by DIDIM and its record, or a loop with values and noise; give these."
         )
     rows = [p for p in ((parameters or {}).get(p.name, p) for p in loop.joint.parameters) if p.free]
     if within is not None:

@@ -49,8 +49,8 @@ class Log:
         RecordError: a column has a sample time or a time column of its own, or is to be resampled.
 
     Example:
-        >>> import jointid as ji
-        >>> day = ji.Log("day.csv", {"torque": "i_q", "reference": "pos_cmd"}, {"sample_time": 1e-3})
+        >>> from jointid.records.chunks import Log
+        >>> day = Log("day.csv", {"torque": "i_q", "reference": "pos_cmd"}, {"sample_time": 1e-3})
         >>> day.name
         'day'
     """

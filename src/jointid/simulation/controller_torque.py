@@ -46,7 +46,7 @@ def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
         >>> reference = ji.excitation.trapezoids((1.0, 2.0), acceleration=20.0, travel=1.0, sample_time=1e-3)
         >>> truth = {"inertia": 0.5, "viscous": 0.2, "coulomb": 1.0, "offset": 0.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> computed = ji.compute_controller_torque(record.without("torque"), loop)
+        >>> computed = ji.controller.compute_controller_torque(record.without("torque"), loop)
         >>> bool(abs(computed.torque.values - record.torque.values).max() < 1e-9)
         True
     """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from jointid.common.errors import MethodError
@@ -9,29 +11,26 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.text import join
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade, Controller, ServoController
 from jointid.models.joints import FlexibleJoint
 from jointid.tuning.margins import Interval, Margins, crossover, possible_joints
 from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, list_feedforward, list_gains, lumped_parameters
 from jointid.tuning.tuned import LoopMargins, Tuned
-from jointid.uncertainty.verdict import Subject
 
 _NONE = "only of a cascade, a PD or a PID gains are proposed, if some keep the margins for all joints: ask for less"
 
 
 @one_thread()
-def tune(
-    estimate: Estimate,
-    settings: Tuning | None = None,
-    *,
-    progress: Progress = ignore_progress,
-) -> Tuned:
+def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: Any) -> Tuned:
     """Compute the margins of an estimate's loop, and propose settings.
 
     Args:
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
-        settings: the required margins; see `Tuning`.
         progress: receives messages.
+        asked: what the proposed loop keeps in the worst case: `gain_margin`, a ratio, `phase_margin` in degrees, and
+            `modulus`, the distance from -1, for joints within the interval of `confidence`; `notch`, whether one may be
+            proposed; `seed`.
 
     Returns:
         Margins of the present and the proposed loop, nominal and worst case; gains of the same structure, a notch where
@@ -44,7 +43,7 @@ def tune(
     turns with the link, further modes, and images in multirate loops are not in the margins; stability includes the
     latter.
     """
-    settings, joint = settings or Tuning(), estimate.settings.joint
+    settings, joint = Tuning(**asked), estimate.settings.joint
     if estimate.checks.bounds:
         raise MethodError(
             f"The stiffness is refused, and margins need the joint's mode: {estimate.data.record} does not show it. "

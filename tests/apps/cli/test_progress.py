@@ -32,7 +32,7 @@ def test_the_first_pass_over_a_log_is_told_too(monkeypatch: pytest.MonkeyPatch) 
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     said: list[str] = []
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    ji.identify(record, loop, windows=ji.Windowing(length=6.0), progress=said.append)
+    ji.identify(record, loop, windows=6.0, progress=said.append)
     assert next(one for one in said if isinstance(one, Detail) and one.pace) == "passing over the log: 1 windows"
 
 

@@ -14,11 +14,11 @@ from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.suspects import ASYMMETRIC_FRICTION
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
-from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, axis_errors, identified, motion, records_of
 from tests.robots_plants import two
 

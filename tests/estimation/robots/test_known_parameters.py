@@ -10,7 +10,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.uncertainty.verdict import Status, Subject
+from jointid.estimation.result.verdict import Status, Subject
 from tests.estimation.robots.test_several_logs import LOGS, LOOP, TWIN
 
 TRUTH = TWIN.robot.joints[0].viscous

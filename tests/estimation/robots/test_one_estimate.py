@@ -13,10 +13,10 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.verdict import Status, Subject
 from jointid.output.json import load_estimate
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop
-from jointid.uncertainty.verdict import Status, Subject
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -82,7 +82,7 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
         lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.setup),
         lambda found, logs: ji.identify(logs, ji.twin().loop),
         lambda found, logs: ji.diagnose(logs[0], found, controllers=found.robot.setup.controllers[:1]),
-        lambda found, logs: ji.identify_payload(ji.twin().loop, *logs),  # type: ignore[arg-type]
+        lambda found, logs: ji.robots.identify_payload(ji.twin().loop, *logs),  # type: ignore[arg-type]
     ],
 )
 def test_records_and_lists_that_do_not_fit_are_refused_in_a_sentence(use: Callable[[ji.Estimate, Any], object]) -> None:

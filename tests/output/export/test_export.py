@@ -175,7 +175,7 @@ def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
     )
     alone = ji.identify(first, loop, filtering=ji.Filtering(cutoff=5.0))
     both = ji.identify([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
-    hours = ji.identify(first, loop, windows=ji.Windowing(length=6.0, settling=1.0), filtering=ji.Filtering(cutoff=5.0))
+    hours = ji.identify(first, loop, windows=6.0, filtering=ji.Filtering(cutoff=5.0))
     for estimate in (alone, both, hours):
         text = ji.export(estimate, "mjcf", name="Achse").text
         assert 'model="Achse"' in text and repr(estimate["inertia"].value) in text

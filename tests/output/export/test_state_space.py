@@ -125,5 +125,5 @@ def test_what_cannot_be_sampled_is_refused() -> None:
 
 def test_without_python_control_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(ji.ExtraError):
+    with pytest.raises(ji.JointidError):
         ji.state_space(model(JOINT, VISCOUS))

@@ -66,7 +66,7 @@ def others(text: str) -> list[tuple[str, dict[str, str]]]:
     return [(one.tag, one.attrib) for one in root.iter() if one.tag != "dynamics"]
 
 
-def exported(path: Path, factor: float) -> tuple[str, ji.Robot]:
+def exported(path: Path, factor: float) -> tuple[str, ji.robots.Robot]:
     """Return the URDF of an arm whose bodies are other ones, and that arm."""
     path.write_bytes(TEXT.encode())
     robot = ji.robots.load_robot(path, LOCKED)

@@ -17,7 +17,8 @@ from jointid.common.files import explain, require_room, write_whole
 from jointid.common.messages import Progress
 
 if TYPE_CHECKING:
-    from jointid import Record, Robot
+    from jointid import Record
+    from jointid.robots import Robot
     from jointid.simulation.robots import RobotLoop
 
 CAMPAIGN = """\

@@ -32,7 +32,7 @@ def identify(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
     """
-    from jointid import Windowing, figures
+    from jointid import figures
     from jointid.estimation.result.parts import IN_WINDOWS
 
     figures.require_format(figure)
@@ -45,7 +45,7 @@ def identify(
     else:
         ready(options.progress)
         if window is not None:
-            estimate = file.identify(file.log(options.record), options.progress, windows=Windowing(window))
+            estimate = file.identify(file.log(options.record), options.progress, windows=window)
         else:
             estimate = file.identify_together(options.records, options.progress)
     deliver(estimate, options.json, (figure, figures.torque), details=details)
@@ -105,14 +105,14 @@ def tune(
         notch: whether one may be proposed.
         figure: also save the response of the loop as PNG, SVG or PDF.
     """
-    from jointid import Tuning, figures
+    from jointid import figures
     from jointid import tune as run
 
-    settings = Tuning(gain_margin, phase_margin, notch=notch)
     figures.require_format(figure)
     file = options.load(joint, figure, alone=True, method="didim")
     _, estimate = options.identify(file)
-    tuned = run(estimate, settings, progress=options.progress)
+    settings = {"gain_margin": gain_margin, "phase_margin": phase_margin, "notch": notch}
+    tuned = run(estimate, progress=options.progress, **settings)
     deliver(tuned, options.json, (figure, lambda one: one.plot()))
 
 
@@ -142,7 +142,7 @@ def payload(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
-    from jointid import identify_payload
+    from jointid.estimation.robots.payload import identify_payload
     from jointid.output.json import load_estimate
 
     spare((json,), without, with_)

@@ -16,11 +16,11 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import numbers_of, unit_of_number, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.verdict import Reason
 
 if TYPE_CHECKING:
     from jointid.diagnostics.hypothesis_fits import Fit

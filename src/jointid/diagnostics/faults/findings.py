@@ -11,9 +11,9 @@ from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest
 from jointid.diagnostics.faults.words import state
 from jointid.diagnostics.in_time import Part
+from jointid.estimation.result.verdict import Reason, Status
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, StribeckFriction
-from jointid.uncertainty.verdict import Reason, Status
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most

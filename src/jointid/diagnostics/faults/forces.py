@@ -8,8 +8,8 @@ import numpy as np
 
 from jointid.common.messages import Message
 from jointid.common.text import pluralise
+from jointid.estimation.result.verdict import Reason
 from jointid.records.record import Record
-from jointid.uncertainty.verdict import Reason
 
 _FEWEST = 12  # steps of an injected signal
 _CLEAR = 10.0  # times the median change of a sample: size of a step

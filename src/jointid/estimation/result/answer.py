@@ -17,8 +17,7 @@ from jointid.common.messages import Message
 from jointid.common.text import in_words, interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.estimation.result.robot import KNOWN
-from jointid.models.joints import FlexibleJoint
-from jointid.uncertainty.verdict import (
+from jointid.estimation.result.verdict import (
     AGAINST_EVERY_VALUE,
     POOR_FIT,
     Reason,
@@ -27,6 +26,7 @@ from jointid.uncertainty.verdict import (
     Subject,
     Verdict,
 )
+from jointid.models.joints import FlexibleJoint
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate

@@ -9,7 +9,7 @@ from jointid.common.document import Documented
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import judge
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.uncertainty.verdict import Verdict
+from jointid.estimation.result.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True)

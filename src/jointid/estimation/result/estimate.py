@@ -25,9 +25,9 @@ from jointid.estimation.result.parts import (
     Settings,
     on_other_side,
 )
+from jointid.estimation.result.verdict import Subject
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.position_forces import Motion
-from jointid.uncertainty.verdict import Subject
 
 if TYPE_CHECKING:
     import jointid

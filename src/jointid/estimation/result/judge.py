@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from jointid.common.messages import Message
 from jointid.common.text import join, number
+from jointid.estimation.result.verdict import POOR_FIT, Reason, Status, Subject, Verdict, skip_test, verdict_of
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, Subject, Verdict, skip_test, verdict_of
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate

@@ -14,6 +14,7 @@ from jointid.common.errors import MethodError, UnknownName
 from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.estimation.result.agreement import Agreement, DriftTest
+from jointid.estimation.result.verdict import StiffnessBound, Verdict
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.checks import EncoderLag
@@ -24,7 +25,6 @@ from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.model_tests import EndogeneityTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound, Verdict
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import springs_verdict
+from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, frequency_of
 from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, of_whole, split_by_mode
@@ -55,7 +56,6 @@ from jointid.uncertainty.identifiability import Combination, Known, find_separab
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 from jointid.uncertainty.profile import profile_compliance
-from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""

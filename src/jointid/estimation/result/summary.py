@@ -15,7 +15,7 @@ from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.agreement import DriftTest
 from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, show_value
-from jointid.uncertainty.verdict import Status, Subject
+from jointid.estimation.result.verdict import Status, Subject
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
