@@ -47,7 +47,7 @@ def test_intervals_cover_a_log_that_is_late(samples):
 @pytest.mark.parametrize("late", [None, 0.0])
 def test_on_the_drive_side_the_delay_makes_up_for_the_timing(late):
     """Of a torque that was sampled half a sample, which moves friction and inertia where the delay is kept."""
-    joint, inside, kept = DriveSide(ji.RigidJoint("revolute")), [], []
+    joint, inside, kept = ji.RigidJoint("revolute"), [], []
     for rate in (50.0, 100.0, 200.0):
         for seed in range(4):
             record = logged(rate, False, seed)[0]

@@ -111,8 +111,7 @@ def tune(
     figures.require_format(figure)
     file = options.load(joint, figure, alone=True, method="didim")
     _, estimate = options.identify(file)
-    settings = {"gain_margin": gain_margin, "phase_margin": phase_margin, "notch": notch}
-    tuned = run(estimate, progress=options.progress, **settings)
+    tuned = run(estimate, progress=options.progress, gain_margin=gain_margin, phase_margin=phase_margin, notch=notch)
     deliver(tuned, options.json, (figure, lambda one: one.plot()))
 
 
