@@ -16,6 +16,7 @@ from jointid.common.messages import dot_path
 from jointid.common.transmission import Transmission
 from jointid.config import File, dumps, loads
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import on_other_side
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import load_estimate, to_dict, write
 from jointid.records.columns import Column
@@ -107,7 +108,8 @@ def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     assert by_load.settings.joint.kind == "prismatic"
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
     assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
-    for found in (by_motor.params.rows, by_load.other_side):
+    gear = by_load.settings.joint.transmission
+    for found in (by_motor.params.rows, on_other_side(by_load.params.rows, gear, by_load.data.torque_unit)):
         for p, q in zip(found, motor.params.rows, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
             for value, expected in ((p.value, q.value), (p.stderr, q.stderr)):

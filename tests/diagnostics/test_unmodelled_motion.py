@@ -16,7 +16,7 @@ from jointid.diagnostics.search_state import SearchState
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.result.answer import Trust
-from jointid.estimation.result.assemble import assemble
+from jointid.estimation.result.judge import assemble
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
 from jointid.models.springs import LinearSpring
 from jointid.records.record import Record

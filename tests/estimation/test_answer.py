@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.messages import Message
 from jointid.estimation.result.answer import Found, Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import judge
+from jointid.estimation.result.judge import judged as with_verdicts
 from jointid.estimation.result.parts import Params
 from jointid.estimation.result.verdict import (
     AGAINST_EVERY_VALUE,
@@ -46,8 +46,7 @@ def judged(estimate: Estimate, *more: Verdict, **changes: float) -> Estimate:
         clause = "velocity_gain is 25 % smaller"
         reason = Message(Reason.LOOP_NOT_AS_DECLARED, f"{clause} (p < 1e-6)", {"changes": changes}, clause)
     verdict = Verdict(Subject.LOOP, Status.of(not changes), (reason,))
-    found = amended(estimate, checks={"verdicts": (verdict, *more)})
-    return amended(found, checks={"verdicts": judge(found)})
+    return with_verdicts(amended(estimate, checks={"verdicts": (verdict, *more)}))
 
 
 def flexible(stiffness: float | None = 17467.0, stderr: float | None = 1057.0, **more: float) -> Estimate:

@@ -9,12 +9,9 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, Solved
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.starts.nonlinear_laws import divide_friction
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.springs import Backlash, Spring, ThreePieceSpring
-from jointid.records.signals.filtering import Filtering
 from studies.mechanics import Spoiled, spoiled
 from tests.estimates import identify
 from tests.plants import gapped_axis, with_spring
@@ -51,23 +48,6 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
     monkeypatch.setattr(History, "finish", stop)
     with pytest.raises(MethodError, match="enough"):
         identify(record, case.loop, ji.DIDIM(frequency=case.mode))
-
-
-def test_a_start_has_its_friction_where_that_leaves_less() -> None:
-    """A linear spring in the place of a gap may leave friction on the load, whence no descent returns."""
-    case, record = gapped_axis(1000)
-    problem = torque_problem(record, case.loop, Filtering(), case.loop.joint.parameters)
-    sides = [(f"motor_{kind}", f"load_{kind}") for kind in ("viscous", "coulomb")]
-    whole = {pair: case.truth[pair[0]] + case.truth[pair[1]] for pair in sides}
-    on_load = case.truth | {
-        name: share * whole[pair] for pair in sides for name, share in zip(pair, (0.1, 0.9), strict=True)
-    }
-    begun, kept = (
-        problem.values(divide_friction(problem, one, History(ignore_progress))) for one in (on_load, case.truth)
-    )
-    for pair in sides:
-        assert [begun[name] for name in pair] == pytest.approx([0.9 * whole[pair], 0.1 * whole[pair]])
-        assert [kept[name] for name in pair] == [case.truth[name] for name in pair]
 
 
 @pytest.mark.slow

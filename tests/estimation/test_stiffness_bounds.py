@@ -42,7 +42,7 @@ def test_a_problem_s_derivatives_are_those_of_its_residual() -> None:
     plant = random_plant(3)
     problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
     names = ("motor_viscous", "load_viscous", "offset")
-    at = SpringProblem(problem.all_free(), names, None, None, (1.0, 400.0))
+    at = SpringProblem(problem.all_free(), names, {}, (1.0, 400.0))
     known = {"inertia": 1.1 * (plant.truth["motor_inertia"] + plant.truth["load_inertia"]), "ratio": 0.05}
     known |= {"share": 0.3, "mode": 50.0} | {name: plant.truth[name] for name in names}
     x = np.array([known[p.name] for p in at.free])
@@ -63,8 +63,8 @@ class Told(ModeProfile):
     def cost(self, mode: float) -> float:
         return 100.0 + (1e4 / mode**2) ** 2 - DIP * (abs(mode - 30.0) < 1e-6)
 
-    def fit(self, start: Mapping[str, float], share: float | None, mode: float | None, evaluations: int) -> Fit:
-        at = {**start, "share": share or start["share"], "mode": mode or start["mode"]}
+    def fit(self, start: Mapping[str, float], evaluations: int, **held: float) -> Fit:
+        at = {**start, **held}
         self.simulations += evaluations
         return Fit(at, self.cost(at["mode"]), self.cost(at["mode"]))
 
@@ -72,9 +72,9 @@ class Told(ModeProfile):
 def told(threshold: float, *, dip: bool = False) -> Told:
     made = Told(None, (), (10.0, 300.0), threshold)  # type: ignore[arg-type]  # its cost needs no problem
     start = {"inertia": 2.0, "ratio": 0.03, "share": 0.3}
-    made.stiff = made.fit(start, None, 300.0, 1)
-    made.points = [made.fit(start, None, float(mode), 1) for mode in np.geomspace(300.0, 10.0, 10)[1:]]
-    made.minima = [made.fit(start, None, 30.0, 1)] if dip else []
+    made.stiff = made.fit(start, 1, mode=300.0)
+    made.points = [made.fit(start, 1, mode=float(mode)) for mode in np.geomspace(300.0, 10.0, 10)[1:]]
+    made.minima = [made.fit(start, 1, mode=30.0)] if dip else []
     return made
 
 

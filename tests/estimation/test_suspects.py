@@ -13,14 +13,12 @@ from jointid.common.errors import MethodError
 from jointid.diagnostics.check_loop import compute_signatures, search_faults
 from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.suspects import FAULTS as KNOWN
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
@@ -61,16 +59,6 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
         assert first.test.size == pytest.approx(SIZES[fault], abs=3 * first.test.std)
     if fault == "limit":
         assert first.value == pytest.approx(0.7 * where.peak, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
-    where = setting("L19")
-    made = problem(where, FAULTS["log_delay"], "white", 1)
-    first = search_faults(made, solved(made, where), LoopTests(most=1))[0].findings[0]
-    assert first.test.name == "log_delay"
-    assert first.test.size == pytest.approx(1e-3, abs=6e-5)
-    assert first.changes["motor_inertia"].sigmas < -3
 
 
 def test_a_clean_record_is_as_declared() -> None:
@@ -133,31 +121,6 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
 def named(name: str) -> KnownFault:
     """Return the fault of that code, or of the number of the controller."""
     return next((one for one in KNOWN if one.name == name), None) or number_fault(name)
-
-
-def _check(name: str, size: float, std: float, declared: float = 0.0, **more: object) -> AxisFaults:
-    suspect = FaultTest(named(name), (), declared, size, std, size / std, 1e-9, None)
-    finding = Finding(
-        suspect, None, (), {"motor_viscous": ParameterShift(-59.0, -3.1), "stiffness": ParameterShift(1.0, 0.1)}
-    )
-    symbols = {"motor_viscous": "Fv1", "stiffness": "K12"}
-    units = {"motor_viscous": "N s/m", "stiffness": "N/m", "torque": "N", "position": "m", "velocity": "m/s"}
-    changed = replace(finding, test=replace(suspect, **{k: v for k, v in more.items() if k != "value"}))  # type: ignore[arg-type]
-    if "value" in more:
-        changed = replace(changed, value=more["value"])  # type: ignore[arg-type]
-    return AxisFaults((changed,), (changed.test,), 0.05, symbols, units)
-
-
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [
-        ("delay", Reason.LOOP_NOT_AS_DECLARED), ("backlash", Reason.SPRING_NOT_LINEAR),
-        ("cubic_spring", Reason.SPRING_NOT_LINEAR), ("second_mode", Reason.LOAD_NOT_RIGID),
-        ("cogging", Reason.FORCE_FOLLOWS_POSITION), ("winding_friction", Reason.FRICTION_NOT_AS_MODELLED),
-    ],
-)  # fmt: skip
-def test_every_fault_has_the_code_of_its_verdict(name: str, code: Reason) -> None:
-    assert _check(name, 0.2, 0.02, shape=0.1).reasons[0].code is code
 
 
 def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,12 +46,9 @@ def arm_log(seconds: float = 40.0) -> tuple[Any, tuple[Record, ...]]:
 def assert_same(parts: ji.Estimate, whole: ji.Estimate, apart: float = 0.5, ratio: float = 2.0) -> None:
     """Assert that both say the same within a fraction of their deviations, which are alike."""
     assert parts.fit.converged and parts.data.windows is not None
-    rows = [*zip(parts.params.rows, whole.params.rows, strict=True)]
-    for own, other in zip(parts.params.own, whole.params.own, strict=True):
-        known = {row.name: row for row in other}
-        rows += [(row, known[row.name]) for row in own]
-    for part, one in rows:
-        assert part.name == one.name
+    known = dict(whole.params)
+    for name, part in parts.params.items():
+        one = known[name]
         assert part.value is not None and one.value is not None
         if one.stderr:
             assert part.stderr is not None

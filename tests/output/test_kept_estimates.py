@@ -172,7 +172,7 @@ def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> 
     back = ji.load_estimate(path, system)
     assert back.to_dict() == estimate.to_dict()
     assert back.summary(details=True) == estimate.summary(details=True)
-    np.testing.assert_allclose(back.covariance, estimate.covariance, rtol=1e-12)
+    np.testing.assert_allclose(back.params.covariance, estimate.params.covariance, rtol=1e-12)
     assert (
         back.data.fingerprints == estimate.data.fingerprints and back.settings.filtering == estimate.settings.filtering
     )

@@ -197,15 +197,14 @@ def _quantities(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
             continue
         within = re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(formulas.get(name, "")))
         others = ", ".join(sorted(one for one in within if one != row.symbol))
-        symbol = "@".join((row.symbol, *name.split("@")[1:]))  # of a record's own parameter with its number
-        found.append(replace(row, name=f"{name} with {others}" if others else name, symbol=symbol))
+        found.append(replace(row, name=f"{name} with {others}" if others else name))
     return found
 
 
 def _sums(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
     """Return the sums of both sides of a flexible joint."""
     known = (answer["checks"]["known"] or {"physical": ()})["physical"]
-    stated = [{"free": True, "identifiable": True} | one | one["combination"] for one in known]
+    stated = [{"free": True} | one | one["combination"] for one in known]
     return [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
 
 

@@ -29,8 +29,8 @@ from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.unmodelled_motion import PredictedResidual
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.answer import SLIGHT
-from jointid.estimation.result.assemble import Widening
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.judge import Widening
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.models.controllers import Controller, FirstOrder

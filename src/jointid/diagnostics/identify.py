@@ -32,9 +32,8 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.answer import Trust
-from jointid.estimation.result.assemble import CheckResults, Widening, assemble
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import judge
+from jointid.estimation.result.judge import CheckResults, Widening, assemble, judged
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -253,7 +252,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
         verdict = _fail(short)
     wider, verdicts = [] if found is None else _widen(fit, found), [verdict]
     if state is not None and rest is not None and rest.follows:
-        before = next((one for one in judge(fit) if one.subject is Subject.REPEATABLE), None)
+        before = next((one for one in judged(fit).checks.verdicts if one.subject is Subject.REPEATABLE), None)
         kept = before.reasons if before is not None and before.status is Status.FAILED else ()
         verdicts.insert(0, replace(rest.verdict, reasons=(*rest.verdict.reasons, *kept)))
         with contextlib.suppress(*_OF_RECORD):  # the verdict stands, however wide it is

@@ -48,7 +48,6 @@ from jointid.estimation.result.build_result import (
     build_params,
     build_rows,
     find_active_bounds,
-    find_lost,
     warn_of_limit,
 )
 from jointid.estimation.result.estimate import Estimate
@@ -124,7 +123,7 @@ class Solved:
         x: (free,) the estimate. found: by the last pass, as it is at the end.
         passes: over the whole log. stop: why the last ended. converged: whether that is a good end.
         covariance: of the errors of x.
-        lost: names of parameters that are not determined. held: of those at a bound.
+        held: names of parameters at a bound.
         together: of several records, the sum of their problems; None of one.
     """
 
@@ -135,7 +134,6 @@ class Solved:
     stop: str
     converged: bool
     covariance: Covariance = field(default_factory=lambda: Covariance(np.zeros(0), np.zeros((0, 0))))
-    lost: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     together: RecordsProblem | None = None
 
@@ -326,18 +324,19 @@ def _answer(starts: Sequence[Start], solved: Solved, warnings: list[str]) -> Est
     units = {p.name: of_rows[p.name.partition("@")[0]] for p in problem.free}
     spans = [[w for w in found.windows if w.record == number] for number in range(len(problem.members))]
     changes = drift(found.windows, x, problem.free, units, spans if len(spans) > 1 else None, problem.parts)
-    agreement = changes.agreement if solved.together is not None else None
+    segments = () if changes is None else changes.segments
+    agreement = None if changes is None or solved.together is None else replace(changes, segments=())
     if agreement is not None:
         covariance = agreement.widen(covariance, [*units])
     residual, slopes = compress(sums)
-    held, lost = find_active_bounds(problem.free, x, residual, slopes), find_lost(problem.free, x, covariance.std)
-    solved = replace(solved, covariance=covariance, lost=lost, held=held)
+    held = find_active_bounds(problem.free, x, residual, slopes)
+    solved = replace(solved, covariance=covariance, held=held)
     told, errors = first.model.tell(first.fit, solved), found.relative_errors()
     records: tuple[RecordFit, ...] = ()
     if solved.together is not None:
-        table = build_params(solved.together, x, covariance, lost, held, records=len(starts))
+        table = build_params(solved.together, x, covariance, held)
         told = replace(told, params=table)
-        records = tuple(_tell_record(k, solved, changes.segments) for k in range(len(starts)))
+        records = tuple(_tell_record(k, solved, segments) for k in range(len(starts)))
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     robot = told.robot
     names = [] if robot is None else robot.model.names

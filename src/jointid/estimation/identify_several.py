@@ -32,7 +32,6 @@ from jointid.estimation.result.build_result import (
     build_params,
     build_rows,
     find_active_bounds,
-    find_lost,
     list_loop_channels,
 )
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
@@ -150,9 +149,7 @@ class BySelf:
         told = {p.name: p for p in self.fit.params.rows if p.free and p.value is not None and p.stderr is not None}
         values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free if p.name in told}
         std = {name: (gain if name in own else 1.0) * (told[name].stderr or 0.0) for name in values}
-        kept = [p for p in free if p.name in told]
-        lost = find_lost(kept, np.array([*values.values()]), np.array([*std.values()]))
-        return build_rows(kept, values, std, self.layout.unit, own, {*lost, *self.inseparable})
+        return build_rows([p for p in free if p.name in told], values, std, self.layout.unit, own)
 
     @property
     def inseparable(self) -> tuple[str, ...]:
@@ -200,7 +197,6 @@ def _build_result(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf
     predicted = np.concatenate(torques)
     shares = tuple(_record_fit(problem, one, gain, torque) for one, torque in zip(alone, torques, strict=True))
     error = problem.filter(problem.measured - predicted)
-    lost = find_lost(problem.free, end.x, covariance.std)
     held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
     said = (
         f"record {k}: {warning}"
@@ -210,7 +206,7 @@ def _build_result(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf
     repeats = [str(judged.repeatable)] if judged.repeatable.significant else []
     found = build_estimate(
         [one.record for one in alone],
-        build_params(problem, end.x, covariance, lost, held, records=len(shares)),
+        build_params(problem, end.x, covariance, held),
         (problem.measured, predicted),
         problem.filtered_error(error),
         error.size,

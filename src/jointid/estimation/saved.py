@@ -23,7 +23,7 @@ from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import judge
+from jointid.estimation.result.judge import judged
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
@@ -62,15 +62,17 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
         KeyError, TypeError, ValueError, ...: the document is damaged.
     """
     settings, fit, checks, data, params = (answer[part] for part in ("settings", "fit", "checks", "data", "params"))
-    if settings["method"] not in tuple(METHODS):
+    method = method_of(settings["method"]) if settings["method"] in METHODS else None
+    if method is None:
         raise ValueError
-    rows, own = _rows(answer["parameters"], len(data["records"]))
-    filtering, errors = read(Filtering, settings["filtering"]), ("relative_error", "filtered_error")
-    shares = {name: math.inf if fit[name] is None else _size(fit[name]) for name in errors}
+    rows = tuple(replace(read(EstimatedParameter, one), name=key) for key, one in answer["parameters"].items())
+    shares = {
+        name: math.inf if fit[name] is None else finite(fit[name]) for name in ("relative_error", "filtered_error")
+    }
     robot, part, names = None, None, read(tuple[str, ...], params["names"])
     if isinstance(system, Joint):
-        known = {p.name for p in system.parameters}
-        if beyond := [row.name for row in rows if row.of_joint and row.name not in known | {ENCODER_OFFSET.name}]:
+        known = {p.name for p in system.parameters} | {ENCODER_OFFSET.name}
+        if beyond := [row.name for row in rows if row.of_joint and row.name.partition("@")[0] not in known]:
             raise RecordError(f"it has {', '.join(beyond)}, and this joint has not; declare the same joint")
         if loop is not None:  # with the numbers of the controller that were identified beside the joint
             freed = {row.name: row.value for row in rows if row.free and row.value is not None}
@@ -86,34 +88,29 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
             )
         kept, sums = _compute_sums(answer, system, robot, rows)
         _require_same(dict(zip(answer["robot"]["names"], answer["robot"]["formulas"], strict=True)), sums)
-        by_name = {row.name: row for row in rows}
-        rows = tuple(by_name[name] for name in sums)
+        rows = tuple(Params(rows, (), np.zeros((0, 0)))[name] for name in sums)
         if {*names} != {row.name for row in rows if row.free} or {*fit["axis_errors"]} != {*robot.names}:
             raise ValueError
         part = _part(answer, system, kept, rows)
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
     logs = [str(one["fingerprint"]) for one in data["records"]]
-    found = Estimate(
-        params=Params(rows, names, _correlation(params, len(names), robot is not None), own),
-        fit=read(
-            Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, **shares
-        ),
-        checks=Checks(
-            tuple(map(_verdict, checks["verdicts"])), warnings=tuple(map(str, checks["warnings"])),
-            notes=tuple(map(str, checks["notes"])),
-        ),
-        data=read(Data, data, resampled=None, records=(), windows=None, logs=tuple(logs or map(str, data["logs"]))),
-        settings=Settings(
-            settings["method"], str(settings["variant"]), robot or system,  # type: ignore[arg-type]
-            loop if method_of(settings["method"]).needs_controller else None, filtering, finite(settings["delay"]),
-            timing=read(Timing | None, settings["timing"]),
-            controller=str(answer["controller_sha256"]),
-        ),
-        robot=part,
+    found = judged(
+        Estimate(
+            params=Params(rows, names, _correlation(params, len(names), robot is not None)),
+            fit=read(Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, **shares),
+            checks=Checks(
+                tuple(map(_verdict, checks["verdicts"])), warnings=tuple(map(str, checks["warnings"])),
+                notes=tuple(map(str, checks["notes"])),
+            ),
+            data=read(Data, data, resampled=None, records=(), windows=None, logs=tuple(logs or map(str, data["logs"]))),
+            settings=Settings(
+                settings["method"], str(settings["variant"]), robot or system,  # type: ignore[arg-type]
+                loop if method.needs_controller else None, read(Filtering, settings["filtering"]),
+                finite(settings["delay"]), read(Timing | None, settings["timing"]), str(answer["controller_sha256"]),
+            ),
+            robot=part,
+        )
     )  # fmt: skip
-    if any(_size(one) is None for one in (*found.fit.axis_errors.values(), *found.fit.position_rms.values())):
-        raise ValueError
-    found = replace(found, checks=replace(found.checks, verdicts=judge(found)))
     found.summary(details=True)  # what cannot be described is damaged
     return found
 
@@ -220,24 +217,6 @@ def _correlation(params: dict[str, Any], size: int, whole: bool) -> FloatArray:
     if found.shape != (2 * (size if whole else most,)) or not np.all(np.abs(found) < 1.01):
         raise ValueError
     return found
-
-
-def _size(value: object) -> float:
-    if (found := finite(value)) < 0.0:
-        raise ValueError
-    return found
-
-
-def _rows(
-    raw: dict[str, Any], records: int
-) -> tuple[tuple[EstimatedParameter, ...], tuple[tuple[EstimatedParameter, ...], ...]]:
-    """Return the parameters, and those of each of several records alone, which have its number behind their names."""
-    found = {key: read(EstimatedParameter, one) for key, one in raw.items()}
-    if any(row.stderr is not None and row.stderr < 0.0 for row in found.values()):
-        raise ValueError
-    shared = tuple(row for key, row in found.items() if key == row.name)
-    own = (tuple(row for key, row in found.items() if key == f"{row.name}@{k + 1}") for k in range(records))
-    return shared, tuple(own)
 
 
 def _verdict(one: dict[str, Any]) -> Verdict:

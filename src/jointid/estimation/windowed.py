@@ -69,7 +69,6 @@ def _tell(window: Estimate, names: Sequence[str], values: FloatArray, solved: So
     rows = tuple(
         replace(
             row, value=found[row.name][0], stderr=found[row.name][1], free=True,
-            identifiable=row.name not in solved.lost,
             at_bound=found[row.name][0] if row.name in solved.held else None,
         )
         if row.name in found and row.value is not None

@@ -197,7 +197,7 @@ def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
         loop, records = noisy(seed)
         for name, errors in found.items():
             estimate = identified(loop, records, IDIM(name))  # type: ignore[arg-type]
-            assert estimate.success
+            assert estimate.fit.converged
             part = estimate.require_robot()
             truths = truth(part, loop.robot)
             errors.append(part.values - truths)

@@ -41,7 +41,7 @@ def test_a_robot_under_its_declared_controllers_is_relied_on() -> None:
     found = estimate()
     assert set(verdicts(found).values()) == {Status.PASSED}
     assert {Subject.SOLVER, Subject.FIT, Subject.BOUNDS, Subject.REPEATABLE, Subject.LOOP} == set(verdicts(found))
-    assert found.answer.trust.code is Trust.RELIABLE and found.success
+    assert found.answer.trust.code is Trust.RELIABLE and found.fit.converged
     row = found.params["joint2.coulomb"]
     assert (row.axis, row.unit, row.side) == ("joint2", "N m", None)
     low, high = row.interval

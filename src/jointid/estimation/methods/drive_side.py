@@ -39,7 +39,7 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
-from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds, find_lost
+from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
 from jointid.models.joints import Joint, acts_on_whole
@@ -270,8 +270,6 @@ class DriveSideFit(Method):
         # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
         idle = np.asarray(~J.any(axis=0), dtype=np.bool_)
         covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
-        lost = [p.name for p, of in zip(problem.free, idle, strict=True) if of]
-        lost += find_lost(problem.free, x, covariance.std)
         warnings = list(describe_noise_limit(problem.filtering, problem.limit, problem.sample_time, task.joint.model))
         if (resting := 1 - float(np.mean(weights_of(problem.motion)))) > SAID:
             warnings.append(
@@ -281,7 +279,7 @@ class DriveSideFit(Method):
         left = problem.residual(x)
         return build_estimate(
             [record],
-            build_params(problem, x, covariance, tuple(lost), find_active_bounds(problem.free, x, error, J)),
+            build_params(problem, x, covariance, find_active_bounds(problem.free, x, error, J)),
             (problem.measured, problem.predict(x)),
             problem.filtered_error(left),
             left.size,

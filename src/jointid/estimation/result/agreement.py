@@ -20,15 +20,15 @@ same friction at the same place) makes them agree too well, and is no business o
 A segment is a number of windows of a long record that follow each other. What it says alone is one Gauss-Newton step
 from what all of them say, which is near. Its deviations come from how its windows differ, in units of what a window of
 it tells: so measured, windows scatter alike in all segments, and from all of them together that is known well enough to
-test by. A straight line through the segments tells how fast what they say changes.
+test by.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,31 +42,23 @@ from jointid.uncertainty.resampling import scale_of, step_of, total
 if TYPE_CHECKING:
     from jointid.estimation.problems.log_windows import Window
 
-
 _LEVEL = 0.05
+_MOST = 24  # segments
+_WINDOWS = 3  # in a segment at least, for each parameter
+_SINGULAR = 1e-12  # of the largest: a direction that a segment does not tell
+_TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alone:
-    """The estimate from one record.
-
-    Attributes:
-        values: of the parameters that records may share, by name.
-        covariance: of their errors, in the same order.
-    """
+class Alone(NamedTuple):
+    """The estimate from one record: values of what records may share, by name, and their covariance in that order."""
 
     values: Mapping[str, float]
     covariance: Covariance
 
-    def chosen(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """Return values and covariances of some of them, (names,) and (names, names)."""
-        at = [list(self.values).index(name) for name in names]
-        return np.array([self.values[name] for name in names]), self.covariance.matrix[np.ix_(at, at)]
-
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How one parameter differs between records.
+    """How one parameter differs between records, or between segments of one.
 
     Attributes:
         name, unit: of the parameter.
@@ -92,118 +84,9 @@ class Scatter:
         """Variance between records, added to that of the common value; 0 where the records agree."""
         return self.between**2 * self.share if self.differs else 0.0
 
-
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """Whether records agree.
-
-    Attributes:
-        parameters: one by one.
-        statistic, degrees, p_value: of all of them jointly; the last is None where nothing was compared.
-    """
-
-    in_json = "differs"
-    parameters: tuple[Scatter, ...]
-    statistic: float
-    degrees: int
-    p_value: float | None
-
-    @property
-    def differs(self) -> bool:
-        """Whether the records differ by more than their intervals allow, jointly or in one of the parameters."""
-        return any(p.differs for p in self.parameters) or (self.p_value is not None and self.p_value <= _LEVEL)
-
-    def widen(self, covariance: Covariance, names: Sequence[str]) -> Covariance:
-        """Add the variance between records, which is no noise of theirs, to that of these parameters."""
-        more = {p.name: p.widening for p in self.parameters}
-        return covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
-
-    def __getitem__(self, name: str) -> Scatter:
-        """Return how a parameter differs, by its name."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise KeyError(name)
-
     def __str__(self) -> str:
-        """Return the verdict in a sentence."""
-        if self.p_value is None:
-            return "no parameter is shared by records that could each tell it alone, so nothing says whether they agree"
-        records = max(p.records for p in self.parameters)
-        tested = f"chi-square {number(self.statistic, 3)} of {self.degrees}, p = {self.p_value:.2g}"
-        if not self.differs:
-            return f"the {records} records agree within their intervals ({tested})"
-        off = [f"{p.name} {number(p.between, 2)} {p.unit}" for p in self.parameters if p.differs]
-        listed = f"between runs by {', '.join(off)} rms, which widens the common value" if off else "only jointly"
-        return f"the {records} records disagree by more than their intervals allow ({tested}): {listed}"
-
-
-def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
-    """Test whether records agree in their common parameters.
-
-    Args:
-        records: what each says by itself; a parameter that one could not tell is left out of it.
-        units: of the parameters, by name; those that are compared.
-    """
-    shared = [name for name in units if sum(name in r.values for r in records) > 1]
-    if not shared:
-        return Agreement((), 0.0, 0, None)
-    statistic, degrees = _jointly(records, shared)
-    p_value = _tail_probability(statistic, degrees)
-    level = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared)
-    found = tuple(_compare_parameter(name, units[name], records, level) for name in shared)
-    return Agreement(found, statistic, degrees, p_value)
-
-
-def _compare_parameter(name: str, unit: str, records: Sequence[Alone], level: float) -> Scatter:
-    """Test one parameter for equality over the records, at a significance level."""
-    pairs = [r.chosen([name]) for r in records if name in r.values]
-    values = np.array([value[0] for value, _ in pairs])
-    weights = 1.0 / np.array([variance[0, 0] for _, variance in pairs])
-    total, squares = float(weights.sum()), float(weights @ weights)
-    statistic = float(weights @ (values - weights @ values / total) ** 2)
-    degrees = values.size - 1
-    apart = 2.0 * float(np.sum(np.triu(np.outer(weights, weights), 1))) / total  # sum w - sum w^2 / sum w, exactly
-    between = math.sqrt(max(statistic - degrees, 0.0) / apart)
-    p_value = _tail_probability(statistic, degrees)
-    return Scatter(name, unit, values.size, statistic, p_value, between, p_value <= level, squares / total**2)
-
-
-def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int]:
-    """Return Q over several parameters, and its degrees of freedom."""
-    rows, sought = [], []
-    for record in records:
-        own = [name for name in names if name in record.values]
-        if not own:
-            continue
-        values, covariance = record.chosen(own)
-        std = np.sqrt(np.diag(covariance))
-        sizes, directions = np.linalg.eigh(covariance / np.outer(std, std))
-        whiten = (directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1]))).T / std
-        columns = np.zeros((len(own), len(names)))
-        columns[range(len(own)), [names.index(name) for name in own]] = 1.0
-        rows.append(whiten @ columns)
-        sought.append(whiten @ values)
-    A, b = np.vstack(rows), np.concatenate(sought)
-    scale = np.linalg.norm(A, axis=0)
-    left = b - A / scale @ np.linalg.lstsq(A / scale, b, rcond=None)[0]
-    return float(left @ left), b.size - len(names)
-
-
-def _tail_probability(statistic: float, degrees: int) -> float:
-    """Return how often a chi-square of so many degrees of freedom is larger."""
-    from scipy.special import chdtrc
-
-    return float(chdtrc(degrees, statistic))
-
-
-# The segments of a long record
-
-_MOST = 24  # segments
-_WINDOWS = 3  # in a segment at least, for each parameter
-_SINGULAR = 1e-12  # of the largest: a direction that a segment does not tell
-_TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
-_HOUR = 3600.0
+        """Return the difference in words."""
+        return f"{self.name} by {number(self.between, 2)} {self.unit} rms"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,49 +110,111 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
-    """The straight line through what the segments say of a parameter.
+class Agreement:
+    """Whether records agree, or the segments of a long one.
 
     Attributes:
-        name: of the parameter. per_hour: its change, in its unit. std: of that.
+        parameters: one by one.
+        statistic, degrees, p_value: of all of them jointly; the last is None where nothing was compared.
+        segments: in the order of time; empty for records.
     """
 
-    name: str
-    per_hour: float
-    std: float
+    in_json = "differs"
+    parameters: tuple[Scatter, ...]
+    statistic: float
+    degrees: int
+    p_value: float | None
+    segments: tuple[Segment, ...] = ()
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DriftTest:
-    """The test whether the parameters stay the same from the beginning of a long log to its end.
-
-    Attributes:
-        segments: in the order of time; none where the record is too short for two.
-        agreement: whether they agree; None without them.
-        trends: of the parameters that two segments tell, in their order.
-    """
-
-    segments: tuple[Segment, ...]
-    agreement: Agreement | None
-    trends: tuple[Trend, ...]
+    @property
+    def differs(self) -> bool:
+        """Whether the records differ by more than their intervals allow, jointly or in one of the parameters."""
+        return any(p.differs for p in self.parameters) or (self.p_value is not None and self.p_value <= _LEVEL)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters that change by more than their intervals allow."""
-        return () if self.agreement is None else tuple(p.name for p in self.agreement.parameters if p.differs)
+        """Of the parameters that differ by more than their intervals allow."""
+        return tuple(p.name for p in self.parameters if p.differs)
 
-    def describe(self, units: Mapping[str, str]) -> str:
-        """Return the drift in a sentence, in the units of the parameters."""
-        if self.agreement is None or not self.agreement.differs:
-            return f"no parameter changes by more than its intervals allow over {len(self.segments)} segments"
-        changes = [
-            f"{t.name} by {number(self.agreement[t.name].between, 2)} {units[t.name]} rms "
-            f"({number(t.per_hour, 3)} ± {number(2 * t.std, 2)} {units[t.name]} per hour)"
-            for t in self.trends
-            if t.name in self.names
-        ]
-        listed = "; ".join(changes) or "none by itself, all of them together"
-        return f"parameters change between {len(self.segments)} segments by more than their intervals allow: {listed}"
+    def widen(self, covariance: Covariance, names: Sequence[str]) -> Covariance:
+        """Add the variance between records, which is no noise of theirs, to that of these parameters."""
+        more = {p.name: p.widening for p in self.parameters}
+        return covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
+
+    def __getitem__(self, name: str) -> Scatter:
+        """Return how a parameter differs, by its name."""
+        return {p.name: p for p in self.parameters}[name]
+
+    def __str__(self) -> str:
+        """Return the verdict in a sentence."""
+        if self.p_value is None:
+            return "no parameter is shared by records that could each tell it alone, so nothing says whether they agree"
+        what = f"{max(p.records for p in self.parameters)} {'segments' if self.segments else 'records'}"
+        tested = f"chi-square {number(self.statistic, 3)} of {self.degrees}, p = {self.p_value:.2g}"
+        if not self.differs:
+            return f"the {what} agree within their intervals ({tested})"
+        off = "; ".join(str(p) for p in self.parameters if p.differs) or "only all parameters together"
+        return f"the {what} disagree by more than their intervals allow ({tested}): {off}"
+
+
+def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
+    """Test whether records agree in their common parameters.
+
+    Args:
+        records: what each says by itself; a parameter that one could not tell is left out of it.
+        units: of the parameters, by name; those that are compared.
+    """
+    shared = [name for name in units if sum(name in r.values for r in records) > 1]
+    if not shared:
+        return Agreement((), 0.0, 0, None)
+    statistic, degrees = _jointly(records, shared)
+    p_value = _tail_probability(statistic, degrees)
+    level = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared)
+    found = tuple(_compare_parameter(name, units[name], records, level) for name in shared)
+    return Agreement(found, statistic, degrees, p_value)
+
+
+def _compare_parameter(name: str, unit: str, records: Sequence[Alone], level: float) -> Scatter:
+    """Test one parameter for equality over the records, at a significance level."""
+    std = [r.covariance.std[[*r.values].index(name)] for r in records if name in r.values]
+    weights = 1.0 / np.array(std) ** 2
+    total, squares = float(weights.sum()), float(weights @ weights)
+    statistic, degrees = _jointly(records, [name])
+    apart = 2.0 * float(np.sum(np.triu(np.outer(weights, weights), 1))) / total  # sum w - sum w^2 / sum w, exactly
+    between = math.sqrt(max(statistic - degrees, 0.0) / apart)
+    p_value = _tail_probability(statistic, degrees)
+    return Scatter(name, unit, len(std), statistic, p_value, between, p_value <= level, squares / total**2)
+
+
+def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int]:
+    """Return Q over several parameters, and its degrees of freedom."""
+    rows, sought = [], []
+    for values, covariance in records:
+        own = [name for name in names if name in values]
+        if not own:
+            continue
+        at = [[*values].index(name) for name in own]
+        std = covariance.std[at]
+        sizes, directions = np.linalg.eigh(covariance.correlation[np.ix_(at, at)])
+        whiten = (directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1]))).T / std
+        columns = np.zeros((len(own), len(names)))
+        columns[range(len(own)), [names.index(name) for name in own]] = 1.0
+        rows.append(whiten @ columns)
+        sought.append(whiten @ [values[name] for name in own])
+    A, b = np.vstack(rows), np.concatenate(sought)
+    scale = np.linalg.norm(A, axis=0)
+    left = b - A / scale @ np.linalg.lstsq(A / scale, b, rcond=None)[0]
+    return float(left @ left), b.size - len(names)
+
+
+def _tail_probability(statistic: float, degrees: int) -> float:
+    """Return how often a chi-square of so many degrees of freedom is larger."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(degrees, statistic))
+
+
+# The segments of a long record
 
 
 def drift(
@@ -279,8 +224,8 @@ def drift(
     units: Mapping[str, str],
     records: Sequence[Sequence[Window]] | None = None,
     parts_of_window: int = 1,
-) -> DriftTest:
-    """Return the estimates of a record's segments, and whether they agree.
+) -> Agreement | None:
+    """Return whether the segments of a record agree; None where it is too short for two.
 
     Args:
         windows: in the order of time, at x.
@@ -294,7 +239,7 @@ def drift(
     if records is not None:
         count = len(records) if min(map(len, records)) > 1 and len(windows) > len(records) + len(free) + 1 else 0
     if count < 2:
-        return DriftTest((), None, ())
+        return None
     names = [p.name for p in free]
     parts = records or [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
@@ -310,8 +255,7 @@ def drift(
         segments.append(Segment(part[0].begin, part[-1].end, whole, values, std, error))
         alone.append(Alone(values, covariance))
     judged = compare_records(alone, {name: units[name] for name in names})
-    trends = () if records else tuple(_trend(scatter.name, segments) for scatter in judged.parameters)
-    return DriftTest(tuple(segments), judged, trends)
+    return replace(judged, segments=tuple(segments))
 
 
 def _pool(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
@@ -331,8 +275,7 @@ def _pool(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
     return np.asarray(np.outer(share, share) * scatter)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
     """One segment, fitted.
 
     Attributes:
@@ -363,14 +306,3 @@ class _Fit:
         scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)])
         stated = np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
         return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, stated)
-
-
-def _trend(name: str, segments: Sequence[Segment]) -> Trend:
-    """Return the weighted least-squares line through the segments that tell a parameter."""
-    telling = [s for s in segments if name in s.values]
-    hours = np.array([0.5 * (s.begin + s.end) for s in telling]) / _HOUR
-    values, std = np.array([s.values[name] for s in telling]), np.array([s.std[name] for s in telling])
-    weights = 1.0 / np.maximum(std, np.finfo(float).tiny) ** 2
-    centred = hours - weights @ hours / weights.sum()
-    power = float(weights @ centred**2)
-    return Trend(name, float(weights @ (centred * values)) / power, 1.0 / math.sqrt(power))

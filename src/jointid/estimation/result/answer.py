@@ -8,13 +8,13 @@ repeats is in the interval already, and a fault of the loop that moves a frictio
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jointid.common.messages import Message
-from jointid.common.text import in_words, interval, join, number, round_to
+from jointid.common.text import in_words, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.estimation.result.robot import KNOWN
 from jointid.estimation.result.verdict import (
@@ -26,12 +26,11 @@ from jointid.estimation.result.verdict import (
     Subject,
     Verdict,
 )
-from jointid.models.joints import FlexibleJoint
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
 
-_ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
+_ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia", "inertia@1")  # the first that is free is the answer
 _MEASURED = "the motion was measured under control: what disturbs it biases these values; identify by DIDIM"
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")
@@ -89,12 +88,7 @@ def answer_of(estimate: Estimate) -> Answer:
     if estimate.robot is not None:
         return Answer(_count_known(estimate), _judge(estimate, None))
     asked = _find_asked(estimate)
-    if asked.value is None:
-        return Answer(_refuse(estimate, asked), _name_remedy(estimate))
-    mode = estimate.frequencies.get("free_free")
-    words = f"{in_words(asked.name).capitalize()} {_show(asked)}"
-    words += "" if mode is None else f", mode {number(mode, 3)} Hz"
-    return Answer(Message(Found.VALUE, words, _values(asked, mode)), _judge(estimate, asked))
+    return Answer(_tell(estimate, asked), _judge(estimate, asked))
 
 
 # The value
@@ -102,34 +96,34 @@ def answer_of(estimate: Estimate) -> Answer:
 
 def _find_asked(estimate: Estimate) -> EstimatedParameter:
     """Return the parameter that was asked for; of records that have an inertia each the first one's."""
-    rows = {row.name: row for row in estimate.params.rows}
+    rows = estimate.params
     asked = [rows[name] for name in _ASKED if name in rows]
     found = [row for row in asked if row.free or row.value is None or row.at_bound is not None]
-    own = [row for row in estimate.params.own[0] if row.name == "inertia" and row.free] if estimate.params.own else []
-    if own and not found:
-        return replace(own[0], name="inertia@1")
-    return next(iter([*found, *(row for row in rows.values() if row.free), *rows.values()]))
+    return next(iter([*found, *(row for row in rows.rows if row.free), *rows.rows]))
 
 
-def _show(asked: EstimatedParameter) -> str:
-    """Return a value with its interval and unit."""
+def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
+    """Return a value with its interval, unit and mode; of a refused one its bound, the softest admissible one."""
+    words = in_words(asked.name).capitalize()
+    if asked.value is None:
+        return _refuse(estimate, asked, f"{words} not determined by this record")
+    mode = estimate.frequencies.get("free_free")
     value, fixed, _ = show_value(asked).partition(" (fixed)")
-    return f"{value} {asked.unit}{fixed}" + (", at its bound" if asked.at_bound is not None else "")
+    words += f" {value} {asked.unit}{fixed}{', at its bound' if asked.at_bound is not None else ''}"
+    return _found(Found.VALUE, words + ("" if mode is None else f", mode {number(mode, 3)} Hz"), asked, mode_hz=mode)
 
 
-def _refuse(estimate: Estimate, asked: EstimatedParameter) -> Message:
-    """Return the bound of a refused value, for a stiffness the softest admissible one."""
-    words = f"{in_words(asked.name).capitalize()} not determined by this record"
+def _refuse(estimate: Estimate, asked: EstimatedParameter, words: str) -> Message:
     stated = told_bounds(estimate)
     bounds = [(b.stiffness, b.frequency, b.share) for b in stated if b.stiffness and b.frequency]
     if not bounds:
-        return Message(Found.NOT_DETERMINED, words, _values(asked, None))
+        return _found(Found.NOT_DETERMINED, words, asked)
     least, mode, _ = min(bounds)
     words += f": at least {number(round_to(least), 3)} {asked.unit}, mode above {number(mode, 2)} Hz"
     if len(bounds) < len(stated):
         shares = [share for _, _, share in bounds]
         words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"
-    return Message(Found.LOWER_BOUND, words, _values(asked, mode) | {"lower_bound": least})
+    return _found(Found.LOWER_BOUND, words, asked, lower_bound=least)
 
 
 def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
@@ -139,18 +133,6 @@ def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
     return () if wrong else estimate.checks.bounds
 
 
-def _values(asked: EstimatedParameter | None, mode: float | None) -> dict[str, Any]:
-    deviation = None if asked is None else asked.deviation
-    return {
-        "parameter": None if asked is None else asked.name,
-        "value": None if asked is None else asked.value,
-        "two_sigma": None if deviation is None else 2 * deviation,
-        "unit": None if asked is None else asked.unit,
-        "mode_hz": mode,
-        "lower_bound": None,
-    }
-
-
 def _count_known(estimate: Estimate) -> Message:
     """Return the number of known parameters of a robot, and its largest error."""
     asked = [row for row in estimate.params.rows if row.free and row.of_joint]
@@ -158,51 +140,49 @@ def _count_known(estimate: Estimate) -> Message:
     left = estimate.fit.axis_errors
     worst = max(left, key=lambda axis: left[axis])
     words = f"{len(known)} of {len(asked)} parameters known to a tenth, {number(100 * left[worst], 3)} % of the torque "
-    values = _values(None, None) | {"known": len(known), "asked": len(asked), "worst": worst}
-    return Message(Found.PARAMETERS, f"{words}of {worst} not explained", values)
+    more = {"known": len(known), "asked": len(asked), "worst": worst}
+    return _found(Found.PARAMETERS, f"{words}of {worst} not explained", None, **more)
+
+
+def _found(code: Found, words: str, row: EstimatedParameter | None, **more: object) -> Message:
+    values = dict.fromkeys(("parameter", "value", "two_sigma", "unit", "mode_hz", "lower_bound"))
+    if row is not None:
+        two_sigma = None if row.deviation is None else 2 * row.deviation
+        more = {"parameter": row.name, "value": row.value, "two_sigma": two_sigma, "unit": row.unit} | more
+    return Message(code, words, values | more)
 
 
 # Whether to rely on it
 
 
-def _name_remedy(estimate: Estimate) -> Message:
-    """Return what to do where a value is refused, with the whole inertia where that is known."""
-    loop, known = loop_verdict(estimate), estimate.checks.known
-    if loop is not None and loop.status is Status.FAILED:
-        return _trust(Trust.NOT_YET, f"Do not rely on it yet: {loop.reasons[0].brief}", loop.reasons[:1])
-    words = "Record a motion that shows it"
-    if isinstance(estimate.settings.joint, FlexibleJoint):
-        words = "Identify the joint as rigid, or record a motion that shows it"
-    for one in () if known is None else known.physical:
-        if one.combination.quantity == "inertia":
-            words += f"; the whole inertia is {interval(one.value, 2 * one.std)} {one.combination.unit}"
-            if loop is not None and loop.status is Status.UNKNOWN:
-                words += " if the controller is as declared, which was not checked"
-    return _trust(Trust.REFUSED, words)
-
-
 def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     """Return the trust in a value; in all values of a robot where none is asked for."""
-    against = [*_of_loop(estimate, asked), *_of_others(estimate, asked)]
-    if against:
-        words = "; ".join(one.brief for one in against[:2])
-        return _trust(Trust.NOT_YET, f"Do not rely on it yet: {words}", against)
     loop, failed = loop_verdict(estimate), [v for v in estimate.checks.verdicts if v.status is Status.FAILED]
+    against, rows = [*_of_loop(estimate, asked), *_of_others(estimate, asked)], list[EstimatedParameter]()
+    refused = asked is not None and asked.value is None
+    if refused:
+        against = [*loop.reasons[:1]] if loop is not None and loop in failed else []
     moved = [row for row in estimate.params.rows if row.name in _moved_out(estimate)]
-    if moved and loop is not None and asked is not None:
-        words = f"You can rely on it, but not on {join([in_words(row.name) for row in moved])}: {loop.reasons[0].brief}"
-        return _trust(Trust.PARTLY, words, [loop.reasons[0]], moved)
-    if hidden := [v.reasons[0] for v in failed if v.subject is Subject.STIFFNESS]:
-        refused = [row for row in estimate.params.rows if row.value is None]
+    if against:
+        code, words = Trust.NOT_YET, f"Do not rely on it yet: {'; '.join(one.brief for one in against[:2])}"
+    elif asked is not None and refused:
+        remedy = "Identify the joint as rigid, or record" if asked.name == "stiffness" else "Record"
+        code, words = Trust.REFUSED, f"{remedy} a motion that shows it"
+    elif moved and loop is not None and asked is not None:
+        code, rows, against = Trust.PARTLY, moved, [loop.reasons[0]]
+        words = f"You can rely on it, but not on {join([in_words(row.name) for row in rows])}: {against[0].brief}"
+    elif against := [v.reasons[0] for v in failed if v.subject is Subject.STIFFNESS]:
+        code, rows = Trust.PARTLY, [row for row in estimate.params.rows if row.value is None]
         words = "You can rely on it, but not on joints whose spring the record does not show"
-        return _trust(Trust.PARTLY, words, hidden, refused)
-    if asked is not None and not asked.free:
-        return _trust(Trust.NOT_CHECKED, "It was declared, not identified")
-    if unchecked := _name_unchecked(estimate, loop):
-        measured = [Message(Reason.MOTION_MEASURED, _MEASURED)] if estimate.motion_measured else []
-        return _trust(Trust.NOT_CHECKED, unchecked, measured)
-    within = ": what is wrong with loop or log moves it by less than its interval" if loop in failed else ""
-    return _trust(Trust.RELIABLE, f"You can rely on it{within}")
+    elif asked is not None and not asked.free:
+        code, words = Trust.NOT_CHECKED, "It was declared, not identified"
+    elif words := _name_unchecked(estimate, loop):
+        code, against = Trust.NOT_CHECKED, [Message(Reason.MOTION_MEASURED, _MEASURED)] * estimate.motion_measured
+    else:
+        within = ": what is wrong with loop or log moves it by less than its interval" if loop in failed else ""
+        code, words = Trust.RELIABLE, f"You can rely on it{within}"
+    reasons = [str(one.code) for one in against]
+    return Message(code, words, {"reasons": reasons, "parameters": [row.name for row in rows]})
 
 
 def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
@@ -220,13 +200,6 @@ def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
     return ""
 
 
-def _trust(
-    code: Trust, words: str, reasons: Sequence[Message] = (), parameters: Sequence[EstimatedParameter] = ()
-) -> Message:
-    values = {"reasons": [str(one.code) for one in reasons], "parameters": [row.name for row in parameters]}
-    return Message(code, words, values)
-
-
 def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
     """Yield what is wrong with loop and log, where it moves the value; all that is wrong where no value is asked for.
 
@@ -237,9 +210,10 @@ def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[M
     if loop is None or loop.status is Status.PASSED:
         return
     if loop.status is Status.UNKNOWN:
-        for reason in loop.reasons:
-            if asked is None or asked.value is None or not asked.stderr or reason.code is not Reason.LAW_UNDECIDED:
-                continue
+        undecided = [reason for reason in loop.reasons if reason.code is Reason.LAW_UNDECIDED]
+        if asked is None or asked.value is None or not asked.stderr:
+            return
+        for reason in undecided:
             by = reason.values["changes"].get(asked.name, 0.0)
             if _leaves_interval(asked, by):
                 words = f"it would be {number(asked.value + by, 4)} {asked.unit} if {reason.values['condition']}, "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -28,42 +28,23 @@ from jointid.uncertainty.residual_tests import ResidualReport, whiteness
 if TYPE_CHECKING:
     from jointid.estimation.robots.simulated import IdentifiedRobot
 
-_PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
 _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
-def build_params(
-    problem: RecordProblem,
-    x: FloatArray,
-    covariance: Covariance,
-    lost: Collection[str] = (),
-    held: Collection[str] = (),
-    *,
-    fixed: bool = True,
-    records: int = 0,
-) -> Params:
+def build_params(problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Collection[str] = ()) -> Params:
     """Return the parameters of a problem's solution, those of the joint and of what surrounds it.
 
     Args:
         problem: of one record, of several, or of a window of a log.
         x: its free parameters.
         covariance: of their errors; a deviation that is no number is not known.
-        lost: names of free parameters that the record does not determine.
         held: names of those at a bound.
-        fixed: whether fixed parameters around the joint are in the table.
-        records: the number of several records, some of whose parameters are their own.
     """
     own, units = {p.name for p in problem.joint.parameters}, problem.units
     std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
-    shown = [p for p in problem.parameters if fixed or p.free or p.name in own]
-    rows = build_rows(shown, problem.values(x), std, lambda p: units[p.name], own, lost, held)
-    named = [(p.name, row) for p, row in zip(shown, rows, strict=True)]
-    shared, *each = (
-        tuple(row for name, row in named if name.partition("@")[2] == number)
-        for number in ("", *(str(k) for k in range(1, records + 1)))
-    )
-    return Params(shared, tuple(p.name for p in problem.free), covariance.correlation, tuple(each))
+    rows = build_rows(problem.parameters, problem.values(x), std, lambda p: units[p.name], own, held)
+    return Params(rows, tuple(p.name for p in problem.free), covariance.correlation)
 
 
 def build_rows(
@@ -72,10 +53,9 @@ def build_rows(
     std: Mapping[str, float],
     unit: Callable[[Parameter], str],
     of_joint: Collection[str],
-    lost: Collection[str] = (),
     held: Collection[str] = (),
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the table of an estimate; one of several records' own parameters, ``name@2``, is under its plain name.
+    """Return the table of an estimate.
 
     Args:
         parameters: in its order.
@@ -83,18 +63,16 @@ def build_rows(
         std: standard deviations of the free ones, by name.
         unit: of a parameter.
         of_joint: names of those that belong to the joint, and not to what surrounds it.
-        lost: names of free ones that the record does not determine.
         held: names of those at a bound.
     """
     return tuple(
         EstimatedParameter(
-            p.name.partition("@")[0],
-            p.symbol.partition("@")[0],
+            p.name,
+            p.symbol,
             unit(p),
             values[p.name],
             std.get(p.name),
             p.free,
-            p.free and p.name not in lost,
             of_joint=p.name.partition("@")[0] in of_joint,
             at_bound=min(p.lower, p.upper, key=lambda b: abs(values[p.name] - b)) if p.name in held else None,
         )
@@ -256,12 +234,6 @@ def build_robot_result(
 def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:
     """Return the channels of a record that a simulation of its loop reads."""
     return (*loop.channels, *(("injected",) if record.injected is not None else ()))
-
-
-def find_lost(free: Sequence[Parameter], x: FloatArray, std: FloatArray) -> tuple[str, ...]:
-    """Return the inertias and stiffnesses whose interval holds 0."""
-    found = zip(free, x, std, strict=True)
-    return tuple(p.name for p, value, spread in found if p.quantity in _PHYSICAL and value <= 2 * spread)
 
 
 def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> tuple[str, ...]:

@@ -23,7 +23,6 @@ from jointid.estimation.result.parts import (
     Fit,
     Params,
     Settings,
-    on_other_side,
 )
 from jointid.estimation.result.verdict import Subject
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -68,7 +67,7 @@ class Estimate(Documented):
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop)
-        >>> round(estimate.params["inertia"].value, 6), estimate.success
+        >>> round(estimate.params["inertia"].value, 6), estimate.fit.converged
         (30.0, True)
     """
 
@@ -87,11 +86,6 @@ class Estimate(Documented):
     undetermined: tuple[str, ...] = ()
     shifts: tuple[FloatArray, ...] = ()
     window: Estimate | None = None
-
-    @property
-    def success(self) -> bool:
-        """True if the search converged and no parameter of the joint is refused; the verdicts say more."""
-        return self.fit.converged and all(p.value is not None for p in self.params.rows if p.of_joint)
 
     @property
     def answer(self) -> Answer:
@@ -113,11 +107,6 @@ class Estimate(Documented):
         """Fingerprint of the loop's controller, see `law_fingerprint`; empty without one."""
         loop = self.settings.loop
         return self.settings.controller or ("" if loop is None else law_fingerprint(loop))
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the errors of the free parameters, in the order of `params.names`."""
-        return self.params.covariance
 
     @property
     def residual(self) -> FloatArray:
@@ -151,12 +140,6 @@ class Estimate(Documented):
         found = [p for p in self.params.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
         known = len(found) == 3 and all((p.value or 0.0) > 0 and p.at_bound is None for p in found)
         return FlexibleJoint.frequencies(self.values) if known else {}
-
-    @property
-    def other_side(self) -> tuple[EstimatedParameter, ...]:
-        """The parameters on the other side of the transmission, in the same order; none without one."""
-        gear = getattr(self.settings.system, "transmission", None)  # a robot has none
-        return () if gear is None else on_other_side(self.params.rows, gear, self.data.torque_unit)
 
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""

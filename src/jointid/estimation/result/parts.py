@@ -13,7 +13,7 @@ from jointid.common.document import Documented
 from jointid.common.errors import MethodError, UnknownName
 from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, Side, Transmission
-from jointid.estimation.result.agreement import Agreement, DriftTest
+from jointid.estimation.result.agreement import Agreement
 from jointid.estimation.result.verdict import StiffnessBound, Verdict
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -36,7 +36,6 @@ class EstimatedParameter:
         value: the estimate; None when it is refused.
         stderr: its standard error; None for a parameter that was kept fixed, or refused.
         free: whether it was identified.
-        identifiable: whether the record determines it; a fixed parameter does not say.
         lower_bound: what the record supports when the value is refused.
         of_joint: False for what surrounds the joint (the initial state).
         at_bound: the bound that holds it, where it does not follow the record; None where none does.
@@ -51,7 +50,6 @@ class EstimatedParameter:
     value: float | None
     stderr: float | None
     free: bool
-    identifiable: bool
     lower_bound: float | None = None
     of_joint: bool = True
     at_bound: float | None = None
@@ -92,20 +90,16 @@ class Params(Mapping[str, EstimatedParameter]):
     """The parameters of an estimate, by name or symbol: ``params["stiffness"]``, ``params["K12"]``.
 
     Attributes:
-        rows: in the order of the model, then those of what surrounds it.
-        names: of the free parameters, in the order of `correlation`; ``name@2`` is the second record's own.
+        rows: in the order of the model, then those of what surrounds it; ``name@2`` is the second record's own.
+        names: of the free parameters, in the order of `correlation`.
         correlation: of the errors of the free parameters, all of them, or the joint's, which come first; empty where it
             is not known.
-        own: of several records, the parameters that are each record's own, by their plain names.
-
-    Its keys are the names of the parameters, ``name@2`` for the second record's own.
     """
 
-    in_json = "correlation -rows -own"
+    in_json = "correlation -rows"
     rows: tuple[EstimatedParameter, ...]
     names: tuple[str, ...]
     correlation: FloatArray
-    own: tuple[tuple[EstimatedParameter, ...], ...] = ()
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol, ``name@2`` the second record's own.
@@ -113,21 +107,16 @@ class Params(Mapping[str, EstimatedParameter]):
         Raises:
             UnknownName: there is none of this name.
         """
-        named = {p.symbol + of: p for of, p in self._every} | {p.name + of: p for of, p in self._every}
+        named = {p.symbol: p for p in self.rows} | {p.name: p for p in self.rows}
         if name not in named:
             raise UnknownName(f'"{name}" is no parameter of this estimate; it has {", ".join(self)}: name one of them.')
         return named[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter([p.name + of for of, p in self._every])
+        return iter([p.name for p in self.rows])
 
     def __len__(self) -> int:
-        return len(self._every)
-
-    @property
-    def _every(self) -> list[tuple[str, EstimatedParameter]]:
-        """Every parameter, with what its key has behind its name."""
-        return [*(("", p) for p in self.rows), *((f"@{k}", p) for k, rows in enumerate(self.own, 1) for p in rows)]
+        return len(self.rows)
 
     @property
     def stderr(self) -> FloatArray:
@@ -145,15 +134,6 @@ class Params(Mapping[str, EstimatedParameter]):
         at = [self.names.index(name) for name in names]
         known = max(at, default=0) < len(self.correlation)
         return np.asarray(self.correlation[np.ix_(at, at)] if known else np.eye(len(at)))
-
-    def total(self, names: Sequence[str]) -> tuple[float, float]:
-        """Return a sum of parameters, by name or symbol, and its standard error, with their correlation."""
-        found = [self[name] for name in names]
-        uncertain = [p for p in found if p.stderr is not None]
-        stderr = np.array([p.stderr for p in uncertain], dtype=np.float64)
-        together = self.correlation_of([p.name for p in uncertain])
-        total = sum(p.value for p in found if p.value is not None)
-        return total, float(np.sqrt(max(float(stderr @ together @ stderr), 0.0)))
 
 
 def on_other_side(
@@ -221,8 +201,7 @@ class Checks:
         tests: of the method's assumptions.
         bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
         repeatable: the part of the residual that repeats with the motion, in a long log.
-        agreement: whether several records, each by itself, agree.
-        drift: whether the segments of a long log agree.
+        agreement: whether several records, each by itself, agree; drift: whether the segments of a long log do.
         encoder_lag: that hides the spring between both encoders, where they were read.
         diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None where it was not made.
         warnings: one sentence each.
@@ -236,7 +215,7 @@ class Checks:
     bounds: tuple[StiffnessBound, ...] = ()
     repeatable: Repeatable | None = None
     agreement: Agreement | None = None
-    drift: DriftTest | None = None
+    drift: Agreement | None = None
     encoder_lag: EncoderLag | None = None
     diagnosis: Documented | None = None
     warnings: tuple[str, ...] = ()

@@ -7,8 +7,7 @@ A search always ends somewhere, and its end has a stiffness. That number is repo
 - motor and load move, inertias and stiffness are distinguished from 0, and the mode is oscillatory and within the
   range of a log of this rate;
 - starts apart led to the same end;
-- where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid;
-- the profile of the compliance 1/K12 is bounded on both sides.
+- where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid.
 
 Otherwise the record says only how soft the spring may be, for each share of the load in the inertia, which is not known
 either. A joint is then written by its whole inertia, that share, the free-free frequency of its mode and that mode's
@@ -30,7 +29,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +40,6 @@ from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.descent import History, descend
 from jointid.estimation.methods.force_in_loop import allow_for_force, simulate_mean, widened_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import springs_verdict
 from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
@@ -55,7 +53,6 @@ from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, Known, find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.profile import profile_compliance
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""
@@ -68,11 +65,8 @@ _TEST_SHARES = (0.1, 0.33, 0.6)
 # rings for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance.
 _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
-_TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
-_BOUNDED, _POINTS = LevenbergMarquardt(1e-4, 15), 5  # of a profile that asks whether there is an end, not where it is
 _LITTLE = 0.3  # of the rigid joint's sum of squares: a spring that explains less may be another one
-_SAME = 0.2  # of a stiffness: springs that the profile, on a band of its own, does not tell apart
-_APART = 3.0  # deviations: stiffnesses that are not the same
+_SAME, _APART = 0.2, 3.0  # of a stiffness, and deviations: springs nearer than one of these are one
 _BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 / 2.706
 
 _BAND = 0.15  # of the sampling frequency, in which a bound is searched: modes above the fitted band show there
@@ -90,7 +84,6 @@ _TOLERANCE = 1e-4  # of a fit
 _ROUNDING = 1e-9  # damping of a step, in columns of norm 1: what several columns make alike is shared
 _TINY = 1e-30  # of a complex step, which no digit of a real value has
 _SPRING = ("motor_inertia", "load_inertia", "stiffness", "damping")
-_DESCRIBED = ("inertia", "ratio", "share", "mode")
 
 
 # Whether the spring is shown
@@ -136,7 +129,7 @@ class Visibility:
             if p.free and p.name in self.rigid_std:  # of both joints: a spring that is not shown narrows no interval
                 rows.append(replace(p, value=self.rigid[p.name], stderr=self.rigid_std[p.name]))
             elif p.free and (p.name.startswith(parted) or (p.of_joint and p.name in self.rigid)):
-                rows.append(replace(p, value=None, stderr=None, identifiable=False))
+                rows.append(replace(p, value=None, stderr=None))
             else:
                 rows.append(p)
         only = Message(Reason.ONLY_SUMS, "only the sums of both sides are determined, not their division")
@@ -182,7 +175,6 @@ def visible(
     error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
-    judged = uncertainty(Influence(slopes, error), where)
     linear, said, made = with_linear_spring(problem), "", None
     reasons = [*_doubts(problem, x, J, known, error, together)]
     if not reasons:
@@ -198,10 +190,8 @@ def visible(
         if not reasons and test.gained < _LITTLE:
             made = profile_modes(linear, values, found, thorough=True)
             reasons = [*_other_springs(made, found["stiffness"], known, [p.name for p in problem.free])]
-    if not reasons:
-        used, reasons = _follow_compliance(problem, x, known)
-        runs += used
     bounds: tuple[StiffnessBound, ...] = ()
+    judged = uncertainty(Influence(slopes, error), where)
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
         made = made or profile_modes(linear, values, found, thorough=False)
@@ -258,7 +248,9 @@ def _doubts(
             f"the spring explains {100 * gained / left:.2g} % of what remains, less than the "
             f"{100 * repeated / left:.2g} % of it that repeats with the motion and no noise explains"
         )
-    yield from (f"the interval of {name} holds 0" for name in find_lost(problem.free, x, known.covariance.std))
+    for p, value, spread in zip(problem.free, x, known.covariance.std, strict=True):
+        if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and value <= 2 * spread:
+            yield f"the interval of {p.name} holds 0"
     mode, ratio = frequency_of(problem.values(x)), damping_ratio(problem.values(x))
     if mode > FASTEST / problem.experiment.sample_time:
         yield f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow"
@@ -304,60 +296,40 @@ def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, name
             return
 
 
-def _follow_compliance(problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty) -> tuple[int, list[str]]:
-    """Return the simulations of a profile of the compliance, and what is wrong with it; of a narrow interval, none."""
-    names = [p.name for p in problem.free]
-    if "stiffness" not in names:
-        return 0, []
-    at = names.index("stiffness")
-    if 2 * float(known.covariance.std[at]) <= _TIGHT * float(x[at]):
-        return 0, []
-    found = profile_compliance(problem, x, known.covariance, problem.joint.unit, _BOUNDED, _POINTS)
-    side = "stiff" if found.interval[0] is None else "soft"
-    wrong = [] if found.bounded else [f"the profile of the compliance has no end on its {side} side ({found})"]
-    return found.evaluations, wrong
-
-
 # How soft it may be
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringProblem:
-    """A flexible problem by inertia, share, mode and damping ratio, of which share and mode may be held.
+    """A flexible problem by inertia, damping ratio, share of the load and mode, of which some may be held.
 
     Attributes:
         problem: of the flexible joint, every parameter free.
         names: of what is fitted beside the four: what was free of friction, offset and first state.
-        share: of the load in the inertia, held; free where it is None.
-        mode: Hz, free-free, held; free where it is None.
+        held: share, and mode in Hz, free-free, by name; those that are not free.
         room: the modes a free one stays between, Hz.
     """
 
     problem: ClosedLoopProblem
     names: tuple[str, ...]
-    share: float | None
-    mode: float | None
+    held: Mapping[str, float]
     room: tuple[float, float]
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The whole inertia, the damping ratio, what is free of share and mode, then the others."""
-        found = [
+        four = (
             Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300),
             Parameter("ratio", "zeta", Quantity.RATIO, lower=0.0, upper=MOST_DAMPED),
-        ]
-        if self.share is None:
-            found.append(Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST))
-        if self.mode is None:
-            found.append(Parameter("mode", "f", Quantity.GAIN, lower=self.room[0], upper=self.room[1]))
+            Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST),
+            Parameter("mode", "f", Quantity.GAIN, lower=self.room[0], upper=self.room[1]),
+        )
         own = {p.name: p for p in self.problem.parameters}
-        return (*found, *(own[name] for name in self.names))
+        return (*(p for p in four if p.name not in self.held), *(own[name] for name in self.names))
 
     def values_by_name(self, x: FloatArray) -> dict[str, float]:
         """Return inertia, ratio, share, mode and the others by name."""
-        held = {"share": self.share, "mode": self.mode}
-        known = {name: value for name, value in held.items() if value is not None}
-        return known | dict(zip((p.name for p in self.free), map(float, x), strict=True))
+        return {**self.held, **dict(zip((p.name for p in self.free), map(float, x), strict=True))}
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""
@@ -369,12 +341,14 @@ class SpringProblem:
         if not np.isfinite(np.vdot(J, J)):
             # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
             return error, np.zeros((error.size, len(self.free)))
-        by = {p.name: J[:, i] for i, p in enumerate(self.problem.free)}
-        slopes = spring_slopes(self.values_by_name(x))
-        columns = [
-            sum(slopes[p.name][name] * by[name] for name in _SPRING) if p.name in slopes else by[p.name]
-            for p in self.free
-        ]
+        by, described = {p.name: J[:, i] for i, p in enumerate(self.problem.free)}, self.values_by_name(x)
+        columns = []
+        for p in self.free:
+            if p.name in self.names:
+                columns.append(by[p.name])
+                continue
+            stepped = spring({**described, p.name: described[p.name] + 1j * _TINY})
+            columns.append(sum(np.imag(value) / _TINY * by[name] for name, value in stepped.items()))
         return error, np.column_stack(columns)
 
     def _vector(self, x: FloatArray) -> FloatArray:
@@ -391,14 +365,7 @@ def spring(described: Mapping[str, Any]) -> dict[str, Any]:
     return dict(zip(_SPRING, values, strict=True))
 
 
-def spring_slopes(described: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Return the derivatives of both inertias, stiffness and damping by inertia, ratio, share and mode."""
-    stepped = {name: spring({**described, name: described[name] + 1j * _TINY}) for name in _DESCRIBED}
-    return {name: {of: np.imag(value) / _TINY for of, value in one.items()} for name, one in stepped.items()}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class Fit(NamedTuple):
     """The end of a fit.
 
     Attributes:
@@ -438,18 +405,19 @@ class ModeProfile:
     minima: list[Fit] = field(default_factory=list)
     simulations: int = 0
 
-    def fit(self, start: Mapping[str, float], share: float | None, mode: float | None, evaluations: int) -> Fit:
-        """Return the best joint near a start, with its share or its mode held where they are not None."""
-        held = SpringProblem(self.problem, self.names, share, mode, self.room)
-        bounds = Bounds.of(held.free)
-        end = solve(held, LevenbergMarquardt(_TOLERANCE, evaluations), np.array([start[p.name] for p in held.free]))
+    def fit(self, start: Mapping[str, float], evaluations: int, **held: float) -> Fit:
+        """Return the best joint near a start, with its share or its mode held."""
+        problem = SpringProblem(self.problem, self.names, held, self.room)
+        bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
+        end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
         self.simulations += end.evaluations
-        cost = float(end.residual @ end.residual)
-        if not end.jacobian.any():
-            return Fit(held.values_by_name(end.x), cost, cost)
-        step = damped_step(end.residual, end.jacobian, bounds.shift_to(end.x), _ROUNDING, bounds.upper - bounds.lower)
-        promised = end.residual + end.jacobian @ step
-        return Fit(held.values_by_name(end.x), cost, min(cost, float(promised @ promised)))
+        cost = least = float(end.residual @ end.residual)
+        if end.jacobian.any():
+            room, widths = bounds.shift_to(end.x), bounds.upper - bounds.lower
+            step = damped_step(end.residual, end.jacobian, room, _ROUNDING, widths)
+            promised = end.residual + end.jacobian @ step
+            least = min(cost, float(promised @ promised))
+        return Fit(problem.values_by_name(end.x), cost, least)
 
 
 def profile_modes(
@@ -472,25 +440,25 @@ def profile_modes(
     start = friction_on_motor(problem.parameters, rigid)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
     made = ModeProfile(replace(problem, filtering=band).all_free(), names, (low, high))
-    made.stiff = last = made.fit(start, _SHARE, high, _HELD)
+    made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:
-        last = made.fit({**last.at, "ratio": max(last.at["ratio"], _DAMPED)}, None, float(mode), _HELD)
+        last = made.fit({**last.at, "ratio": max(last.at["ratio"], _DAMPED)}, _HELD, mode=float(mode))
         made.points.append(last)
         if last.cost > 2 * made.stiff.cost:
             last = made.stiff
     least = [made.stiff.least, *(point.least for point in made.points), math.inf]
     near = made.stiff.least + made.threshold
     dips = [made.points[i - 1] for i in range(1, len(least) - 1) if least[i] < min(least[i - 1], least[i + 1], near)]
-    ends = [made.fit(point.at, None, None, _FREE) for point in dips]
+    ends = [made.fit(point.at, _FREE) for point in dips]
     for point in dips if thorough else ():
         beside = {**point.at, "ratio": _DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
-        ends.append(made.fit(beside, None, None, _SEEK))
+        ends.append(made.fit(beside, _SEEK))
     whole = found["motor_inertia"] + found["load_inertia"]
     ratio = min(damping_ratio(found), MOST_DAMPED)
     own = {"inertia": whole, "ratio": ratio, "share": found["load_inertia"] / whole, "mode": frequency_of(found)}
     if low < own["mode"] < high:
-        ends.append(made.fit(start | {n: found[n] for n in names} | own, None, None, _FREE))
+        ends.append(made.fit(start | {n: found[n] for n in names} | own, _FREE))
     for end in sorted(ends, key=lambda end: end.cost):
         same = (abs(end.mode / one.mode - 1) + abs(end.at["share"] / one.at["share"] - 1) for one in made.minima)
         if not any(apart < _ALIKE for apart in same):
@@ -529,9 +497,10 @@ def _compute_cost_limit(made: ModeProfile) -> float:
         return math.inf
     names = tuple(name for name in made.names if not name.startswith("load_"))
     x = np.array([made.stiff.at[name] for name in ("inertia", "ratio", *names)])
-    stiff = SpringProblem(made.problem, names, _SHARE, made.room[1], made.room)
+    held = {"share": _SHARE, "mode": made.room[1]}
+    stiff = SpringProblem(made.problem, names, held, made.room)
     error, J = stiff.linearise(x)
-    bent = replace(stiff, mode=made.room[1] / 1.2).residual(x) - error
+    bent = replace(stiff, held={**held, "mode": made.room[1] / 1.2}).residual(x) - error
     made.simulations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
@@ -548,18 +517,18 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
     """
     limit, own = made.stiff.cost + made.threshold, {}
     if made.minima and made.stiff.cost - made.minima[0].cost > _CHANCE * made.threshold:
-        best = own[made.minima[0].mode] = made.fit({**made.minima[0].at, "share": share}, share, None, _FREE)
+        best = own[made.minima[0].mode] = made.fit({**made.minima[0].at, "share": share}, _FREE, share=share)
         limit = min(limit, best.cost + made.threshold)
     softest, rejected = made.stiff, made.room[0]
     for point in sorted((*made.points, *made.minima), key=lambda point: point.mode):
-        tried = point
-        held = None if point in made.minima else point.mode
-        if held and held <= floor:
-            rejected = max(rejected, held)
+        tried, held = point, {} if point in made.minima else {"mode": point.mode}
+        if held and point.mode <= floor:
+            rejected = max(rejected, point.mode)
             continue
-        if point.least <= limit:  # else it is excluded at any share
-            tried = made.fit({**point.at, "share": share}, share, held, _HELD)
-        tried = own.get(point.mode, tried)  # it is within its own limit
+        if point.mode in own:  # it is within its own limit
+            tried = own[point.mode]
+        elif point.least <= limit:  # else it is excluded at any share
+            tried = made.fit({**point.at, "share": share}, _HELD, share=share, **held)
         if tried.least <= limit:
             softest = tried
             break
@@ -568,7 +537,7 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
         return StiffnessBound(share, None, None)
     for _ in range(_HALVINGS):
         middle = math.sqrt(rejected * softest.mode)
-        tried = made.fit(softest.at, share, middle, _NEAR)
+        tried = made.fit(softest.at, _NEAR, share=share, mode=middle)
         if tried.least <= limit:
             softest = tried
         else:

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Verdicts
-from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import format_signed, in_words, interval, number
 from jointid.estimation.problems.base import INITIAL
-from jointid.estimation.result.agreement import DriftTest
 from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, show_value
-from jointid.estimation.result.verdict import Status, Subject
+from jointid.estimation.result.verdict import Status
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
@@ -26,7 +24,6 @@ Column: TypeAlias = tuple[str, Sequence[str], bool]
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
-_SAID = (Subject.AGREEMENT, Subject.DRIFT)  # verdicts that are shown though they passed
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
 
 
@@ -53,7 +50,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     """Yield errors by axis, parameters, what is known together, bounds, segments, and sums."""
-    part = estimate.robot
+    part, drift = estimate.robot, estimate.checks.drift
     if part is not None:
         columns = {"estimate": np.array([*estimate.fit.axis_errors.values()])}
         if part.model.has_masses:
@@ -62,14 +59,36 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         rows = tuple(zip(part.model.names, *shown, strict=True))
         header = ("joint", *(f"{name}, %" for name in columns))
         yield Table(header, rows, "filtered torque that is left, of the record it was identified from")
-    yield from _records_tables(estimate) if estimate.data.records else [parameters_table(estimate, details=details)]
+    yield parameters_table(estimate, details=details)
+    if estimate.data.records:
+        yield _errors_of_records(estimate)
     if moved_by_loop(estimate, threshold=_SHOWN_SHIFT):
         yield Paragraph("loop: how much the value changes once loop and log are as the verdict says")
-    bounds = bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, mode damped by up to 15 %)")
-    combinations = combinations_table(estimate, "known together")
-    yield from (table for table in (combinations, bounds) if table is not None)
-    if estimate.checks.drift is not None and estimate.checks.drift.segments:
-        yield _segments_table(estimate, estimate.checks.drift)
+    known = [] if estimate.checks.known is None else [(one, one.combination) for one in estimate.checks.known.physical]
+    if known:
+        rows = tuple((of.name, interval(one.value, 2 * one.std), of.unit, of.formula) for one, of in known)
+        yield Table(("combination", "value ± 2 sigma", "unit", "symbol"), rows, "known together", words=(0, 2, 3))
+    if bounds := told_bounds(estimate):
+        header = ("load's share of the inertia", f"stiffness at least [{estimate['stiffness'].unit}]", "mode [Hz]")
+        rows = tuple(
+            (f"{b.share:.2f}", f"{b.stiffness:.3g}", f"{b.frequency:.0f}")
+            if b.stiffness and b.frequency
+            else (f"{b.share:.2f}", "not bounded", "-")
+            for b in bounds
+        )
+        yield Table(header, rows, "the stiffness is refused; its lower bound (95 %, mode damped by up to 15 %)")
+    if drift is not None:
+        free = [p for p in estimate.params.rows if p.free]
+        header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
+        found = [{n: interval(s.values[n], 2 * s.std[n]) for n in s.values} for s in drift.segments]
+        rows = tuple(
+            (
+                f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}",
+                *(one.get(p.name, "not excited") for p in free), f"{100 * s.filtered_error:.2f}",
+            )
+            for s, one in zip(drift.segments, found, strict=True)
+        )  # fmt: skip
+        yield Table(header, rows, "each segment by itself, ± 2 sigma without what all of them err alike", words=())
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     sums = tuple(
         f"{row.name} is {formula}"
@@ -84,14 +103,12 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     """Yield the facts of the fit and of the checks that have no verdict."""
     fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
     if estimate.robot is None:
-        rows = f" ({fit.rows} rows)" if details or windows is not None else ""
         raw = f"{100 * fit.relative_error:.4f} % raw, " if math.isfinite(fit.relative_error) else ""
-        signal = estimate.signal.removeprefix("torque ")
-        of = f", {signal}" if signal != "torque" else ""
-        yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered{rows}{of}"
-    each = [f"{name} {_show_position(estimate, name, rms)}".strip() for name, rms in fit.position_rms.items()]
-    if each:
-        yield "position error", f"{', '.join(each)} rms"
+        of = estimate.signal.removeprefix("torque").replace(" comp", ", comp")
+        yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows){of}"
+    if fit.position_rms:
+        each = [f"{name} {1e3 * rms:.3g}e-3".strip() for name, rms in fit.position_rms.items()]
+        yield "position error", f"{', '.join(each)} rms, m or rad"
     if windows is not None:
         still = f", {windows.still} without motion left out" if windows.still else ""
         yield (
@@ -99,27 +116,15 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
             f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
             f"{number(windows.duration / 3600, 3)} h",
         )
-    yield from ((str(v.subject), v.said) for v in checks.verdicts if v.subject in _SAID and v.good and not details)
     if windows is not None and checks.repeatable is not None:
         yield "residual", str(checks.repeatable)
     if details:
         yield from (("test", str(test)) for test in checks.tests)
         passes = f", {fit.passes} times over the whole" if fit.passes else ""
         yield "effort", f"{fit.simulations} simulations{passes}"
-    if estimate.robot is not None and not details:
-        yield "search", fit.stop
     if checks.verdicts:
         passed = [verdict.good for verdict in checks.verdicts].count(True)
         yield "checks", f"{passed} of {len(checks.verdicts)} passed"
-
-
-def _show_position(estimate: Estimate, name: str, rms: float) -> str:
-    """Return the error of a simulated motor position, in mm or degrees."""
-    if estimate.robot is None:
-        unit = POSITION_UNIT[estimate.settings.joint.kind]
-    else:
-        unit = estimate.robot.model.position_unit(estimate.robot.model.names.index(name))
-    return f"{number(1e3 * rms, 3)} mm" if unit == "m" else f"{number(math.degrees(rms), 3)} deg"
 
 
 def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
@@ -133,8 +138,7 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if not data.records:
         yield "read", ", ".join(data.channels)
     for k, record in enumerate(data.records, 1):
-        unit = next(p.unit for p in (*estimate.params.rows, *estimate.params.own[k - 1]) if p.name.endswith("inertia"))
-        more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
+        more = f", {number(record.added_inertia)} added to the load" if record.added_inertia else ""
         yield f"record {k}", f"{record.name}{more}; read: {', '.join(record.channels)}"
     every = (data.resampled, *(record.resampled for record in data.records))
     yield from (("resampled", str(one)) for one in every if one is not None)
@@ -159,56 +163,43 @@ def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
 # The tables
 
 
-def _table(rows: Sequence[EstimatedParameter], more: Sequence[Column] = (), caption: str = "") -> Table:
-    """Return a table of estimates: words, the field's letters, value, more, and last the symbol that is the key."""
-    letters = [field_symbol(p) for p in rows]
-    columns: list[Column] = [
-        ("parameter", [in_words(p.name) for p in rows], True),
-        *([("letter", letters, True)] if any(letters) else []),
-        ("value ± 2 sigma", [show_value(p) for p in rows], False),
-        ("unit", [p.unit for p in rows], True),
-        *more,
-        ("symbol", [p.symbol for p in rows], True),
-    ]
-    header, cells, words = zip(*columns, strict=True)
-    return Table(header, tuple(zip(*cells, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
-
-
-def parameters_table(
-    estimate: Estimate,
-    *,
-    details: bool = True,
-    truth: Mapping[str, float] | None = None,
-    caption: str = "",
-) -> Table:
+def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping[str, float] | None = None) -> Table:
     """Return the parameters with their intervals.
 
     Args:
         estimate: whose parameters are shown.
         details: whether to show the state at the first sample, and what a robot's record does not tell from 0.
         truth: true values by name, others are not shown.
-        caption: of the table; else it counts what is not shown of a robot.
     """
-    every, part = estimate.params.rows, estimate.robot
+    every, part, caption = estimate.params.rows, estimate.robot, ""
     if truth is not None:
         shown = [i for i, p in enumerate(every) if p.name in truth]
     elif part is None:
-        shown = [i for i, p in enumerate(every) if details or p.name not in INITIAL]
+        shown = [i for i, p in enumerate(every) if details or p.name.partition("@")[0] not in INITIAL]
     else:
         shown = [i for i, p in enumerate(every) if _is_listed(p, details=details)]
         hidden = len(every) - len(shown)
         caption = f"{hidden} more are not significant in this record" if hidden else ""
     rows, said = [every[i] for i in shown], remarks(estimate)
-    columns: list[Column] = []
+    columns: list[Column] = [
+        ("parameter", [in_words(p.name) for p in rows], True),
+        ("value ± 2 sigma", [show_value(p) for p in rows], False),
+        ("unit", [p.unit for p in rows], True),
+    ]
     if truth is not None:
         columns.append(("truth", [f"{truth[p.name]:.6g}" for p in rows], False))
-    elif part is None:
-        columns.append(("± %", [_percent(p) for p in rows], False))
-    else:
+    elif part is not None:
         columns.append(("nominal", [number(float(part.nominal[i]), 4) for i in shown], False))
+    elif not estimate.data.records:
+        columns.append(("± %", [_percent(p) for p in rows], False))
+    for k, record in enumerate(estimate.data.records, 1):
+        alone = {p.name: show_value(p) for p in record.alone}
+        columns.append((f"{k} alone", [alone.get(p.name, "-") for p in rows], False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
-    return _table(rows, columns, caption)
+    columns.append(("symbol", [p.symbol for p in rows], True))
+    header, cells, words = zip(*columns, strict=True)
+    return Table(header, tuple(zip(*cells, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
 
 
 def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
@@ -240,92 +231,17 @@ def remarks(estimate: Estimate) -> dict[str, str]:
         one, other = estimate.params.names[i], estimate.params.names[j]
         if i != j and {one, other} <= symbols.keys():
             found.setdefault(one, []).append(f"only with {symbols[other]}")
-    drift = estimate.checks.drift
-    for name in () if drift is None else drift.names:
-        found.setdefault(name, []).append("changes")
     return {name: ", ".join(said) for name, said in found.items()}
 
 
-def _records_tables(estimate: Estimate) -> Iterator[Table]:
-    """Yield the parameters that records share, beside those of each by itself, their own, and the errors."""
-    rows, agreement, records = estimate.params.rows, estimate.checks.agreement, estimate.data.records
-    columns: list[Column] = []
-    for k, record in enumerate(records, 1):
-        alone = {p.name: show_value(p) for p in record.alone}
-        columns.append((f"{k} alone", [alone.get(row.name, "-") for row in rows], False))
-    for head, digits in (("p_value", 2), ("between", 2)):
-        tests = {p.name: number(getattr(p, head), digits) for p in (() if agreement is None else agreement.parameters)}
-        columns.append((head.removesuffix("_value"), [tests.get(row.name, "-") for row in rows], False))
-    yield _table(rows, columns)
-    own = [(k, each) for k, rows in enumerate(estimate.params.own, 1) for each in rows]
-    if own:
-        yield _table([each for _, each in own], [("record", [str(k) for k, _ in own], False)])
-    errors = tuple(
-        (str(k), *(_share(one) for one in (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
-        for k, r in enumerate(records, 1)
-    )
-    yield Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), errors)
+def _errors_of_records(estimate: Estimate) -> Table:
+    """Return the errors that the common parameters leave of each record."""
 
+    def share(error: float) -> str:
+        return f"{100 * error:.4f}" if math.isfinite(error) else "-"  # in windows no raw torque is kept
 
-def _share(error: float) -> str:
-    return f"{100 * error:.4f}" if math.isfinite(error) else "-"  # in windows no raw torque is kept
-
-
-def _segments_table(estimate: Estimate, drift: DriftTest) -> Table:
-    """Return what each segment of a long log says by itself."""
-    free = [p for p in estimate.params.rows if p.free]
-    rows = []
-    for s in drift.segments:
-        found = {n: interval(s.values[n], 2 * s.std[n]) for n in s.values}
-        stated = (found.get(p.name, "not excited") for p in free)
-        rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
-    header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
-    return Table(header, tuple(rows), "each segment by itself, ± 2 sigma without what all of them err alike", words=())
-
-
-def combinations_table(estimate: Estimate, caption: str = "") -> Table | None:
-    """Return the sums of both sides as a table with a caption; None where there are none."""
-    known = estimate.checks.known
-    every = [] if known is None else [(one, one.combination) for one in known.physical]
-    rows = tuple((of.name, interval(one.value, 2 * one.std), of.unit, of.formula) for one, of in every)
-    header = ("combination", "value ± 2 sigma", "unit", "symbol")
-    return Table(header, rows, caption, words=(0, 2, 3)) if rows else None
-
-
-def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
-    """Return the lower bounds of a refused stiffness; None where it is not refused, or the fit says nothing of it."""
-    bounds = told_bounds(estimate)
-    if not bounds:
-        return None
-    header = (
-        "load's share of the inertia",
-        f"stiffness at least [{estimate['stiffness'].unit}]",
-        "free-free mode [Hz]",
-    )
     rows = tuple(
-        (f"{b.share:.2f}", "not bounded", "-")
-        if b.stiffness is None or b.frequency is None
-        else (f"{b.share:.2f}", f"{b.stiffness:.3g}", f"{b.frequency:.0f}")
-        for b in bounds
+        (str(k), share(one.relative_error), share(one.filtered_error), share(one.alone_error), str(one.rows))
+        for k, one in enumerate(estimate.data.records, 1)
     )
-    return Table(header, rows, caption)
-
-
-_LETTERS: Mapping[str, str] = {"inertia": "J", "stiffness": "c", "damping": "d", "viscous": "b", "coulomb": "T_C"}
-_SIDES: Mapping[str, str] = {"motor": "M", "rotor": "M", "load": "L", "link": "L"}
-_DIRECTIONS: Mapping[str, str] = {"forwards": "+", "backwards": "-"}
-
-
-def field_symbol(p: EstimatedParameter) -> str:
-    """Return the letter that a parameter usually has in the field: J_M, m_L, c, d, b_M, T_C; "" for one without."""
-    words = p.name.rpartition(".")[2].partition("@")[0].split("_")
-    side = _SIDES.get(words[0], "")
-    way = _DIRECTIONS.get(words[-1], "")
-    letter = _LETTERS.get("_".join(words[bool(side) : len(words) - bool(way)]), "")
-    if not letter:
-        return ""
-    if p.unit == "kg" or p.unit.endswith(" s2/m"):
-        letter = letter.replace("J", "m")
-    if p.unit != "N m":
-        letter = letter.replace("T", "F")
-    return f"{letter}{'_' if side and '_' not in letter else ''}{side}{way}"
+    return Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), rows)

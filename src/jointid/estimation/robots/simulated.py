@@ -316,7 +316,6 @@ def table_of_robot(
                 value=float(value) if determined else None,
                 stderr=float(std) if determined and one.free else None,
                 free=one.free,
-                identifiable=determined,
                 lower_bound=refused.get(one.name),
                 of_joint=not place.is_of_record,
                 at_bound=held.get(one.name),

@@ -2,8 +2,7 @@
 
 The linear spring and the friction of one line that fit best lie between the pieces: everything else about the joint is
 nearly right there. Where the pieces begin is not known, and the criterion has more than one valley over it, so that
-every start of the laws is followed a little, and the best to the end. A linear spring in the place of a gap may move
-friction from the motor to the load, whence no descent returns: each start begins with the better of both divisions.
+every start of the laws is followed a little, and the best to the end.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import join, pluralise
 from jointid.estimation.descent import ROUGH, History, Solved
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -26,7 +24,6 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.springs import LinearSpring
 from jointid.simulation.closed_loop import Simulation
 
-_ON_MOTOR = 0.9  # of the friction, on the motor's side, where a geared joint has most of it
 _STIFFER = 2.5  # times the stiffness found with lines, which is too soft where friction winds up
 
 
@@ -74,20 +71,9 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     given = {p.name: p.start for p in own if p.start is not None}
     starts = law_starts(joint, linear.joint, values, JointMotion.of(run), given)
     history.progress(f"looking for a {name_laws(joint)}, from {pluralise(len(starts), 'start')}")
-    ends = [history.solve(problem, ROUGH, divide_friction(problem, start, history)) for start in starts]
+    ends = [history.solve(problem, ROUGH, problem.vector(start)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     return history.finish(best, tolerance).with_starts(found.solution.starts)
-
-
-def divide_friction(problem: ClosedLoopProblem, start: Mapping[str, float], history: History) -> FloatArray:
-    """Move a start's friction to the motor side if the fit improves."""
-    own, moved = {p.name for p in problem.free if p.quantity in (Quantity.FORCE, Quantity.VISCOUS)}, dict(start)
-    for motor in own:
-        if (load := motor.replace("motor_", "load_", 1)) in own - {motor}:
-            moved |= {motor: _ON_MOTOR * (whole := start[motor] + start[load]), load: (1 - _ON_MOTOR) * whole}
-    tried = problem.vector(start), Bounds.of(problem.free).clip(problem.vector(moved))
-    history.tally.evaluations += 2 if moved != start else 0
-    return min(tried, key=lambda x: float(np.linalg.norm(problem.residual(x)))) if moved != start else tried[0]
 
 
 class JointMotion(NamedTuple):

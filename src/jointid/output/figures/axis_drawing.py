@@ -13,7 +13,6 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, show_value
-from jointid.estimation.result.summary import field_symbol
 from jointid.models.joints import FlexibleJoint
 
 if TYPE_CHECKING:
@@ -74,7 +73,7 @@ def write_values(axes: Axes, x: float, across: int, rows: Sequence[EstimatedPara
     for k, row in enumerate(rows):
         y, middle = -0.3 - k // across * _PAIR, x + (k % across + 0.5) * _COLUMN
         name = row.name.removeprefix("motor_").removeprefix("load_").replace("_", " ").replace("coulomb", "Coulomb")
-        _write(axes, middle, y, ", ".join(filter(None, (f"{name} {field_symbol(row)}".strip(), row.unit))), _SOFT)
+        _write(axes, middle, y, ", ".join(filter(None, (name, row.unit))), _SOFT)
         _write(axes, middle, y - _LINE, show_value(row), _INK, bold=True)
 
 
