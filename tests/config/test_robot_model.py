@@ -95,10 +95,11 @@ def mjcf(inside: str, beside: str = "") -> str:
         mjcf("", '<equality><joint joint1="j"/></equality>'),
         mjcf("", '<equality><joint joint1="j" polycoef="many"/></equality>'),
         mjcf("", '<include file="/etc/passwd"/>'),
-        mjcf('<body name="m"><joint/><geom type="mesh" mesh="m"/></body>'),
         mjcf('<body><joint name="s" stiffness="3"/></body>'),
         URDF.replace('type="continuous"', 'type="floating"'),
         URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="lift"/>'),
+        URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="none"/>'),
+        URDF.replace('<parent link="base"/>', '<parent link="none"/>'),
         URDF.replace('<child link="rod"/>', '<child link="base"/>'),
         "<!DOCTYPE x><robot/>",
         '<?x <!-- ?><!DOCTYPE x [<!ENTITY a "b">]><robot/><!-- -->',
@@ -114,6 +115,24 @@ def mjcf(inside: str, beside: str = "") -> str:
 def test_models_that_are_refused(text: str) -> None:
     with pytest.raises(JointFileError):
         read_robot(text, "arm.xml")
+
+
+@pytest.mark.parametrize(
+    ("text", "locked", "remarks"),
+    [
+        (mjcf('<freejoint name="base"/>'), "base", 0),
+        (mjcf('<body name="m"><joint name="k" type="ball"/><geom size="1"/></body>'), "k", 0),
+        (mjcf("").replace('<body name="b">', '<geom mesh="m"/><body name="b">'), "", 0),
+        (mjcf('<body name="m"><geom mesh="m"/></body>'), "", 1),
+        (URDF.replace('type="continuous"', 'type="floating"'), "turn", 0),
+        (URDF.replace('<parent link="base"/>', '<parent link="world"/>'), "", 0),
+        (URDF.replace('friction="4"', 'friction="-4"'), "", 1),
+    ],
+)
+def test_habits_of_public_models_are_read(text: str, locked: str, remarks: int) -> None:
+    robot = read_robot(text, locked=dict.fromkeys(filter(None, [locked]), 0.0))
+    assert robot.names[-1] in ("j", "lift") and len(robot.remarks) == remarks
+    assert all(joint.coulomb >= 0.0 for joint in robot.joints)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ _URDF: Mapping[str, str] = {
     "limit": "lower upper effort velocity",
 }
 _ONCE = ("inertial", "origin", "mass", "inertia", "parent", "child", "axis", "dynamics", "limit")  # of what they are in
-_REFUSED = ("include", "attach", "replicate", "composite", "flexcomp", "freejoint")
+_REFUSED = ("include", "attach", "replicate", "composite", "flexcomp")
 _TIED: Mapping[str, str] = {"joint": "joint", "site": "site", "tendon": "fixed"}  # the element of what a tie names
 _FREE = ("ball", "free", "floating", "planar")
 
@@ -108,7 +108,7 @@ def read_robot(
         locked: as of `load_robot`.
     """
     root = parse_model(text, called)
-    _refuse_elements(root, called)
+    locked = _fix_bases(root, called, locked)
     by_shapes = any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))
     kept = _filter_tree(root, _URDF if root.tag == "robot" else _MJCF, by_shapes)
     ties = sum(len(one) + 1 for tag in ("equality", "mimic") for one in root.iter(tag))
@@ -117,15 +117,15 @@ def read_robot(
             f"{called} has {count} elements of links and joints; expected a robot, of at most {_MOST_PARTS}: leave out "
             "what is not part of it."
         )
-    remarks = tuple(f"{called}: {one}" for one in _forget_impossible(kept))
     compiler = ET.SubElement(kept if root.tag == "mujoco" else ET.SubElement(kept, "mujoco"), "compiler")
     compiler.attrib.update(boundmass=repr(_LEAST_MASS), boundinertia=repr(_LEAST_MASS), fusestatic="false")
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
+        remarks = tuple(f"{called}: {one}" for one in (*_forget_impossible(kept), *_name_meshes(root, by_shapes)))
         with _quiet(mujoco), np.errstate(all="ignore"):  # a robot asks for finite numbers
             model = mujoco.MjModel.from_xml_string(ET.tostring(kept, encoding="unicode"))
-            if model.njnt > _MOST_JOINTS:
-                raise MethodError(f"it has {model.njnt} joints, of at most {_MOST_JOINTS}")
+            if (moving := model.njnt - len(locked)) > _MOST_JOINTS:
+                raise MethodError(f"{moving} joints move, of at most {_MOST_JOINTS}")
             _require_free(root, model, locked, called)
             robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", locked)
     except (ValueError, MethodError, mujoco.FatalError, MemoryError) as error:
@@ -163,22 +163,33 @@ def parse_model(text: str, called: str) -> ET.Element:
     return root
 
 
-def _refuse_elements(root: ET.Element, called: str) -> None:
-    """Refuse elements that generate joints or bodies."""
-    for one in root.iter():
-        kind = f" of the type {one.get('type')}" if one.tag == "joint" and one.get("type") in _FREE else ""
-        if kind or one.tag in _REFUSED or one.tag.startswith("xacro:"):
-            raise JointFileError(
-                f"{called}: <{one.tag}> {one.get('name', '')}{kind} is not read; expected rigid bodies, written out, "
-                "and joints that turn or slide about one axis: write them so."
-            )
+def _fix_bases(root: ET.Element, called: str, locked: Mapping[str, float]) -> dict[str, float]:
+    """Fix free joints that are locked, and return the other ones; refuse what generates joints or bodies."""
+    left = dict(locked)
+    for parent in tuple(root.iter()):
+        for one in tuple(parent):
+            is_free = one.tag == "freejoint" or (one.tag == "joint" and one.get("type") in _FREE)
+            name = one.get("name") or parent.get("name", "")
+            if is_free and name in locked:
+                left.pop(name, None)
+                one.set("type", "fixed")
+                if root.tag == "mujoco":
+                    parent.remove(one)
+            elif is_free or one.tag in _REFUSED or one.tag.startswith("xacro:"):
+                also = f", or name it in robot.locked, as locked = {{ {name} = 0.0 }}" if is_free else ""
+                raise JointFileError(
+                    f"{called}: <{one.tag}> {name} is not read; expected rigid bodies, written out, and joints that "
+                    f"turn or slide about one axis: write them so{also}."
+                )
+    return left
 
 
 def _filter_tree(element: ET.Element, allowed: Mapping[str, str], by_shapes: bool, weighs: bool = False) -> ET.Element:
     """Return an element with its allowed attributes and children; of shapes those from which a body has its mass.
 
-    Of an element that its parent has once, the first counts.
+    Of an element that its parent has once, the first counts. A body whose mass follows from a mesh has none.
     """
+    weighs = weighs and not any(one.tag == "geom" and one.get("mesh") for one in element)
     names = allowed[element.tag].split()
     found = ET.Element(element.tag, {name: value for name, value in element.items() if name in names})
     for child in element:
@@ -189,10 +200,18 @@ def _filter_tree(element: ET.Element, allowed: Mapping[str, str], by_shapes: boo
     return found
 
 
-def _forget_impossible(root: ET.Element) -> Iterator[str]:
-    """Drop the inertial parameters of URDF that no body can have; yield a remark on each, but those that are all 0.
+def _name_meshes(root: ET.Element, by_shapes: bool) -> Iterator[str]:
+    """Yield a remark on each body of MJCF whose mass follows from a mesh."""
+    for body in root.iter("body"):
+        if (by_shapes or body.find("inertial") is None) and any(one.get("mesh") for one in body.findall("geom")):
+            yield f"the mass of body {body.get('name', '')} follows from a mesh, which is not read: it is unknown"
 
-    Where links are is enough to identify a robot, so a wrong mass is no reason to refuse a model.
+
+def _forget_impossible(root: ET.Element) -> Iterator[str]:
+    """Drop masses and friction of URDF that are impossible; yield a remark on each, but on masses that are all 0.
+
+    Where links are is enough to identify a robot, so a wrong mass is no reason to refuse a model, nor is a parent
+    "world" that is no link.
     """
     for one in root.iter("link"):
         inertial = one.find("inertial")
@@ -201,6 +220,22 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
             if not stated or any(value.strip("+-0.eE ") for value in stated):
                 yield f"link {one.get('name')} has a mass or an inertia as no body can; both are taken as unknown"
             one.remove(inertial)
+    for joint in root.iter("joint"):
+        for dynamics in joint.iter("dynamics"):
+            for name in [name for name, value in dynamics.items() if value.strip().startswith("-")]:
+                del dynamics.attrib[name]
+                yield f"joint {joint.get('name')} has a negative {name}, which is taken as unknown"
+    links = {one.get("name") for one in root.iter("link")}
+    ends = [
+        (joint, end.get("link"))
+        for joint in root.iter("joint")
+        for end in (*joint.iter("parent"), *joint.iter("child"))
+    ]
+    for joint, link in ends:
+        if link == "world" and link not in links:
+            links.add(ET.SubElement(root, "link", name=link).get("name"))
+        elif link not in links:
+            raise MethodError(f"joint {joint.get('name')} names the link {link}, which it has not")
 
 
 def _is_possible(inertial: ET.Element) -> bool:
@@ -234,6 +269,10 @@ def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], cal
     joints = {one.name or f"joint{k + 1}": one for k, one in enumerate(map(model.joint, range(model.njnt)))}
     if unknown := [name for name in locked if name not in joints]:
         raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], joints)}")
+    named = {one.get("name"): one for one in root.iter("joint")}
+    for name, follows in ((name, each.get("joint")) for name, one in named.items() for each in one.findall("mimic")):
+        if follows not in named:
+            raise MethodError(f"joint {name} follows {follows}, which is no joint")
     tied = {name for names in _ties(root) for name in names}
     moving = {name: one for name, one in joints.items() if name not in locked}
     if bound := [name for name, one in moving.items() if name in tied or np.any(one.stiffness)]:
