@@ -81,6 +81,18 @@ def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> Non
     np.testing.assert_allclose(reference - position, 0.01, atol=1e-9)  # of one turn, though they begin in two
 
 
+@pytest.mark.parametrize(("size", "bit"), [(2**16, False), (2**8, False), (2**11, True), (2**16, True)])
+def test_whole_numbers_that_lost_their_sign_have_it_again(tmp_path: Path, size: int, bit: bool) -> None:
+    torque = np.round(0.4 * size * np.sin(20 * TIME) + 2 * np.sin(700 * TIME))
+    lost = np.where(torque < 0, size / 2 - torque if bit else size + torque, torque)
+    path = saved(tmp_path / "run.csv", i=lost, up=np.abs(torque), half=lost + 0.5)
+    for column in ("i", Column("i", wrap=size)) if not bit else ("i",):
+        record = read(path, {"torque": column})
+        np.testing.assert_array_equal(record.torque.values, torque)
+    for column in ("up", "half"):
+        assert read(path, {"torque": column}).remarks == ()
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.1])
 def test_steps_and_noise_are_no_wraps(noise: float) -> None:
     random = np.random.default_rng(3)

@@ -22,8 +22,8 @@ _BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
 _WHOLE_RANGE = 0.6  # of the range of a column: a larger step may be a wrap
 _ALIKE = 0.02  # of a wrap, that the jumps at it may differ by
 _AGAINST = 0.8  # of the jumps at a wrap, that go against a steady motion
-_WHOLE = 1e-3  # of 1: what is nearer to a whole number is one
 _KNOWN_WRAP, _PART_OF_TURN = 2e-3, 1e-4  # greatest relative distance of a jump from the wrap that it is taken for
+_WORDS = (2.0**8, 2.0**11, 2.0**16, 2.0**32)  # of logged whole numbers; a load of ten bits has its sign in the next
 POSITIONS = ("motor_position", "load_position", "reference")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
@@ -82,7 +82,8 @@ class Column:
     wrap: float | None = setting(
         None,
         "of a position: where the column wraps round, in its own numbers, such as 65536 or 360; it is unwrapped, and "
-        "refused where it moves by more than 0.4 of it in a sample; without it found where the jumps are clear",
+        "refused where it moves by more than 0.4 of it in a sample; of a torque: 2^n of a word read without its "
+        "sign; without it found where the jumps are clear",
         above=0,
     )
     optional: bool = setting(False, "whether a record may lack the column")
@@ -90,9 +91,6 @@ class Column:
 
     def __post_init__(self) -> None:
         check_settings(self, RecordError, f'Column "{self.column}"')
-        object.__setattr__(self, "timing", None if self.timing is None else Timing(self.timing))
-        object.__setattr__(self, "tap", None if self.tap is None else Tap(self.tap))
-        object.__setattr__(self, "at", InjectionPoint(self.at))
 
     def stated_unit(self, known: tuple[str, ...]) -> str | None:
         """Unit stated here or in the column's name, if any."""
@@ -193,8 +191,24 @@ def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
     near = min(wraps, key=lambda one: abs(one - size))
     if abs(near - size) <= min(max(spread, uneven) + _PART_OF_TURN * size, wraps[near] * size):
         return near, True
-    whole = np.allclose(values, np.round(values), rtol=0.0, atol=_WHOLE)
+    whole = np.allclose(values, np.round(values), rtol=0.0, atol=1e-3)
     return float(round(size)) if whole else size, False
+
+
+def restore_sign(values: FloatArray) -> FloatArray | None:
+    """Return whole numbers that were read without their sign, (samples,), with it; None of others.
+
+    A negative number is 2^n larger as an unsigned word, or where a bit of its own has the sign: it jumps at 0.
+    """
+    whole = np.all(values >= 0) and np.all(values == np.round(values))
+    found, fastest = None, _SAFE_STEP * float(np.max(np.abs(np.diff(values)), initial=0.0))
+    for size in (size for size in _WORDS if whole and size / 2 <= np.max(values) < size):
+        sign = values >= size / 2
+        for signed in (values - size * sign, np.where(sign, size / 2 - values, values)):
+            step = float(np.max(np.abs(np.diff(signed))))
+            if step < fastest and np.count_nonzero(np.diff(sign)) > _FEWEST_MOVES:
+                found, fastest = signed, step
+    return found
 
 
 def unwrap(values: FloatArray, wrap: float, name: str = "The position") -> FloatArray:

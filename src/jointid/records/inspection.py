@@ -45,11 +45,6 @@ class InspectedChannel:
     sample_time: float | None = None
 
     @property
-    def is_time(self) -> bool:
-        """True if the channel is a clock itself."""
-        return self.time == self.name
-
-    @property
     def rows(self) -> int:
         """Count of its numbers, NaN included."""
         return self.values.size
@@ -115,7 +110,7 @@ class Inspection(Documented):
         said += [] if self.recognised is None else [show(self.recognised.sentence)]
         title = f"{show(self.file)}: {self.format}, {len(self.channels)} channels"
         blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
-        if not any(channel.is_time for channel in self.channels):
+        if not any(channel.time == channel.name for channel in self.channels):
             said.append("No channel is recognised as time; give the joint file a sample_time, or the column's name.")
         return Document(title, (*blocks, Listing(tuple(said))))
 

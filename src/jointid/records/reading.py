@@ -21,7 +21,7 @@ from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
 from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate
-from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, unwrap
+from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, restore_sign, unwrap
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Tap, Timing, refer_channel
@@ -187,7 +187,12 @@ class RecordReader:
                 values, clock, remarks = self._sample(table, what, column, own, time)
                 if name in POSITIONS:
                     wrap = column.wrap or _find_wrap(name, values, factor, scale, made.get("motor_position"))
-                values = unwrap(values, wrap, name) if wrap else values
+                    values = unwrap(values, wrap, name) if wrap else values
+                elif column.wrap is not None:
+                    values = values - column.wrap * (values >= column.wrap / 2)
+                elif (signed := restore_sign(values)) is not None:
+                    values = signed
+                    remarks.append(f"{name} jumps where it passes 0: it is read as whole numbers that lost their sign")
             except RecordError as error:
                 faults += error.faults
                 continue
