@@ -137,7 +137,7 @@ def test_a_topic_that_cannot_be_read_is_told_and_the_others_are_read(tmp_path: P
         base.execute("UPDATE topics SET type = 'my_msgs/msg/Own' WHERE name = '/goal'")
     base.close()
     table = read_table(tmp_path / "run.db3")
-    assert list(table.passed) == ["/goal"]
+    assert "/goal" in table.passed and "/goal" not in table.columns
     assert "/joint_states/elbow/position" in table.columns
 
 

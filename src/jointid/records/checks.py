@@ -259,9 +259,7 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
         return None
     lag = float(velocity @ difference) / size
     share = lag**2 * size / total
-    if not share > _LATE:
-        return None
-    return EncoderLag("load_position" if lag > 0 else "motor_position", abs(lag), share)
+    return EncoderLag("load_position" if lag > 0 else "motor_position", abs(lag), share) if share > _LATE else None
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:

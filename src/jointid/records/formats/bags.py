@@ -91,8 +91,10 @@ def read_bag(path: Path) -> Table:
         if columns:
             zero = min(dates) if stamps.min() >= _DATE else 0
             table.add(f"{name}/time", (stamps - zero) / 1e9, "s")
+        table.passed |= {column: "it holds no number" for column, values in columns.items() if np.isnan(values).all()}
         for column, values in columns.items():
-            table.add(column, values, clock=f"{name}/time")
+            if column not in table.passed:
+                table.add(column, values, clock=f"{name}/time")
     return table
 
 
@@ -154,7 +156,7 @@ class _Topic:
                     column = instants / 1e9
                 columns[path][rows] = column
         stamps = stamped if stamped.all() else logged
-        return stamps[order], {n: values[order] for n, values in columns.items() if not np.isnan(values).all()}
+        return stamps[order], {n: values[order] for n, values in columns.items()}
 
 
 class Walk:
