@@ -169,7 +169,7 @@ def _fix_bases(root: ET.Element, called: str, locked: Mapping[str, float]) -> di
     for parent in tuple(root.iter()):
         for one in tuple(parent):
             is_free = one.tag == "freejoint" or (one.tag == "joint" and one.get("type") in _FREE)
-            name = one.get("name") or parent.get("name", "")
+            name = one.get("name") or parent.get("name") or ""
             if is_free and name in locked:
                 left.pop(name, None)
                 one.set("type", "fixed")
