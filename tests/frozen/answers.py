@@ -23,7 +23,11 @@ def number(value: float | None) -> float | None:
 def answer_of(result: Any) -> dict[str, Any]:
     """Return what is compared of a result."""
     if isinstance(result, ji.Estimate):
-        rows = {row.name: [number(row.value), number(row.stderr)] for row in result.params.rows if row.free}
+        rows = {
+            row.name: [number(row.value), number(row.stderr)]
+            for row in result.params.rows
+            if row.free and "@" not in row.name
+        }
         bounds = [number(bound.stiffness) for bound in result.checks.bounds]
         return {"values": rows, "trust": str(result.answer.trust.code), "bounds": bounds, "cause": first_cause(result)}
     if isinstance(result, ji.robots.Robot):

@@ -29,7 +29,6 @@ from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
@@ -137,9 +136,9 @@ def identify(
     fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=progress)
     said = ""
     if streamed is not None:
-        said = f"the record is long, and is identified in windows of {streamed.length:.3g} s, of which one is checked"
+        said = f"the record is long, and is identified in windows of {streamed:.3g} s, of which one is checked"
         progress(said)
-    asked = streamed if windows is None or windows is False else Windowing(windows)
+    asked = streamed if windows is None or windows is False else windows
     fit = fit_one(record, model, method, several=shared, windows=asked)
     checked = fit
     if streamed is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -17,7 +18,6 @@ from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.outputs import fit_outputs, state_position, state_scale, state_timing
-from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.idim import identify_robot
@@ -26,14 +26,12 @@ from jointid.estimation.robots.regression import (
     Records,
     check_robot_records,
     each_log,
-    in_logs,
     robot_record_warnings,
 )
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.windowed import require_windows
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
-from jointid.records.checks import check_record
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -47,37 +45,34 @@ LARGEST = 600_000
 WINDOW = 75_000
 """Samples of a window of such records, of which one is checked; of many joints fewer."""
 
+_LONGEST = 60.0  # s of a window, unless it is given
 _PARTS = 3  # windows in what is taken of n joints at once
 _ROBOTS = Robot | RobotLoop | RobotDriveSide
 
 
 def windows_of(
     record: object, model: Any, method: Method | None, several: SeveralRecords | None = None
-) -> Windowing | None:
-    """Return the windows of records of more than `LARGEST` samples; None of others.
+) -> float | None:
+    """Return the seconds of a window of records of more than `LARGEST` samples; None of others.
 
     Records of several rates, and what is not identified in windows, have none either.
     """
-    records, joints, most = _flat(record), 1, float(LARGEST)
+    records, joints, most, loops = _flat(record), 1, float(LARGEST), [model]
     if isinstance(model, _ROBOTS):
         joints = len(model if isinstance(model, Robot) else model.robot)
         most = 4 * LARGEST / joints
-    channels = [channel for one in records for _, channel in one.items()]
-    if sum(max((len(channel) for _, channel in one.items()), default=0) for one in records) <= most:
-        return None
-    if len({round(one.sample_time, 12) for one in channels}) != 1:
-        return None
-    if any(len({len(channel) for _, channel in one.items()}) != 1 for one in records):
+    elif isinstance(model, Sequence):
+        loops = [*model]
+    lengths = [[len(channel) for _, channel in one.items()] for one in records]
+    rates = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
+    if sum(map(max, filter(None, lengths))) <= most or len(rates) != 1 or any(len({*one}) != 1 for one in lengths):
         return None
     try:
-        if isinstance(model, _ROBOTS) or isinstance(record, Record):
-            require_windows(model, method)
-        else:
-            _require_windows_of(_layout(cast("Sequence[Record]", record), model, method, several), method, several)
+        for loop in loops:
+            require_windows(loop, method, () if several is None else several.free)
     except MethodError:
         return None
-    length = min(WINDOW, most / (_PARTS * joints))
-    return Windowing(min(Windowing().length, channels[0].sample_time * length))
+    return min(_LONGEST, rates.pop() * min(WINDOW, most / (_PARTS * joints)))
 
 
 def _flat(record: object) -> list[Record]:
@@ -85,21 +80,6 @@ def _flat(record: object) -> list[Record]:
     if isinstance(record, Record):
         return [record]
     return [one for each in record for one in _flat(each)] if isinstance(record, list | tuple) else []
-
-
-def _layout(
-    records: Sequence[Record], model: Any, method: Method | None, several: SeveralRecords | None
-) -> RecordLayout:
-    """Return what several records of a joint share.
-
-    Raises:
-        MethodError: they are not identified by simulating a loop, or the lists about them are not as long.
-    """
-    if not isinstance(model, ClosedLoop | Sequence) or isinstance(method, IDIM | DriveSideFit):
-        raise MethodError("Several records are identified by simulating their loop; give a ClosedLoop and DIDIM.")
-    settings = several or SeveralRecords()
-    free = (*settings.free, *(method.free if isinstance(method, DIDIM) else ()))
-    return RecordLayout.of(len(records), model, replace(settings, free=tuple(dict.fromkeys(free))))
 
 
 def fit(
@@ -110,134 +90,120 @@ def fit(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     several: SeveralRecords | None = None,
-    windows: Windowing | None = None,
+    windows: float | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
-    filtering, parameters = filtering or Filtering(), parameters or {}
+    if windows is not None and not 0.0 < windows < math.inf:
+        raise MethodError(f"A window lasts a finite time; received {windows:g} s.")
+    filtering, known, layout = filtering or Filtering(), parameters or {}, None
+    loops, warnings = tuple[ClosedLoop, ...](), tuple[str, ...]()
     if isinstance(model, _ROBOTS):
         if not isinstance(record, Sequence) or several:
             raise MethodError(
                 "A robot is identified from the records of its joints, without SeveralRecords; give the records alone."
             )
-        found = fit_robot(
-            record, model, method, filtering=filtering, parameters=parameters, windows=windows, progress=progress
-        )
-        return found.warn(*robot_record_warnings(record, model if isinstance(model, Robot) else model.robot))
-    outputs = method.outputs if isinstance(method, DIDIM) else ()
-    if isinstance(record, Sequence):
-        if not all(isinstance(one, Record) for one in record):
-            raise MethodError("Several records of a joint are a list of records; received something else in it.")
-        layout = _layout(cast("Sequence[Record]", record), model, method, several)
-
-        def fit_together(each: Sequence[Record]) -> Estimate:
-            require_distinct(each)
-            if windows is None:
-                return state_scale(identify_several(each, layout, method, filtering, parameters, progress), each)
-            _require_windows_of(layout, method, several)
-            windowed = [
-                _of_joint(loop, method, filtering, layout.changes(parameters, k, acting=True))
-                for k, loop in enumerate(layout.loops)
-            ]
-            logs = [[InMemory(one)] for one in each]
-            return state_scale(identify_log(logs, windowed, windows, progress, layout), each)
-
-        return fit_outputs(cast("Sequence[Record]", record), layout.loops, outputs, fit_together)
-    if several is not None or isinstance(model, Sequence):
+        robot = model if isinstance(model, Robot) else model.robot
+        require_friction(robot, known)
+        check_robot_records(record, robot)
+        if method is not None:
+            method.require_settings_of("robot")
+        logs = [[*log] for log in each_log(record)]
+        loops = (*model.loops,) * len(logs) if isinstance(model, RobotLoop) else ()
+        warnings = robot_record_warnings(record, robot)
+    elif isinstance(record, Sequence):
+        logs = [[one] for one in _flat(record)]
+        layout = _layout(record, model, method, several)
+        loops = layout.loops
+    elif several is not None or isinstance(model, Sequence):
         raise MethodError("SeveralRecords and several loops are of a list of records; received one: give them all.")
-    if not isinstance(record, Record):
-        if not isinstance(model, ClosedLoop) or isinstance(method, IDIM):
-            raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop and DIDIM.")
-        require_windows(model, method)
-        joint = _of_joint(model, method, filtering, parameters)
-        return identify_log([[record]], [joint], windows or Windowing(), progress)
+    else:
+        loops = (model,) if isinstance(model, ClosedLoop) else ()
+        if not isinstance(record, Record):
+            if not loops or isinstance(method, IDIM):
+                raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop and DIDIM.")
+            require_windows(model, method)
+            way = _in_windows(model, method, filtering, known)
+            return identify_log([[record]], [way], loops, filtering, windows or _LONGEST, progress)
+        logs = [[record]]
 
-    def fit_single(records: Sequence[Record]) -> Estimate:
-        if windows is None:
-            return identify_record(records[0], model, method, filtering, parameters, progress)
-        require_windows(model, method)
-        check_record(records[0])
-        joint = _of_joint(model, method, filtering, parameters)
-        return identify_log([[InMemory(records[0])]], [joint], windows, progress)
+    def fit_all(read: Sequence[Record]) -> Estimate:
+        each = [read[at : at + len(logs[0])] for at in range(0, len(read), len(logs[0]))]
+        if layout is not None:
+            require_distinct(read)
+        if windows is not None:
+            ways = [_in_windows(model, method, filtering, known)]
+            if layout is not None:
+                own = [layout.changes(known, k, acting=True) for k in range(len(loops))]
+                ways = [_in_windows(loop, method, filtering, one) for loop, one in zip(loops, own, strict=True)]
+            for way in ways:
+                require_windows(way.model, method, () if several is None else several.free)
+            sources = [[InMemory(one) for one in log] for log in each]
+            return identify_log(sources, ways, loops, filtering, windows, progress, layout)
+        if layout is not None:
+            return identify_several(read, layout, method, filtering, known, progress)
+        return _at_once(model, each if len(each) > 1 else read, method, filtering, known, progress)
 
-    if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
-        return state_position(fit_outputs([record], [model], outputs, _in_time(fit_single)))
-    return _in_time(fit_single)([record])
+    def fit_timed(read: Sequence[Record]) -> Estimate:
+        return state_scale(state_timing(fit_all(read), read), read)
 
-
-def _require_windows_of(layout: RecordLayout, method: Method | None, several: SeveralRecords | None) -> None:
-    """Refuse several records that are not identified in windows."""
-    for loop in layout.loops:
-        require_windows(loop, method, () if several is None else several.free)
-
-
-def _of_joint(
-    model: ClosedLoop | DriveSide | Joint,
-    method: Method | None,
-    filtering: Filtering,
-    parameters: Mapping[str, Parameter],
-) -> Windowed:
-    """Return how a window of a joint is identified."""
-
-    def fit_window(records: Sequence[Record], progress: Progress) -> Estimate:
-        return identify_record(records[0], model, method, filtering, parameters, progress)
-
-    return Windowed(fit_window, model, filtering, parameters)
+    flat = [one for log in logs for one in log]
+    if not loops or not isinstance(method, DIDIM | None):
+        return fit_timed(flat).warn(*warnings)
+    outputs = () if method is None else method.outputs
+    return state_position(fit_outputs(flat, loops, outputs, fit_timed)).warn(*warnings)
 
 
-def _in_time(fit: Callable[[Sequence[Record]], Estimate]) -> Callable[[Sequence[Record]], Estimate]:
-    """Return the fit of records whose torques may have no stated timing, or may be computed."""
-    return lambda records: state_scale(state_timing(fit(records), records), records)
-
-
-def fit_robot(
-    records: Records,
-    model: Robot | RobotLoop | RobotDriveSide,
-    method: Method | None = None,
-    *,
-    filtering: Filtering | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-    windows: Windowing | None = None,
-    progress: Progress = ignore_progress,
-) -> Estimate:
-    """Return the fit of a robot, without the checks; see `jointid.identify`.
+def _layout(
+    records: Sequence[object], model: Any, method: Method | None, several: SeveralRecords | None
+) -> RecordLayout:
+    """Return what several records of a joint share.
 
     Raises:
-        MethodError: the method does not fit the model.
+        MethodError: they are not identified by simulating a loop, or the lists about them are not as long.
     """
-    known, robot = parameters or {}, model if isinstance(model, Robot) else model.robot
-    require_friction(robot, known)
-    check_robot_records(records, robot)
-    if method is not None:
-        method.require_settings_of("robot")
-    every, filtering = [record for log in each_log(records) for record in log], filtering or Filtering()
+    if not all(isinstance(one, Record) for one in records):
+        raise MethodError("Several records of a joint are a list of records; received something else in it.")
+    if not isinstance(model, ClosedLoop | Sequence) or isinstance(method, IDIM | DriveSideFit):
+        raise MethodError("Several records are identified by simulating their loop; give a ClosedLoop and DIDIM.")
+    settings = several or SeveralRecords()
+    free = (*settings.free, *(method.free if isinstance(method, DIDIM) else ()))
+    return RecordLayout.of(len(records), model, replace(settings, free=tuple(dict.fromkeys(free))))
 
-    def fit_once(under: Robot | RobotLoop | RobotDriveSide, logs: Records, progress: Progress) -> Estimate:
-        simulated = DriveSideFit if isinstance(under, RobotDriveSide) else DIDIM
-        if isinstance(under, RobotLoop | RobotDriveSide) and (method is None or isinstance(method, simulated)):
-            return identify_simulated_robot(under, logs, method, filtering=filtering, known=known, progress=progress)
-        if isinstance(under, Robot | RobotLoop) and isinstance(method, IDIM | None):
-            return identify_robot(under, logs, method, filtering=filtering, known=known)
-        raise MethodError(
-            f"{type(method).__name__} is not for a {type(under).__name__}; use IDIM for a Robot, DIDIM for a "
-            "RobotLoop, or DriveSideFit for a RobotDriveSide."
-        )
+
+def _in_windows(model: object, method: Method | None, filtering: Filtering, known: Mapping[str, Parameter]) -> Windowed:
+    """Return how a window is identified."""
 
     def fit_window(records: Sequence[Record], progress: Progress) -> Estimate:
         # The first window of all begins as the model says, any other in motion.
         moving = isinstance(model, RobotLoop) and records[0].begin > 0
-        return fit_once(replace(cast("RobotLoop", model), in_motion=True) if moving else model, records, progress)
+        under = replace(cast("RobotLoop", model), in_motion=True) if moving else model
+        return _at_once(under, records, method, filtering, known, progress)
 
-    def of_logs(read: Sequence[Record]) -> Estimate:
-        logs = in_logs(read, records) if len(read) == len(every) else read
-        if windows is None:
-            return fit_once(model, logs, progress)
-        require_windows(model, method)
-        sources = [[InMemory(one) for one in log] for log in each_log(logs)]
-        return identify_log(sources, [Windowed(fit_window, model, filtering, known)], windows, progress)
+    return Windowed(fit_window, model, known)
 
-    fit_timed = _in_time(of_logs)
-    if not isinstance(model, RobotLoop) or not isinstance(method, DIDIM | None):
-        return fit_timed(every)
-    loops = model.loops * (len(every) // len(robot.links))
-    return fit_outputs(every, loops, () if method is None else method.outputs, fit_timed)
+
+def _at_once(
+    model: Any,
+    records: Records,
+    method: Method | None,
+    filtering: Filtering,
+    known: Mapping[str, Parameter],
+    progress: Progress,
+) -> Estimate:
+    """Return the fit of a joint's only record, or of a robot's logs.
+
+    Raises:
+        MethodError: the method does not fit the model.
+    """
+    if not isinstance(model, _ROBOTS):
+        return identify_record(cast("Record", records[0]), model, method, filtering, known, progress)
+    simulated = DriveSideFit if isinstance(model, RobotDriveSide) else DIDIM
+    if not isinstance(model, Robot) and (method is None or isinstance(method, simulated)):
+        return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
+    if not isinstance(model, RobotDriveSide) and isinstance(method, IDIM | None):
+        return identify_robot(model, records, method, filtering=filtering, known=known)
+    raise MethodError(
+        f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a RobotLoop, or "
+        "DriveSideFit for a RobotDriveSide."
+    )

@@ -1,52 +1,47 @@
-"""Several records of one joint: identified in one fit, after each was identified by itself.
+"""Several records of one joint: identified in one fit, from where each of them ends by itself.
 
-Two steps. Each record by itself gives a start, the level of its residual, and what it says alone. Then bounded least
-squares over all of them with the exact Jacobian, each record's rows divided by its level: records of different noise,
-length or cut-off count for what they are worth.
+The fit of each record by itself is its start. Bounded least squares over all of them follows, each record's rows
+divided by the level of its residual: records of different noise, length or cut-off count for what they are worth.
 
 Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
-the motion (`position_dependent_error`). Where the records, each by itself, disagree by more than their intervals allow,
-the answer says so and widens what they share (`result.agreement`). What moves a record's own solution, beside noise
-(`uncertainty_of_least_error`), moves the common one as far as the record weighs in it, and widens that.
+the motion (`position_dependent_error`). What a record says alone is one Gauss-Newton step from the common solution.
+Where the records disagree by more than their intervals allow, the answer says so and widens what they share
+(`result.agreement`). What moves a record's own solution, beside noise (`uncertainty_of_least_error`), moves the common
+one as far as the record weighs in it, and widens that.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
-from jointid.common.parameters import Parameter, adjust_parameters
+from jointid.common.parameters import Bounds, Parameter, adjust_parameters
+from jointid.estimation.identify_log import Start, build_answer, describe_record, pose
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem, several
-from jointid.estimation.result.agreement import Agreement, Alone, compare_records
-from jointid.estimation.result.build_result import (
-    build_estimate,
-    build_params,
-    build_rows,
-    find_active_bounds,
-    list_loop_channels,
-)
-from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, EstimatedParameter, RecordFit, Settings
-from jointid.records.checks import find_record_warnings
+from jointid.estimation.problems.log_windows import Solved, stream
+from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem
+from jointid.estimation.result.agreement import Alone, compare_records
+from jointid.estimation.result.build_result import find_active_bounds
+from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.estimation.result.parts import Checks, RecordFit
+from jointid.estimation.windowed import loop_model
+from jointid.records.chunks import Chunk
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import Tally
 from jointid.uncertainty.covariance import Covariance, Influence
 from jointid.uncertainty.identifiability import find_separable
-from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
+from jointid.uncertainty.position_dependent_error import Cells, cells, uncertainty
+from jointid.uncertainty.resampling import Sums, step_of
 
-_SOLVER = LevenbergMarquardt(evaluations=100)
-_NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
 _ROUNDING = 1e-8  # of a value
 
 
@@ -59,24 +54,32 @@ def identify_several(
     progress: Progress,
 ) -> Estimate:
     """Return the fit of one joint to several records in one fit; see `jointid.identify`."""
-    alone = []
-    for k, record in enumerate(records):
+    alone = list[Estimate]()
+    for k, (record, loop) in enumerate(zip(records, layout.loops, strict=True)):
         progress(f"record {k + 1}, {record.name}, by itself")
         changes = layout.changes(parameters, k, acting=False)
-        fit = identify_record(record, layout.loops[k], method, filtering, changes, progress)
-        alone.append(BySelf.of(record, fit, layout, k))
-    starts = fill_starts([one.values for one in alone], [p.name for p in alone[0].problem.parameters])
-    problems = [one.together(parameters) for one in alone]
-    whole = several(problems, layout).weighing([1.0 / one.level for one in alone])
+        alone.append(identify_record(record, loop, method, filtering, changes, progress))
+    own, values = [_solved(one)[0] for one in alone], [_told(one) for one in alone]
+    starts = fill_starts(values, [p.name for p in own[0].parameters])
     gain = _gain(layout, starts)
-    progress(f"{len(records)} records together, {len(whole.free)} parameters")
-    begin = [
-        problem.vector(one.acting(start, gain)) for problem, one, start in zip(problems, alone, starts, strict=True)
+    problems = [_share(problem, layout, parameters, k) for k, problem in enumerate(own)]
+    begin = [problem.vector(_act(start, layout, gain)) for problem, start in zip(problems, starts, strict=True)]
+    begun = [
+        Start([record], fit, loop_model(problem, whole=True), x)
+        for record, fit, problem, x in zip(records, alone, problems, begin, strict=True)
     ]
-    end = solve(whole, _SOLVER, whole.join(begin))
-    progress(Detail(end.message))
-    simulations = sum(one.fit.fit.simulations for one in alone) + (end.evaluations + 3) * len(records)
-    return _build_result(whole, end, alone, simulations)
+    problem, x, together = pose(begun, [partial(_whole, one) for one in records], [one.name for one in records], layout)
+    progress(f"{len(records)} records together, {x.size} parameters")
+    simulated = Tally(sum(one.fit.simulations for one in alone) + len(records))
+    solved = stream(replace(problem, kept=True, progress=progress, tally=simulated), x)
+    progress(Detail(solved.stop))
+    assert together is not None
+    return _judge(together, solved, records, alone)
+
+
+def _whole(record: Record, *_: int) -> list[list[Chunk]]:
+    """Return a record as its only window."""
+    return [[Chunk(0, record, last=True)]]
 
 
 def require_distinct(records: Sequence[Record]) -> None:
@@ -89,73 +92,6 @@ def require_distinct(records: Sequence[Record]) -> None:
                 f"Records {seen[mark]} and {number} are the same record, which is no second one: name another file."
             )
         seen[mark] = number
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BySelf:
-    """One record fitted by itself, per torque of its log.
-
-    Attributes:
-        record: what it was fitted to. fit: of it.
-        layout: of all records. number: of this one, from 0.
-        problem: what was solved. x: (free,) its solution.
-        residual: (rows,) there. slopes: (rows, free) its derivatives.
-    """
-
-    record: Record
-    fit: Estimate
-    layout: RecordLayout
-    number: int
-    problem: ClosedLoopProblem
-    x: FloatArray
-    residual: FloatArray
-    slopes: FloatArray
-
-    @classmethod
-    def of(cls, record: Record, fit: Estimate, layout: RecordLayout, number: int) -> BySelf:
-        """Return a record's own fit, evaluated once more at its end."""
-        assert fit.problem is not None and fit.x is not None
-        return cls(record, fit, layout, number, fit.problem, fit.x, *fit.problem.linearise(fit.x))
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Every parameter that it tells, by name, the fixed ones too."""
-        told = {p.name for p in self.fit.params.rows if p.value is not None}
-        return {name: value for name, value in self.problem.values(self.x).items() if name in told}
-
-    @property
-    def level(self) -> float:
-        """Rms of the residual over its degrees of freedom."""
-        level = float(np.linalg.norm(self.residual)) / math.sqrt(max(self.residual.size - self.x.size, 1))
-        signal = self.problem.filter(self.problem.measured)
-        return max(level, _NOTHING_LEFT * float(np.sqrt(np.mean(signal**2))))
-
-    def acting(self, values: Mapping[str, float], gain: float) -> dict[str, float]:
-        """Return values in terms of the acting torque, `gain` times the logged one."""
-        own = {p.name for p in self.problem.joint.parameters}
-        return {n: gain * v if n in own else v for n, v in values.items()} | {"drive_gain": gain}
-
-    def together(self, parameters: Mapping[str, Parameter]) -> ClosedLoopProblem:
-        """Return the problem as one of all records; the gain of the drive may be free."""
-        joint = self.problem.joint.parameters
-        own = adjust_parameters(joint, self.layout.changes(parameters, self.number, acting=True))
-        around = self.problem.parameters[len(joint) :]
-        return replace(self.problem, parameters=(*own, *around)).freeing(*self.layout.free)
-
-    def rows(self, gain: float) -> tuple[EstimatedParameter, ...]:
-        """Return its estimate per unit torque, without the added inertia."""
-        more, free = self.layout.added[self.number], self.problem.free
-        acting, own = self.acting(self.values, gain), {p.name for p in self.problem.joint.parameters}
-        told = {p.name: p for p in self.fit.params.rows if p.free and p.value is not None and p.stderr is not None}
-        values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free if p.name in told}
-        std = {name: (gain if name in own else 1.0) * (told[name].stderr or 0.0) for name in values}
-        return build_rows([p for p in free if p.name in told], values, std, self.layout.unit, own)
-
-    @property
-    def inseparable(self) -> tuple[str, ...]:
-        """Parameters that this record shows only together; see `find_separable`."""
-        apart = find_separable(self.slopes)
-        return tuple(p.name for p, separable in zip(self.problem.free, apart, strict=True) if not separable)
 
 
 def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> list[dict[str, float]]:
@@ -173,6 +109,32 @@ def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> li
     return [{**anywhere, **values} for values in each]
 
 
+def _solved(fit: Estimate) -> tuple[ClosedLoopProblem, FloatArray]:
+    assert fit.problem is not None and fit.x is not None
+    return fit.problem, fit.x
+
+
+def _told(fit: Estimate) -> dict[str, float]:
+    """Return every parameter that a record tells by itself, by name, the fixed ones too."""
+    (problem, x), told = _solved(fit), {p.name for p in fit.params.rows if p.value is not None}
+    return {name: value for name, value in problem.values(x).items() if name in told}
+
+
+def _act(values: Mapping[str, float], layout: RecordLayout, gain: float) -> dict[str, float]:
+    """Return values in terms of the acting torque, `gain` times the logged one."""
+    own = {p.name for p in layout.joint.parameters}
+    return {n: gain * v if n in own else v for n, v in values.items()} | {"drive_gain": gain}
+
+
+def _share(
+    problem: ClosedLoopProblem, layout: RecordLayout, parameters: Mapping[str, Parameter], number: int
+) -> ClosedLoopProblem:
+    """Return the problem of a record as one of all records; the gain of the drive may be free."""
+    joint = problem.joint.parameters
+    own = adjust_parameters(joint, layout.changes(parameters, number, acting=True))
+    return replace(problem, parameters=(*own, *problem.parameters[len(joint) :])).freeing(*layout.free)
+
+
 def _gain(layout: RecordLayout, starts: Sequence[Mapping[str, float]]) -> float:
     """Return a start of the drive gain: the slope of the added values over those of separate fits."""
     name = next((name for more in layout.added for name in more), None)
@@ -185,128 +147,69 @@ def _gain(layout: RecordLayout, starts: Sequence[Mapping[str, float]]) -> float:
     return slope if slope > 0 else 1.0
 
 
-# All of them
+def _judge(together: RecordsProblem, solved: Solved, records: Sequence[Record], fits: Sequence[Estimate]) -> Estimate:
+    """Return the fit of all records, with what each says alone."""
+    layout, x, found, sigma = together.layout, solved.x, solved.found, solved.problem.sigma[:, 0]
+    members = zip(together.problems, together.places, together.added, strict=True)
+    own = [problem.simulate(x[at] + more) for problem, at, more in members]
+    seen = [(run.motor_position[one.at], run.motor_velocity[one.at]) for run, one in zip(own, found.seen, strict=True)]
+    error = np.concatenate([one.error[0] / size for one, size in zip(found.seen, sigma, strict=True)])
+    J = np.concatenate([one.J[0] / size for one, size in zip(found.seen, sigma, strict=True)])
+    ends = np.cumsum([one.at.size for one in found.seen])
+    influence = Influence(J, error, series=[one.at.size for one in found.seen])
+    known = uncertainty(influence, cells(*(np.concatenate(each) for each in zip(*seen, strict=True))))
+    gain = dict(zip((p.name for p in together.free), x, strict=True)).get("drive_gain", 1.0)
+    alone, shares, moved = list[Alone](), list[RecordFit](), np.zeros(x.size)
+    for k, (one, fit) in enumerate(zip(found.seen, fits, strict=True)):
+        # The gain is not told by a record alone.
+        at = [i for i in together.places[k] if together.free[i].name != "drive_gain"]
+        free, slopes = [together.free[i] for i in at], one.J[0][:, at]
+        names = [p.name for p in _solved(fit)[0].free]
+        shifts = [_act(dict(zip(names, shift, strict=True)), layout, gain) for shift in fit.shifts]
+        steps = [np.array([by.get(p.name.partition("@")[0], 0.0) for p in free]) for by in shifts]
+        answer = influence.matrix[:, ends[k] - one.at.size : ends[k]] / sigma[k]
+        moved += np.sqrt(sum((answer @ slopes @ step) ** 2 for step in steps))  # they may err alike, or against others
+        said, left = _step_alone(free, x[at], one.error[0], slopes, cells(*seen[k]), steps)
+        alone.append(said)
+        rest = float(np.linalg.norm(left) / np.linalg.norm(one.measured))
+        shares.append(describe_record(together, k, records[k], solved, said, rest))
+    if np.any(moved):
+        known = known.widened_by(moved)
+    # The inertia that tells the gain is not compared.
+    gained = {name for more in layout.added for name in more} if "drive_gain" in layout.free else set()
+    compared = compare_records(alone, {n: unit for n, unit in together.units.items() if n not in gained})
+    covariance = compared.widen(known.covariance, [p.name for p in together.free])
+    repeats = [str(known.repeatable)] if known.repeatable.significant else []
+    of_records = [f"record {k}: {said}" for k, fit in enumerate(fits, 1) for said in fit.checks.warnings]
+    checks = Checks(agreement=compared, warnings=(*map(str, known.warnings), *repeats, *of_records))
+    return build_answer(fits[0], records, solved, covariance, together, shares, checks)
 
 
-def _build_result(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf], simulations: int) -> Estimate:
-    """Return the fit of all records."""
-    layout, gain = problem.layout, problem.values(end.x).get("drive_gain", 1.0)
-    judged, compared = _judge_together(problem, end, alone, gain), _compare(problem, alone, gain)
-    covariance = compared.widen(judged.covariance, [p.name for p in problem.free])
-    torques = [one.torque(problem.of_member(end.x, k)) for k, one in enumerate(problem.problems)]
-    predicted = np.concatenate(torques)
-    shares = tuple(_record_fit(problem, one, gain, torque) for one, torque in zip(alone, torques, strict=True))
-    error = problem.filter(problem.measured - predicted)
-    held = find_active_bounds(problem.free, end.x, end.residual, end.jacobian)
-    said = (
-        f"record {k}: {warning}"
-        for k, one in enumerate(alone, 1)
-        for warning in find_record_warnings(one.record, one.fit.data.channels)
-    )
-    repeats = [str(judged.repeatable)] if judged.repeatable.significant else []
-    found = build_estimate(
-        [one.record for one in alone],
-        build_params(problem, end.x, covariance, held),
-        (problem.measured, predicted),
-        problem.filtered_error(error),
-        error.size,
-        (end.message, end.converged),
-        simulations,
-        Settings("didim", "DIDIM by least squares", problem.joint, layout.loops[0], problem.filtering),
-        dict.fromkeys(name for share in shares for name in share.channels),
-        Checks(agreement=compared, warnings=(*map(str, judged.warnings), *repeats, *said)),
-    )
-    return replace(found, data=replace(found.data, records=shares, torque_unit=layout.torque_unit))
-
-
-def _judge_together(problem: RecordsProblem, end: Solution, alone: Sequence[BySelf], gain: float) -> Uncertainty:
-    """Return the uncertainty before the records are compared.
-
-    What moves a record's own solution moves the common one as far as the record weighs in it. Records may err alike or
-    against each other, so the sizes add up.
-    """
-    J, moved = end.jacobian, np.zeros(end.x.size)
-    runs = [one.simulate(problem.of_member(end.x, k)) for k, one in enumerate(problem.problems)]
-    at = [one.kept for one in problem.problems]
-    position, velocity = (
-        np.concatenate([getattr(run, name)[rows] for run, rows in zip(runs, at, strict=True)])
-        for name in ("motor_position", "motor_velocity")
-    )
-    rows = [one.size for one in at]
-    influence = Influence(J, end.residual, series=rows)
-    known = uncertainty(influence, cells(position, velocity))
-    ends = np.cumsum(rows)[:-1]
-    answers = np.split(influence.matrix, ends, axis=1)
-    for k, (one, slopes, answer) in enumerate(zip(alone, np.split(J, ends), answers, strict=True)):
-        steps = np.zeros_like(moved)
-        for shift in one.fit.shifts:
-            by = one.acting(dict(zip((p.name for p in one.problem.free), shift, strict=True)), gain)
-            its = [by.get(p.name, 0.0) if p.name != "drive_gain" else 0.0 for p in problem.problems[k].free]
-            steps = np.hypot(steps, answer @ (slopes[:, problem.places[k]] @ np.array(its)))
-        moved += steps
-    return known.widened_by(moved) if np.any(moved) else known
-
-
-def _compare(problem: RecordsProblem, alone: Sequence[BySelf], gain: float) -> Agreement:
-    """Test whether the estimates from single records agree.
-
-    Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
-    """
-    layout, each = problem.layout, list[Alone]()
-    stated = {"drive_gain", *(name for more in layout.added for name in more)} if "drive_gain" in layout.free else set()
-    units = {p.name: layout.unit(p) for p in problem.free if "@" not in p.name and p.name not in stated}
-    for k, one in enumerate(alone):
-        compared = units.keys() & {p.name for p in problem.of_record(k)} - {*one.inseparable}
-        rows = [row for row in one.rows(gain) if row.name in compared and (row.stderr or 0.0) > 0]
-        rows = [row for row in rows if one.fit.params[row.name].at_bound is None]
-        values = {row.name: row.value or 0.0 for row in rows}
-        # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
-        std = np.array([max(row.stderr or 0.0, _ROUNDING * abs(row.value or 0.0)) for row in rows])
-        each.append(Alone(values, Covariance(std, one.fit.params.correlation_of([*values]))))
-    return compare_records(each, units)
-
-
-def _record_fit(problem: RecordsProblem, one: BySelf, gain: float, torque: FloatArray) -> RecordFit:
-    """Return the estimate from one record, and the fit of the common model, its torque (samples,), to it."""
-    own = problem.problems[one.number]
-    error = own.filter(own.measured - torque)
-    errors = (
-        relative_error(own.measured, torque, own.filtering.borders),
-        own.filtered_error(error),
-        own.filtered_error(one.residual),
-    )
-    return describe_record(problem, one.number, one.record, one.rows(gain), one.level, error.size, errors)
-
-
-def describe_record(
-    together: RecordsProblem,
-    number: int,
-    record: Record,
-    alone: tuple[EstimatedParameter, ...],
-    level: float,
-    rows: int,
-    errors: tuple[float, float, float],
-) -> RecordFit:
-    """Return one of several records.
+def _step_alone(
+    free: Sequence[Parameter],
+    x: FloatArray,
+    error: FloatArray,
+    J: FloatArray,
+    where: Cells,
+    shifts: Sequence[FloatArray],
+) -> tuple[Alone, FloatArray]:
+    """Return what a record says alone, one step from the common x, (free,), and what that leaves of its torque.
 
     Args:
-        together: the problem of all.
-        number: of the record, from 0.
-        record: itself.
-        alone: what it says by itself.
-        level: of its residual.
-        rows: of its filtered torque.
-        errors: of the common model, raw and filtered, and of the record by itself.
+        free: its parameters.
+        x: their common values.
+        error: (rows,) its filtered error there.
+        J: (rows, free) its derivatives.
+        where: its rows' cells.
+        shifts: (free,) each, of its solution beside noise.
     """
-    assert record.torque is not None
-    return RecordFit(
-        record.name,
-        fingerprint(record.torque.values),
-        list_loop_channels(together.layout.loops[number], record),
-        sum(together.layout.added[number].values()),
-        alone,
-        level,
-        rows,
-        *errors,
-        resampled=record.resampled,
-    )
+    step = step_of(Sums.of(error, J, error), Bounds.of(free).shift_to(x))
+    left, values = error + J @ step, x + step
+    found = uncertainty(Influence(J, left), where)
+    for shift in shifts:
+        found = found.widened_by(shift)
+    # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
+    std, held = np.maximum(found.covariance.std, _ROUNDING * np.abs(values)), find_active_bounds(free, values, left, J)
+    told = [i for i, apart in enumerate(find_separable(J)) if apart and std[i] > 0 and free[i].name not in held]
+    correlation = found.covariance.correlation[np.ix_(told, told)]
+    return Alone({free[i].name: float(values[i]) for i in told}, Covariance(std[told], correlation)), left

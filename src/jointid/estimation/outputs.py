@@ -16,7 +16,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
 from jointid.estimation.problems.base import LOG_DELAY
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import scale_verdict
 from jointid.models.joints import ClosedLoop
@@ -27,10 +26,7 @@ Logs: TypeAlias = Sequence[Record]
 
 OUTPUTS = ("torque", "motor_position")
 
-_ONE_WAY = ("coulomb_forwards", "coulomb_backwards")
-CONSTANT = (  # what includes a constant torque
-    "offset", "gravity_constant", *(f"{side}{name}" for side in ("", "motor_", "load_") for name in _ONE_WAY),
-)  # fmt: skip
+CONSTANT = ("offset", "gravity_constant", "coulomb_forwards", "coulomb_backwards")  # includes a constant torque
 _OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
 _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 
@@ -72,13 +68,7 @@ def fit_outputs(
 
 
 def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> dict[str, float]:
-    """Return the rms error of simulated motor positions, by name, of those that were logged at the same instants.
-
-    Args:
-        names: of the joints.
-        records: of each.
-        simulated: (samples, joints).
-    """
+    """Return the rms error of simulated motor positions, (samples, joints), of those logged at the same instants."""
     found = {}
     for name, record, values in zip(names, records, simulated.T, strict=True):
         position, torque = record.motor_position, record.torque
@@ -90,9 +80,7 @@ def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> 
 
 def state_position(fit: Estimate) -> Estimate:
     """Return the fit of a joint under its controller with the error of the position; any other as it is."""
-    if fit.record is None or not isinstance(fit.problem, ClosedLoopProblem) or fit.x is None:
-        return fit
-    if fit.record.motor_position is None:
+    if fit.record is None or fit.problem is None or fit.x is None or fit.record.motor_position is None:
         return fit
     simulated = fit.problem.simulate(fit.x).motor_position[:, np.newaxis]
     rms = position_rms([""], [fit.record], simulated)
@@ -106,19 +94,22 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
     the factor that controller and joint have in common. The content of an integral at the first sample is unknown, and
     with it a constant torque: the parameters that include it lose their values.
     """
-    computed = [(record, record.computed_by) for record in records if record.computed_by is not None]
+    computed = [
+        (one, one.torque, one.computed_by) for one in records if one.computed_by is not None and one.torque is not None
+    ]
     if not computed:
         return fit
-    rows = fit.params.rows
-    known = [
-        row.name for row in rows if row.of_joint and not row.free and row.value and row.unit.startswith(_OF_TORQUE)
-    ]
-    known += ["the injected signal"] if any(_tells_scale(record) for record, _ in computed) else []
-    integral = any(law.law(_sample_time(record)).integrates for record, law in computed)
-    lost = tuple(
-        row.name for row in rows if integral and row.of_joint and row.free and row.name.rpartition(".")[2] in CONSTANT
-    )
-    freed = any(not row.of_joint and row.free and row.name == "gain" for row in rows)
+    rows = [row for row in fit.params.rows if row.of_joint]
+    known = [row.name for row in rows if not row.free and row.value and row.unit.startswith(_OF_TORQUE)]
+    if any(  # large enough beside the controller's output to tell a scale
+        record.injected is not None and np.std(record.injected.channel.values) > _ENOUGH * np.std(torque.values)
+        for record, torque, _ in computed
+    ):
+        known.append("the injected signal")
+    integral = any(law.law(torque.sample_time).integrates for _, torque, law in computed)
+    parts = {row.name: row.name.rpartition(".")[2].removeprefix("motor_").removeprefix("load_") for row in rows}
+    lost = tuple(row.name for row in rows if integral and row.free and parts[row.name] in CONSTANT)
+    freed = any(not row.of_joint and row.free and row.name == "gain" for row in fit.params.rows)
     if freed and not known:
         raise MethodError(
             "From positions alone the controller's gain is one with the scale of the joint; expected a known inertia, "
@@ -126,7 +117,7 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
         )
     verdict = scale_verdict(known, lost, identified=freed)
     checks = replace(fit.checks, verdicts=(*fit.checks.verdicts, verdict))
-    read = {*fit.data.channels, "motor_position", *(name for _, law in computed for name in law.channels)}
+    read = {*fit.data.channels, "motor_position", *(name for *_, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
     return replace(fit, checks=checks, data=data, undetermined=lost)
 
@@ -154,15 +145,3 @@ def state_timing(fit: Estimate, records: Logs) -> Estimate:
         "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
         "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
     )
-
-
-def _tells_scale(record: Record) -> bool:
-    """Test whether a known torque beside the controller's output is large enough to tell a scale."""
-    if record.injected is None or record.torque is None:
-        return False
-    return float(np.std(record.injected.channel.values)) > _ENOUGH * float(np.std(record.torque.values))
-
-
-def _sample_time(record: Record) -> float:
-    assert record.torque is not None
-    return record.torque.sample_time

@@ -1,16 +1,16 @@
 """The models of windows: a joint or a robot that is simulated, and the inverse model of either.
 
 Each takes the rows of a window from the code that takes those of a whole record: the loop of a joint
-(`problems.closed_loop`), the inverse model of a joint (`problems.inverse_model`), that of a robot
-(`robots.regression`), and a robot that is simulated (`robots.simulated`), whose window begins in motion. What all
-windows say is told as of the window that the search began with (`WindowModel.tell`).
+(`problems.closed_loop`), the inverse model of a joint or a robot (`problems.inverse_model`), and a robot that is
+simulated (`robots.simulated`), whose window begins in motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,20 +25,12 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
     REST,
+    Inverse,
     inverse_of_joint,
     read_as,
 )
-from jointid.estimation.problems.log_windows import (
-    NotSimulatedError,
-    Seen,
-    WindowModel,
-    commanded,
-    is_braked,
-    moves,
-    ringing,
-)
+from jointid.estimation.problems.log_windows import NotSimulatedError, Seen, WindowModel
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Params, Settings
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers, problem_of
@@ -46,72 +38,68 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import cut
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering, decimated_at, drop_ends
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
-from jointid.uncertainty.covariance import Covariance
-
-if TYPE_CHECKING:
-    from jointid.estimation.identify_log import Solved
+from jointid.uncertainty.resampling import Sums
 
 _FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgotten
 _TOLD = 1e-4  # of the torque: less is never told
-_COMPARED = 16  # windows at least in which the nominal robot is compared, where there are as many
+_RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
 
 
-def _tell(window: Estimate, names: Sequence[str], values: FloatArray, solved: Solved, **parts: Any) -> Estimate:
-    """Return the fit of a window with the values of all; what a bound held in the window may be free in all."""
-    found = {name: (float(x), float(std)) for name, x, std in zip(names, values, solved.covariance.std, strict=True)}
-    rows = tuple(
-        replace(
-            row, value=found[row.name][0], stderr=found[row.name][1], free=True,
-            at_bound=found[row.name][0] if row.name in solved.held else None,
+def commanded(record: Record) -> Channel | None:
+    """Return the reference, or without one the motor position."""
+    return record.motor_position if record.reference is None else record.reference
+
+
+def travel(records: Sequence[Record]) -> float:
+    """Return how far the axes are asked to move in a window, or what is injected varies, in sum."""
+    asked = [commanded(one) if one.injected is None else one.injected.channel for one in records]
+    return sum(float(np.sum(np.abs(np.diff(one.values)))) for one in asked if one is not None)
+
+
+def moves(records: Sequence[Record]) -> bool:
+    """Test whether a window has a motion or something injected, and no brake that holds a joint at a torque of 0."""
+    braked = any(one.torque is not None and not np.any(one.torque.values) for one in records)
+    return not braked and (travel(records) > 0 or any(one.injected is not None for one in records))
+
+
+def _ringing(filtering: Filtering, sample_time: float) -> int:
+    """Return how many samples a resolved filtering rings."""
+    assert filtering.cutoff is not None
+    return math.ceil(_RINGS / (filtering.cutoff * sample_time))
+
+
+def _require_finished(outcome: Outcome, record: Record) -> None:
+    if outcome is not Outcome.FINISHED:
+        raise NotSimulatedError(
+            f"The window that begins at {record.begin:.0f} s cannot be simulated, because {outcome.value}; check the "
+            "controller and the start, or begin from another window."
         )
-        if row.name in found and row.value is not None
-        else row
-        for row in window.params.rows
-        if row.name in found or row.of_joint
-    )  # fmt: skip
-    params = Params(rows, tuple(names), solved.covariance.correlation)
-    return replace(window, params=params, settings=_in_windows(window.settings), **parts)
-
-
-def _in_windows(settings: Settings) -> Settings:
-    return replace(settings, variant=f"{settings.variant}, in windows")
 
 
 # A joint that is simulated
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LoopWindow:
-    """The loop of a joint that is simulated, as it is compared with one window.
+def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
+    """Return the loop of a joint, as it is compared with windows.
 
-    Attributes:
-        problem: of the window that is started from; those of all others are like it.
+    Args:
+        like: the problem of the window that is started from, which those of all others are like.
+        whole: whether that is the only window.
     """
 
-    problem: ClosedLoopProblem
-    motion_measured: bool = False
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-        return self.problem.free
-
-    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window; see `WindowModel`."""
-        (record,) = records
-        if not moves(record):
+    def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
+        if not (whole or moves(records)):
             return None
-        problem = begin_window(self.problem, record)
+        problem = like if whole else begin_window(like, records[0])
         response, columns = problem.sensitivities(x)
-        if response.outcome is not Outcome.FINISHED:
-            raise NotSimulatedError.of(record, f"{response.outcome.value}")
+        _require_finished(response.outcome, records[0])
         experiment = problem.experiment
         position = experiment.inputs[experiment.log_index // experiment.lengths.size, REFERENCE]
         return Seen(
@@ -123,28 +111,18 @@ class LoopWindow:
             problem.filtering.decimation or 1,
             [(position, np.gradient(position, experiment.sample_time))],
             response.at_limit,
+            (problem.measured, response.torque),
         )
 
-    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
-
-        A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample
-        of the torque by more than a hundredth.
-        """
-        problem = self.problem
-        other = begin_window(problem, records[0], disturbed=1.0)
-        apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
+    def settling(records: Sequence[Record], x: FloatArray) -> int:
+        # A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later
+        # sample of the torque by more than a hundredth; the filter looks at what lies beside a window.
+        other = begin_window(like, records[0], disturbed=1.0)
+        apart = np.abs(like.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(like.measured))
         remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-        return remembers + ringing(problem.filtering, problem.sample_time)
+        return remembers + _ringing(like.filtering, like.sample_time)
 
-    def tell(self, window: Estimate, solved: Solved) -> Estimate:
-        """Return the fit of all windows; see `WindowModel`."""
-        loop = self.problem.loop_at(solved.x[solved.problem.members[0].at])
-        delay = loop.controller.law(self.problem.sample_time).delay
-        window = replace(window, settings=replace(window.settings, loop=loop, delay=delay))
-        if solved.together is not None:  # their table is that of several records
-            return replace(window, settings=_in_windows(window.settings))
-        return _tell(window, [p.name for p in self.free], solved.x, solved)
+    return WindowModel(like.free, look, settling, problem=like)
 
 
 def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
@@ -174,133 +152,79 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
 # The inverse model of a joint or a robot
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InverseWindow:
-    """The inverse model of a joint or a robot, as it is compared with one window.
+def inverse_model(
+    inverse: Inverse, parameters: Sequence[Parameter], fit: Estimate, records: Sequence[Record]
+) -> WindowModel:
+    """Return an inverse model, as it is compared with windows.
 
-    Attributes:
-        free: the parameters that are identified. places: of them among the columns.
-        kept: (parameters,) values of the fixed ones, 0 for the free.
-        regress: from the records of a window to their torque, as its error, and columns.
-        speeds: (equations,) rms of the window that is started from.
-        ringing: samples that its filters ring.
+    Args:
+        inverse: its columns.
+        parameters: of the columns.
+        fit: of the window that is started from.
+        records: of that window.
     """
+    settings, free = fit.settings, np.array([p.free for p in parameters])
+    kept, part = np.array([0.0 if p.free else p.start or 0.0 for p in parameters]), fit.robot
 
-    free: tuple[Parameter, ...]
-    places: Sequence[int]
-    kept: FloatArray
-    regress: Callable[[Sequence[Record]], Seen]
-    speeds: FloatArray
-    ringing: int
-    motion_measured: bool = True
+    def regress(records: Sequence[Record]) -> tuple[Seen, FloatArray]:
+        motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
+        rows, keep = inverse.rows([motion]), motion.filtering.decimation
+        assert keep is not None
+        Y, poses = rows.by_equation(rows.Y), list(zip(motion.q.T, motion.v.T, strict=True))
+        seen = Seen(Y, rows.W.reshape(*Y.shape, -1), Y, motion.rows_at(), len(motion.q), keep, poses)
+        return seen, np.sqrt(np.mean(motion.v**2, axis=0))
 
-    @classmethod
-    def of(
-        cls,
-        parameters: Sequence[Parameter],
-        regress: Callable[[Sequence[Record]], Seen],
-        records: Sequence[Record],
-        ringing: int,
-    ) -> InverseWindow:
-        """Return the model with the columns of these parameters, from the window that is started from."""
-        free = [i for i, p in enumerate(parameters) if p.free]
-        kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-        return cls(tuple(parameters[i] for i in free), free, kept, regress, _speeds_of(regress(records)), ringing)
+    _, speeds = regress(records)
 
-    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window; see `WindowModel`. One slower than rest is of rest."""
-        if not any(map(moves, records)) or is_braked(records):
+    def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
+        if not moves(records):
             return None
-        found = self.regress(records)
-        if np.all(_speeds_of(found) < REST * self.speeds):
+        found, speed = regress(records)
+        if np.all(speed < REST * speeds):  # of rest
             return None
-        W = found.J[..., list(self.places)]
-        return replace(found, error=found.error - found.J @ self.kept - W @ x, J=-W)
+        values = kept.copy()
+        values[free] = x
+        return replace(found, error=found.error - found.J @ values, J=-found.J[..., free])
 
-    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return how many samples its filters ring."""
-        del records, x
-        return self.ringing
-
-    def tell(self, window: Estimate, solved: Solved) -> Estimate:
-        """Return the fit of all windows; see `WindowModel`."""
-        return _tell(window, [p.name for p in self.free], solved.x, solved, robot=self._robot(window, solved))
-
-    def _robot(self, window: Estimate, solved: Solved) -> IdentifiedRobot | None:
-        if window.robot is None:
-            return None
-        part, values, places = window.robot, self.kept.copy(), np.array(self.places)
-        values[places] = solved.x
-        # The model's own masses, with the friction that fits best beside them.
-        step, sums = part.nominal[places] - solved.x, solved.found.sums
-        masses = part.parameters.inertial[places]
+    def nominal(x: FloatArray, sums: Sums) -> FloatArray:
+        # The robot's own masses, with the friction that fits best beside them.
+        assert part is not None
+        masses, step = part.parameters.inertial[free], part.nominal[free] - x
         friction = ~masses
         target = sums.b[friction] + sums.A[np.ix_(friction, masses)] @ step[masses]
         step[friction] = -np.linalg.lstsq(sums.A[np.ix_(friction, friction)], target, rcond=None)[0]
-        nominal = values.copy()
-        nominal[places] += step
-        std, correlation = np.zeros(values.size), np.eye(values.size)
-        std[places], correlation[np.ix_(places, places)] = solved.covariance.std, solved.covariance.correlation
-        return replace(
-            part,
-            values=values,
-            covariance=Covariance(std, correlation),
-            nominal=nominal,
-            nominal_errors=_errors_of(solved, solved.x + step),
-        )
+        return np.asarray(x + step)
 
-
-def _speeds_of(found: Seen) -> FloatArray:
-    """Return the rms speed of each equation's motion, (equations,)."""
-    return np.array([np.sqrt(np.mean(velocity**2)) for _, velocity in found.motion])
+    rings = _ringing(settings.filtering, fit.data.sample_time)
+    identified = tuple(p for p in parameters if p.free)
+    return WindowModel(identified, look, lambda *_: rings, motion_measured=True, nominal=nominal)
 
 
 # A robot that is simulated
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedRobotWindow:
-    """A robot that is simulated, as it is compared with one window.
+def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filtering: Filtering) -> WindowModel:
+    """Return a robot that is simulated, as it is compared with windows.
 
-    Attributes:
+    Args:
         setup: the robot under its controllers, or along its motors' motion.
         part: what a window by itself told, with its parameters.
         filtering: resolved.
     """
+    parameters, under = part.parameters, replace(setup, in_motion=True) if isinstance(setup, RobotLoop) else setup
 
-    setup: RobotLoop | RobotDriveSide
-    part: IdentifiedRobot
-    filtering: Filtering
-
-    @property
-    def motion_measured(self) -> bool:
-        """Whether it is simulated along the motors' motion."""
-        return isinstance(self.setup, RobotDriveSide)
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters, with bounds of what is searched."""
-        return self.part.parameters.parameters
-
-    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window; see `WindowModel`."""
-        if not any(map(moves, records)) or is_braked(records):
+    def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
+        if not moves(records):
             return None
-        parameters, setup = self.part.parameters, self.setup
-        if isinstance(setup, RobotLoop):
-            setup = replace(setup, in_motion=True)
-        problem: RobotProblem[Any] = replace(
-            problem_of(setup, records, parameters, self.filtering), parameters=parameters
-        )
+        problem: RobotProblem[Any] = replace(problem_of(under, records, parameters, filtering), parameters=parameters)
         run = problem.run(x)
-        if run.outcome is not Outcome.FINISHED:
-            raise NotSimulatedError.of(records[0], f"{run.outcome.value}")
+        _require_finished(run.outcome, records[0])
         error = problem.by_joint(problem.error(run))
-        samples, keep = len(problem.measured), self.filtering.decimation
+        samples, keep = len(problem.measured), filtering.decimation
         assert keep is not None
-        at = decimated_at(-(-samples // keep), samples, self.filtering)
+        at = decimated_at(-(-samples // keep), samples, filtering)
         if error.shape[1] < at.size:  # the torque is computed from positions
-            at = drop_ends(at, self.filtering, samples)
+            at = drop_ends(at, filtering, samples)
         poses = [one.values[:samples] for one in map(commanded, records) if one is not None]
         return Seen(
             error,
@@ -312,12 +236,12 @@ class SimulatedRobotWindow:
             [(pose, np.gradient(pose, problem.sample_time)) for pose in poses],
         )
 
-    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return the number of samples after which two beginnings agree."""
-        whole = self.look(records, x)
+    def settling(records: Sequence[Record], x: FloatArray) -> int:
+        # The number of samples after which two beginnings agree.
+        whole = look(records, x)
         assert whole is not None
         first = whole.samples // (4 * whole.keep) * whole.keep
-        later = self.look([cut(record, first, whole.samples) for record in records], x)
+        later = look([cut(record, first, whole.samples) for record in records], x)
         if later is None:
             return first
         of_whole, of_later = np.intersect1d(whole.at - first, later.at, return_indices=True)[1:]
@@ -328,39 +252,22 @@ class SimulatedRobotWindow:
         rows = np.flatnonzero(np.any(far[:, later.at[of_later] < later.samples // 2], axis=0))
         return int(later.at[of_later][rows[-1]]) + later.keep if rows.size else later.keep
 
-    def tell(self, window: Estimate, solved: Solved) -> Estimate:
-        """Return the fit of all windows; see `WindowModel`."""
-        part, parameters, size = self.part, self.part.parameters, solved.x.size
-        values, covariance = parameters.values(solved.x), solved.covariance
-        covariance = replace(covariance, std=covariance.std * np.where(parameters.logarithmic, values, 1.0))
-        nominal = parameters.group(nominal_numbers(part.model, parameters.numbers(values)))
-        nominal = np.where(parameters.of_robot, nominal, values)  # what is of the record is as it was found
-        part = replace(
-            part,
-            setup=self.setup,
-            values=np.concatenate([values, part.values[size:]]),
-            covariance=covariance.append_constants(part.values.size - size),
-            nominal_errors=_errors_of(solved, parameters.to_search_variables(nominal)),
-        )
-        return _tell(window, parameters.names, values, replace(solved, covariance=covariance), robot=part)
+    def nominal(x: FloatArray, sums: Sums) -> FloatArray:
+        del sums
+        values = parameters.values(x)
+        masses = parameters.group(nominal_numbers(part.model, parameters.numbers(values)))
+        # What is of the record is as it was found.
+        return parameters.to_search_variables(np.where(parameters.of_robot, masses, values))
 
-
-def _errors_of(solved: Solved, x: FloatArray) -> FloatArray:
-    """Return the share of each joint's torque that other values leave in some windows, (n,)."""
-    try:
-        for every in (max(solved.found.count // _COMPARED, 1), 1):  # where all that are taken rest, all
-            if (found := solved.problem.pass_over(x, every)).count:
-                return found.relative_errors()
-    except NotSimulatedError:
-        pass
-    return np.full(solved.problem.sigma.shape[1], np.inf)
+    measured = isinstance(setup, RobotDriveSide)
+    return WindowModel(parameters.parameters, look, settling, measured, nominal=nominal, searched=parameters)
 
 
 # How a window is taken for all of them
 
 
 def require_windows(model: object, method: Method | None, free: Sequence[str] = ()) -> None:
-    """Refuse what is not identified in windows.
+    """Refuse what needs all rows at once, or the time from the first sample, and so is not identified in windows.
 
     Args:
         model: of a joint or a robot.
@@ -368,32 +275,28 @@ def require_windows(model: object, method: Method | None, free: Sequence[str] = 
         free: what is free around several records.
 
     Raises:
-        MethodError: all rows are needed at once, or the time from the first sample.
+        MethodError: of what is asked for something needs them.
     """
-    robot = isinstance(model, Robot | RobotLoop | RobotDriveSide)
+    robot, refused = isinstance(model, Robot | RobotLoop | RobotDriveSide), [*free]
     if isinstance(method, IDIM) or (method is None and isinstance(model, Joint | Robot)):
-        estimator = method.estimator if isinstance(method, IDIM) else None
-        if estimator not in (None, "weighted" if robot else "ols"):
-            raise MethodError(f"IDIM by {estimator} needs all rows at once; identify a part of the record.")
-        return
-    if not (robot or (isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None))):
+        estimator = None if method is None else method.estimator
+        if estimator in (None, "weighted" if robot else "ols"):
+            return
+        refused = [f"IDIM by {estimator}"]
+    elif robot:
+        refused += method.free if isinstance(method, DIDIM) else ()
+    elif not isinstance(model, ClosedLoop) or not isinstance(method, DIDIM | None):
+        refused = [f"{type(model).__name__} by {type(method).__name__}"]
+    elif model.joint.friction.follows_time:
+        refused = [f"{model.joint.friction.name} friction, which follows the time from the first sample,"]
+    if refused:
         raise MethodError(
-            f"Windows identify a joint by DIDIM or IDIM; received {type(model).__name__}: leave windows out."
-        )
-    if isinstance(model, ClosedLoop) and model.joint.friction.follows_time:
-        raise MethodError(
-            f"{model.joint.friction.name.capitalize()} friction changes with the time from the first sample, and "
-            'each window would begin it anew; identify the record whole, or with friction = "symmetric", whose '
-            "windows show the drift."
-        )
-    if together := (*free, *(method.free if robot and isinstance(method, DIDIM) else ())):
-        raise MethodError(
-            f"{join(together)} of several records or of a robot is identified from all rows at once; choose a part of "
-            "the record by start and stop, or leave it out."
+            f"{join(refused)} needs all rows at once, not windows; leave it out, or identify a part of the record by "
+            "start and stop."
         )
 
 
-def pose(
+def model_of_windows(
     model: object, records: Sequence[Record], fit: Estimate, known: Mapping[str, Parameter]
 ) -> tuple[WindowModel, FloatArray]:
     """Return the model of all windows, and where its search starts.
@@ -404,39 +307,24 @@ def pose(
         fit: of that.
         known: changes to the parameters.
     """
+    found, part, settings = {row.name: row for row in fit.params.rows}, fit.robot, fit.settings
     if fit.problem is not None:
         window = begin_window(fit.problem, records[0])
-        start = {row.name: row.value for row in fit.params.rows if row.value is not None}
-        return LoopWindow(window), window.vector(start)
-    part, settings = fit.robot, fit.settings
-    if part is not None and settings.method != "idim":
-        assert isinstance(model, RobotLoop | RobotDriveSide)
+        return loop_model(window), window.vector({n: row.value for n, row in found.items() if row.value is not None})
+    if part is not None and isinstance(model, RobotLoop | RobotDriveSide) and settings.method != "idim":
         x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
-        return SimulatedRobotWindow(model, part, settings.filtering), x
-    found = {row.name: row for row in fit.params.rows}
+        return robot_model(model, part, settings.filtering), x
     if part is not None:
+        inverse = inverse_of_robot(part.model, part.parameters)
         wanted = [
-            replace(known.get(name) or Parameter(name, row.symbol, Quantity.RATIO), start=row.value, free=row.free)
-            # What a bound held in a window may be off it in all of them.
-            if row.free or name not in known
-            else known[name]
+            known[name]  # what a bound held in a window may be off it in all of them
+            if name in known and not row.free
+            else replace(known.get(name) or Parameter(name, row.symbol, Quantity.RATIO), start=row.value, free=row.free)
             for name, row in found.items()
         ]
-        inverse = inverse_of_robot(part.model, part.parameters)
     else:
-        joint = model if isinstance(model, Joint) else getattr(model, "joint", None)
-        assert isinstance(joint, Joint)
         zeros = ENCODER_OFFSET.name in found
-        wanted = [*adjust_parameters(joint.parameters, known), *([ENCODER_OFFSET] if zeros else [])]
-        inverse = inverse_of_joint(joint, settings.delay, zeros=zeros)
-
-    def regress(records: Sequence[Record]) -> Seen:
-        motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
-        rows, keep = inverse.rows([motion]), motion.filtering.decimation
-        assert keep is not None
-        Y, poses = rows.by_equation(rows.Y), list(zip(motion.q.T, motion.v.T, strict=True))
-        return Seen(Y, rows.W.reshape(*Y.shape, -1), Y, motion.rows_at(), len(motion.q), keep, poses)
-
-    rings = ringing(settings.filtering, fit.data.sample_time)
-    whole = InverseWindow.of(wanted, regress, records, rings)
+        inverse = inverse_of_joint(settings.joint, settings.delay, zeros=zeros)
+        wanted = [*adjust_parameters(settings.joint.parameters, known), *([ENCODER_OFFSET] if zeros else [])]
+    whole = inverse_model(inverse, wanted, fit, records)
     return whole, np.array([found[p.name].value for p in whole.free], dtype=np.float64)

@@ -1,8 +1,7 @@
 """The windows of long logs as one problem, which streams its normal equations: memory does not grow with the log.
 
 What a window says at a candidate, `Seen`, is a model's (`estimation.windowed`): a loop that is simulated, or the
-inverse model of a joint or a robot. Everything else is the same for all of them. Several records are members of one
-problem, which share parameters as in `RecordsProblem`.
+inverse model of a joint or a robot. Several records are members of one problem, which share parameters.
 
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
@@ -10,140 +9,68 @@ is counted, at either end: the zero-phase filter looks both ways. Neighbouring w
 time, so that the rows that count follow each other without a gap. How long it takes is measured:
 0.3 s in the paper's stiff loop, seconds in a slow one with an integral.
 
-What every visit to a place errs alike is no noise, and no longer record averages it away. A window's residual, summed
-over its rows at one place, is a draw of its own; where nothing repeats, these draws have no mean. With the sum s_cw of
-place c in window w, and n_cw rows, over all windows::
-
-    z_c^2 = (sum_w s_cw)^2 / sum_w s_cw^2        chi-square, together, of as many degrees as there are places
-    rms^2 = 1/n sum_c n_c ((sum_w s_cw)^2 - sum_w s_cw^2) / (n_c^2 - sum_w n_cw^2)
-
-the latter from products of different windows only, as in `uncertainty.position_dependent_error`.
+What every visit to a place errs alike is no noise, and no longer record averages it away: sums are kept of each place,
+too, so that what leaving out places says is known beside what leaving out windows says (`uncertainty.resampling`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.messages import Progress, follow, ignore_progress
-from jointid.common.parameters import Parameter
-from jointid.records.chunks import Chunk, LongRecord
-from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering
+from jointid.common.messages import Detail, Progress, follow, ignore_progress
+from jointid.common.parameters import Bounds, Parameter
+from jointid.records.chunks import Chunk
+from jointid.records.record import Record
 from jointid.solvers.solve import Tally
-from jointid.uncertainty.covariance import rising_scores
-from jointid.uncertainty.position_dependent_error import Repeatable, cells
-from jointid.uncertainty.resampling import Sums, root_of, total
+from jointid.uncertainty.covariance import Covariance, larger, rising_scores
+from jointid.uncertainty.position_dependent_error import cells
+from jointid.uncertainty.resampling import Sums, left_out, root_of, scale_of, step_of, total
 
 if TYPE_CHECKING:
-    from jointid.estimation.identify_log import Solved
-    from jointid.estimation.result.estimate import Estimate
+    from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+    from jointid.estimation.robots.numbers import RobotParameters
 
-FEW = 8
-"""Windows: with fewer a part of a log says too little."""
-
-_RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
 _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
 _EQUATION = 2**20  # numbers of the places of one equation
 _BANDS = np.geomspace(1e-4, 1.0, 96)  # of the Nyquist frequency: up to these a bias by a force in the loop is sought
 _ROUNDING = 1e-6  # of the torque: a residual as good as none
+_RESTING = 0.02  # of the largest speed: below it a row has no direction
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
-VISITS = 8
-"""Windows that a place must be visited in to say anything."""
+_FEW = 8  # windows: with fewer a part of a log says too little
+_SPARSE, _SPARSE_PASSES = 16, 3  # of so many windows, one is read in a first pass; and such passes at most
+_PASSES = 12  # at most
+_SETTLED = 0.3  # deviations: a step of less is the last, which is taken, too; what is left after it is far less
+_FLAT = 1e-6  # of the level: by less a step does not lead uphill
 
 NO_MOTION = "In no window of this record does the axis move; give another record."
 
 
-@dataclass(frozen=True, slots=True)
-class Windowing:
-    """How a log that is too long for memory is cut into windows.
-
-    Attributes:
-        length: seconds of a window that are fitted.
-        settling: seconds before and after each window that are simulated and not fitted; None measures how long the
-            loop takes to forget its initial state.
-
-    Raises:
-        MethodError: a length that is not positive and finite, or a settling time above half of it.
-    """
-
-    length: float = 60.0
-    settling: float | None = None
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.length < math.inf:
-            raise MethodError(f"A window lasts a finite time; received {self.length:g} s.")
-        if self.settling is not None and not 0.0 < self.settling <= 0.5 * self.length:
-            raise MethodError(
-                f"The settling time is more than 0 and at most half a window of {self.length:g} s; received "
-                f"{self.settling:g} s. Without it, it is measured."
-            )
+Places: TypeAlias = Callable[[FloatArray, FloatArray], NDArray[np.intp]]
+"""From positions and velocities, (rows,) each, to the number of each row's stretch of the travel, (rows,)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Stretches of the travel, by direction and class of speed.
+def places_of(position: FloatArray, velocity: FloatArray) -> Places:
+    """Return stretches of the travel, by direction and class of speed, of the motion in one window, (samples,) each."""
+    speeds = cells(position, velocity).speeds
+    origin, width = float(position.min()), (float(np.ptp(position)) or 1.0) / _PLACES
+    resting = _RESTING * float(np.max(np.abs(velocity)))
 
-    Attributes:
-        origin, width: of the stretches, in the reference's unit.
-        speeds: (classes,) mean speed of each class; resting: the speed below which there is no direction.
-    """
-
-    origin: float
-    width: float
-    speeds: FloatArray
-    resting: float
-
-    @classmethod
-    def of(cls, position: FloatArray, velocity: FloatArray) -> Places:
-        """Return those of the motion in one window, (samples,) each."""
-        speeds = cells(position, velocity).speeds
-        travel, fastest = float(np.ptp(position)) or 1.0, float(np.max(np.abs(velocity)))
-        return cls(float(position.min()), travel / _PLACES, speeds, 0.02 * fastest)
-
-    def label(self, position: FloatArray, velocity: FloatArray) -> NDArray[np.intp]:
-        """Return the number of each row's stretch, (rows,)."""
-        moving = np.abs(velocity) > self.resting
-        kind = np.argmin(np.abs(np.abs(velocity)[:, np.newaxis] - self.speeds), axis=1)
+    def label(position: FloatArray, velocity: FloatArray) -> NDArray[np.intp]:
+        moving = np.abs(velocity) > resting
+        kind = np.argmin(np.abs(np.abs(velocity)[:, np.newaxis] - speeds), axis=1)
         family = np.where(moving, np.sign(velocity), 0.0).astype(np.intp) + 1
-        place = np.floor((position - self.origin) / self.width).astype(np.intp) % _AROUND
-        return np.asarray((family * self.speeds.size + np.where(moving, kind, 0)) * _AROUND + place, dtype=np.intp)
+        place = np.floor((position - origin) / width).astype(np.intp) % _AROUND
+        return np.asarray((family * speeds.size + np.where(moving, kind, 0)) * _AROUND + place, dtype=np.intp)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """Sums of windows at one place.
-
-    Attributes:
-        sums: over the rows. total: of the residual. squares: sum of the squares of the windows' totals.
-        visits: windows. pairs: sum of the squares of the windows' rows.
-    """
-
-    sums: Sums
-    total: float
-    squares: float
-    visits: int
-    pairs: float
-
-    @classmethod
-    def of(cls, error: FloatArray, J: FloatArray, measured: FloatArray) -> Place:
-        """Return the sums of one window; see `Sums.of`."""
-        total = float(error.sum())
-        return cls(Sums.of(error, J, measured), total, total * total, 1, float(error.size) ** 2)
-
-    def __add__(self, other: Place) -> Place:
-        """Add the sums of other windows."""
-        return Place(
-            self.sums + other.sums, self.total + other.total, self.squares + other.squares, self.visits + other.visits,
-            self.pairs + other.pairs,
-        )  # fmt: skip
+    return label
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,6 +82,7 @@ class Seen:
         at: (rows,) samples of the window. samples: of the window. keep: from one row to the next.
         motion: of each equation position and velocity at all samples, from which its places are told.
         at_limit: share of the periods in which the controller was at its limit.
+        torques: (samples,) each, raw, of a joint that is simulated: measured and predicted.
     """
 
     error: FloatArray
@@ -165,31 +93,48 @@ class Seen:
     keep: int
     motion: Sequence[tuple[FloatArray, FloatArray]]
     at_limit: float = 0.0
+    torques: tuple[FloatArray, FloatArray] | None = None
 
 
-class WindowModel(Protocol):
-    """The model that is compared with one window."""
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowModel:
+    """The model that is compared with windows.
 
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
+    Attributes:
+        free: the parameters that are identified.
+        look: from the records of a window, of each axis, and x, (free,), to its rows; None where it does not move, and
+            `NotSimulatedError` where it cannot be simulated.
+        settling: from the same to how many samples a window takes to forget how it began.
+        motion_measured: whether the regressor has a measured motion, and so a bias by disturbances.
+        problem: of a joint's loop.
+        nominal: of a robot, from x and the sums there to where its own masses are.
+        searched: of a robot that is simulated, which of its numbers x has, and how.
+    """
 
-    @property
-    def motion_measured(self) -> bool:
-        """Whether the regressor has a measured motion, and so a bias by disturbances."""
+    free: tuple[Parameter, ...]
+    look: Callable[[Sequence[Record], FloatArray], Seen | None]
+    settling: Callable[[Sequence[Record], FloatArray], int]
+    motion_measured: bool = False
+    problem: ClosedLoopProblem | None = None
+    nominal: Callable[[FloatArray, Sums], FloatArray] | None = None
+    searched: RobotParameters | None = None
 
-    def settling(self, records: Sequence[Record], x: FloatArray) -> int:
-        """Return how many samples a window takes to forget how it began."""
+    def physical(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the parameters that are searched by x, (free,), and their derivatives by it."""
+        if self.searched is None:
+            return x, np.ones_like(x)
+        values = self.searched.values(x)
+        return values, np.where(self.searched.logarithmic, values, 1.0)
 
-    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window, of a record for each axis; None where it does not move.
 
-        Raises:
-            NotSimulatedError: the window cannot be simulated.
-        """
+def sizes_of(seen: Sequence[Seen]) -> FloatArray:
+    """Return the size of the residual of each log and equation, (logs, equations), at least that of rounding."""
+    least = _ROUNDING * float(np.sqrt(np.mean(seen[0].measured ** 2)))
+    return np.array([np.maximum(np.sqrt(np.mean(one.error**2, axis=1)), least) for one in seen])
 
-    def tell(self, window: Estimate, solved: Solved) -> Estimate:
-        """Return the fit of a window with the parameters, settings and robot of all windows."""
+
+Pieces: TypeAlias = Callable[[int, int, int], Iterable[Sequence[Chunk]]]
+"""The windows of a log, a chunk for each axis, by their length and overlap in samples, and one of so many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,20 +142,27 @@ class Member:
     """One log of a problem.
 
     Attributes:
-        log: of each axis.
+        name: of the log.
+        pieces: its windows.
         model: of its windows.
         at: (its free,) places of the model's parameters among those of the problem.
         added: (its free,) what is known on top of them.
     """
 
-    log: tuple[LongRecord, ...]
+    name: str
+    pieces: Pieces
     model: WindowModel
     at: NDArray[np.intp]
     added: FloatArray
 
-    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterable[tuple[Chunk, ...]]:
-        """Yield the windows, a chunk for each axis."""
-        return zip(*(source.chunks(length, overlap, every) for source in self.log), strict=False)
+    def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
+        """Return the rows of a window at the problem's parameters, with derivatives by all of these."""
+        seen = self.model.look(records, x[self.at] + self.added)
+        if seen is None:
+            return None
+        J = np.zeros((*seen.error.shape, x.size))
+        J[..., self.at] = seen.J
+        return replace(seen, J=J)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,16 +191,19 @@ class Pass:
         windows: in the order of time, log after log. places: over all of them, by the place's number.
         still: windows in which nothing was asked of the axis, and which are left out.
         sizes: (logs, equations, 3) squares of residual and of what it is left of, not weighted, and rows.
-        scores: (bands, free) of the derivatives with the residual, summed up to each band of frequency.
+        scores: (bands, free) of the derivatives with the residual, summed up to each band of frequency; 0 where the
+            motion is not measured.
         count: of windows that are in the sums.
+        seen: their rows, where they are kept.
     """
 
     windows: tuple[Window, ...]
-    places: Mapping[int, Place]
+    places: Mapping[int, Sums]
     still: int
     sizes: FloatArray
     scores: FloatArray
     count: int
+    seen: tuple[Seen, ...] = ()
 
     @property
     def sums(self) -> Sums:
@@ -270,29 +225,36 @@ class Pass:
         left, size, _ = self.sizes.sum(axis=0).T
         return np.asarray(np.sqrt(left / np.where(size > 0, size, np.inf)))
 
-    @property
-    def total_error(self) -> float:
-        """The share of all equations' torque that is left."""
-        left, size, _ = self.sizes.sum(axis=(0, 1))
-        return math.sqrt(left / size) if size > 0 else 0.0
-
     def shift(self, step: FloatArray) -> Pass:
         """Return the pass after a small step of the parameters, to first order."""
         windows = tuple(replace(w, sums=w.sums.shift(step)) for w in self.windows)
-        places = {at: replace(place, sums=place.sums.shift(step)) for at, place in self.places.items()}
-        return replace(self, windows=windows, places=places)
+        places = {at: sums.shift(step) for at, sums in self.places.items()}
+        seen = tuple(replace(one, error=one.error + one.J @ step) for one in self.seen)
+        return replace(self, windows=windows, places=places, seen=seen)
+
+    def covariance(self) -> Covariance:
+        """Return the covariance of the estimate: the larger of leaving out windows, and of leaving out places.
+
+        Along a measured motion it is widened for a force in the loop; see `Influence.widen_for_motion`.
+
+        Raises:
+            MethodError: one window says nothing of how windows differ.
+        """
+        if self.count < 2:
+            raise MethodError(
+                "A long record has two windows or more, in which the axis moves; this one has "
+                f"{self.count}: give a shorter window, or leave windows out."
+            )
+        found = left_out([w.sums for w in self.windows])
+        if len(self.places) > 1:
+            found = larger(found, left_out([*self.places.values()]))
+        scale = scale_of(self.sums.A)
+        bias = np.linalg.pinv(self.sums.A / np.outer(scale, scale), hermitian=True) @ (self.scores / scale).T
+        return replace(found, std=np.hypot(found.std, np.max(np.abs(bias), axis=1) / scale))
 
 
 class NotSimulatedError(MethodError):
     """A window whose loop could not be simulated to its end."""
-
-    @classmethod
-    def of(cls, record: Record, why: str) -> NotSimulatedError:
-        """Return the error of a window."""
-        return cls(
-            f"The window that begins at {record.begin:.0f} s cannot be simulated, because {why}; check the controller "
-            "and the start, or begin from another window."
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,6 +270,7 @@ class LogProblem:
         sigma: (logs, equations) size of the residual, by which its rows are divided; 1 where they are not weighted.
         weighted: whether each pass weighs the next.
         parts: of a window, whose sums are kept apart.
+        kept: whether a pass keeps its rows: those of whole records in memory.
         progress: receives the progress of a pass.
         tally: of windows that were simulated, each with its derivatives.
     """
@@ -320,6 +283,7 @@ class LogProblem:
     sigma: FloatArray
     weighted: bool = False
     parts: int = 1
+    kept: bool = False
     progress: Progress = ignore_progress
     tally: Tally = field(default_factory=Tally)
 
@@ -335,14 +299,11 @@ class LogProblem:
         """Pass over one window in so many.
 
         Raises:
-            RecordError: a piece of the record cannot be read.
-            NotSimulatedError: a window cannot be simulated with these parameters.
+            NotSimulatedError: a window cannot be simulated.
         """
-        windows: list[Window] = []
-        places: dict[int, Place] = {}
+        windows, places, kept, still, count = list[Window](), dict[int, Sums](), list[Seen](), 0, 0
         sizes, scores = np.zeros((*self.sigma.shape, 3)), np.zeros((_BANDS.size, x.size))
-        still, count = 0, 0
-        pieces: Iterable[tuple[int, tuple[Chunk, ...]]] = (
+        pieces: Iterable[tuple[int, Sequence[Chunk]]] = (
             (number, piece)
             for number, member in enumerate(self.members)
             for piece in member.pieces(self.length, 2 * self.settling, every)
@@ -350,7 +311,7 @@ class LogProblem:
         for number, piece in follow(pieces, self.progress, "passing over the log", math.inf, "windows"):
             member, records = self.members[number], [one.record for one in piece]
             try:
-                seen = member.model.look(records, x[member.at] + member.added)
+                seen = member.look(records, x)
             except RecordError:
                 if not (piece[0].number and piece[0].last):  # a last one may be too short for filters
                     raise
@@ -359,77 +320,107 @@ class LogProblem:
                 still += 1
                 continue
             self.tally.evaluations += 1
+            kept += [seen] if self.kept else []
             counted = (seen.at >= self.settling) & (seen.at < seen.samples - self.settling)
-            if not counted.any():
+            at = seen.at[counted]
+            if not at.size:
                 continue
-            found, there, own, rising = self._sum(seen, counted, number, records[0])
-            sizes[number] += own
-            scores += rising
-            for place, said in there.items():
-                places[place] = places[place] + said if place in places else said
-            windows += found
+            squares = [np.sum(rows[:, counted] ** 2, axis=1) for rows in (seen.error, seen.measured)]
+            sizes[number] += np.array([*squares, np.full(len(seen.error), at.size)]).T
+            sigma = self.sigma[number, :, np.newaxis]
+            error, measured = seen.error[:, counted] / sigma, seen.measured[:, counted] / sigma
+            J = seen.J[:, counted] / sigma[..., np.newaxis]
+            label = np.array(
+                [
+                    where(position[at], velocity[at]) + equation * _EQUATION
+                    for equation, (where, (position, velocity)) in enumerate(zip(self.places, seen.motion, strict=True))
+                ]
+            )
+            for place in map(int, np.unique(label)):
+                sums = Sums.of(*(rows[label == place] for rows in (error, J, measured)))
+                places[place] = places[place] + sums if place in places else sums
+            assert records[0].torque is not None
+            step = records[0].torque.sample_time
+            for rows in np.array_split(np.arange(at.size), min(self.parts, at.size)):
+                sums = Sums.of(*(np.concatenate(each[:, rows]) for each in (error, J, measured)))
+                begin, end = (records[0].begin + one * step for one in (at[rows[0]], at[rows[-1]] + seen.keep))
+                windows.append(Window(begin, end, sums, seen.at_limit, number))
+            if member.model.motion_measured:
+                scores += rising_scores(J, error, _BANDS)
             count += 1
-        return Pass(tuple(windows), places, still, sizes, scores, count)
+        return Pass(tuple(windows), places, still, sizes, scores, count, tuple(kept))
 
-    def _sum(
-        self, seen: Seen, counted: NDArray[np.bool_], number: int, record: Record
-    ) -> tuple[list[Window], dict[int, Place], FloatArray, FloatArray]:
-        """Return the sums of a window, of each place by its number, its sizes, and its scores by frequency."""
-        member, at = self.members[number], seen.at[counted]
-        error, measured = seen.error[:, counted], seen.measured[:, counted]
-        sizes = np.array([np.sum(error**2, axis=1), np.sum(measured**2, axis=1), np.full(len(error), at.size)]).T
-        sigma = self.sigma[number, :, np.newaxis]
-        error, measured = error / sigma, measured / sigma
-        J = np.zeros((*error.shape, len(self.free)))
-        J[..., member.at] = seen.J[:, counted] / sigma[..., np.newaxis]
-        label = np.array(
-            [
-                places.label(position[at], velocity[at]) + equation * _EQUATION
-                for equation, (places, (position, velocity)) in enumerate(zip(self.places, seen.motion, strict=True))
-            ]
-        )
-        there = {
-            int(one): Place.of(error[these], J[these], measured[these])
-            for one in np.unique(label)
-            for these in [label == one]
-        }
-        windows, step = [], member.log[0].sample_time
-        for rows in np.array_split(np.arange(at.size), min(self.parts, at.size)):
-            sums = Sums.of(error[:, rows].ravel(), J[:, rows].reshape(-1, len(self.free)), measured[:, rows].ravel())
-            begin, end = (record.begin + one * step for one in (at[rows[0]], at[rows[-1]] + seen.keep))
-            windows.append(Window(begin, end, sums, seen.at_limit, number))
-        rising = np.zeros((_BANDS.size, len(self.free)))
-        if member.model.motion_measured:
-            rising = rising_scores(J, error, _BANDS)
-        return windows, there, sizes, rising
+    def is_exact(self, sums: Sums) -> bool:
+        """Test whether a residual is as good as none."""
+        return sums.square <= _ROUNDING**2 * sums.size
 
 
-def is_braked(records: Sequence[Record]) -> bool:
-    """Test whether the torque of a joint is 0 throughout a window, as while its brake holds it."""
-    return any(record.torque is not None and not np.any(record.torque.values) for record in records)
+class Solved(NamedTuple):
+    """The solution of all windows: the problem as the last pass weighed it, x, (free,), and that pass there.
+
+    `passes` went over the whole log; `stop` says why the last ended, `converged` whether that is a good end.
+    """
+
+    problem: LogProblem
+    x: FloatArray
+    found: Pass
+    passes: int
+    stop: str
+    converged: bool
 
 
-def ringing(filtering: Filtering, sample_time: float) -> int:
-    """Return how many samples a resolved filtering rings."""
-    assert filtering.cutoff is not None
-    return math.ceil(_RINGS / (filtering.cutoff * sample_time))
+def stream(problem: LogProblem, x: FloatArray) -> Solved:
+    """Solve by Gauss-Newton in as few passes over a log as there can be.
+
+    A pass reads every window once, and keeps of each what `Sums` holds: memory does not grow with what is read but by a
+    kilobyte for each window. Of the first passes one window in sixteen is enough, at a sixteenth of the cost: a start
+    from one window is far off in the deviations of all of them. A pass over the whole that moves the parameters by less
+    than 0.3 of their deviations is the last. A solver of `solvers` would read the
+    log for each step that it halves and once more for its last.
+
+    Raises:
+        NotSimulatedError: a window cannot be simulated at the start.
+        MethodError: in no window does the axis move.
+    """
+    bounds, every, whole = Bounds.of(problem.free), 1 if problem.kept else _SPARSE, 0
+    last: tuple[FloatArray, int, Pass] | None = None  # where the last step was taken from, of one window in how many
+    for number in range(1, _PASSES + 1):
+        found, whole = _pass_unless_uphill(problem, x, every, last), whole + (every == 1)
+        if found is None:
+            x = 0.5 * (x + last[0]) if last is not None else x
+            continue
+        if every > 1 and found.count < _FEW:
+            every = 1
+            continue
+        sums = found.sums
+        step = step_of(sums, bounds.shift_to(x))
+        far = math.sqrt(float(step @ sums.A @ step) * sums.rows / sums.square) if sums.square > 0 else 0.0
+        # Where nothing is left, nothing is a deviation.
+        if every == 1 and (far < _SETTLED or problem.is_exact(sums)):
+            stop = f"converged: the last pass moved the parameters by {far:.2g} deviations (limit {_SETTLED:g})"
+            return Solved(problem, x + step, found.shift(step), whole, stop, True)
+        last, x, problem = (x, every, found), x + step, problem.reweigh(found)
+        problem.progress(Detail(f"{found.count} windows move the parameters by {far:.2g} deviations"))
+        if number >= _SPARSE_PASSES or far < 1.0:
+            every = 1
+    assert last is not None
+    stop = "not converged: the last passes led uphill, or still moved the parameters"
+    return Solved(problem, last[0], last[2], whole, stop, False)
 
 
-def moves(record: Record) -> bool:
-    """Test whether the reference, or without one the motor, moves in a window."""
-    asked = commanded(record)
-    return record.injected is not None or (asked is not None and float(np.ptp(asked.values)) > 0)
-
-
-def commanded(record: Record) -> Channel | None:
-    """Return the reference, or without one the motor position."""
-    return record.motor_position if record.reference is None else record.reference
-
-
-def travel(records: Sequence[Record]) -> float:
-    """Return how far the axes are asked to move in a window, or what is injected varies, in sum."""
-    asked = [commanded(one) if one.injected is None else one.injected.channel for one in records]
-    return sum(float(np.sum(np.abs(np.diff(one.values)))) for one in asked if one is not None)
+def _pass_unless_uphill(
+    problem: LogProblem, x: FloatArray, every: int, last: tuple[FloatArray, int, Pass] | None
+) -> Pass | None:
+    """Return a pass; None where the last step led uphill, or to what cannot be simulated."""
+    try:
+        found = problem.pass_over(x, every)
+    except NotSimulatedError:
+        if last is None:
+            raise
+        return None
+    if last is None or last[1] != every or not found.windows or problem.is_exact(found.sums):
+        return found
+    return None if found.level(problem.sigma) > (1.0 + _FLAT) * last[2].level(problem.sigma) else found
 
 
 def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
@@ -445,24 +436,3 @@ def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
     residual[:directions], J[:directions] = explained, R
     residual[-1] = rest
     return residual, J
-
-
-def repeats(places: Iterable[Place], square: float) -> Repeatable:
-    """Return the repeatable part of the residual; where nothing is left at all, nothing does.
-
-    Args:
-        places: over all windows.
-        square: of the residual, over all rows.
-    """
-    from scipy.special import chdtrc
-
-    every = list(places)
-    rows = sum(p.sums.rows for p in every)
-    visited = [p for p in every if p.visits >= VISITS]
-    known, p_value = [p for p in visited if p.squares > 0], 1.0 if visited else None
-    if known:
-        p_value = float(chdtrc(len(known), sum(p.total**2 / p.squares for p in known)))
-    again = [p for p in known if p.sums.rows**2 > p.pairs]
-    repeated = sum(p.sums.rows * (p.total**2 - p.squares) / (p.sums.rows**2 - p.pairs) for p in again) / max(rows, 1)
-    share = min(max(repeated, 0.0) * rows / square, 1.0) if square > 0 else 0.0
-    return Repeatable(math.sqrt(max(repeated, 0.0)), share, p_value)

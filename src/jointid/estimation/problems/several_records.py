@@ -1,7 +1,6 @@
-"""Several records in one problem: the sum of the problems of each, whose parameters are one or belong to one.
+"""The parameters of several records, which are one or belong to one.
 
 The motor's first state is always a record's own; so is a number of the controller that the records declare differently.
-Each record's rows are divided by the level of its residual, so that it counts for what it is worth.
 """
 
 from __future__ import annotations
@@ -118,11 +117,10 @@ class RecordLayout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordsProblem(RecordProblem):
-    """Several records as one problem: what they share, fixed parameters too, then what is each record's own.
+    """The parameters of several records: what they share, fixed ones too, then what is each record's own.
 
     A parameter of a record is one that all share, or that plus a number that is known, or its own, called
-    ``name@number`` with the number of the record, from 1. The residuals stand one after the other, each through a
-    filter of its own.
+    ``name@number`` with the number of the record, from 1. What is measured, and its filter, are the first record's.
 
     Attributes:
         layout: how they belong together.
@@ -130,7 +128,6 @@ class RecordsProblem(RecordProblem):
         order: the parameters that are identified: those that are shared, then those of each record.
         places: for each record, where each of its free parameters stands among those, (its free,).
         added: for each record, what is known to come on top of each, (its free,).
-        weights: of each record's rows.
     """
 
     layout: RecordLayout
@@ -138,7 +135,6 @@ class RecordsProblem(RecordProblem):
     order: tuple[Parameter, ...]
     places: tuple[NDArray[np.intp], ...]
     added: tuple[FloatArray, ...]
-    weights: tuple[float, ...]
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -151,28 +147,9 @@ class RecordsProblem(RecordProblem):
         return self.problems[0].joint
 
     @property
-    def sample_time(self) -> float:
-        """Of the first record's torque, seconds."""
-        return self.problems[0].sample_time
-
-    @property
     def units(self) -> dict[str, str]:
         """Of every parameter, by name."""
         return {p.name: self.layout.unit(p) for p in self.parameters}
-
-    def filter(self, columns: FloatArray) -> FloatArray:
-        """Return signals of all records, (samples,) or (samples, columns), each through its own filter."""
-        borders = np.cumsum([problem.measured.size for problem in self.problems])[:-1]
-        parts = zip(self.problems, np.split(columns, borders), strict=True)
-        return np.concatenate([problem.filter(part) for problem, part in parts])
-
-    def of_record(self, number: int) -> tuple[Parameter, ...]:
-        """Return the free parameters that a record has, numbered from 0: shared ones, and ``name@number`` its own."""
-        return tuple(self.free[i] for i in self.places[number])
-
-    def of_member(self, x: FloatArray, number: int) -> FloatArray:
-        """Return the free parameters of one record, numbered from 0, in its own order."""
-        return np.asarray(x[self.places[number]] + self.added[number])
 
     def join(self, found: Sequence[FloatArray]) -> FloatArray:
         """Return the parameters that the records' own come from: means of those that are shared, within bounds."""
@@ -182,32 +159,9 @@ class RecordsProblem(RecordProblem):
             np.add.at(count, place, 1.0)
         return Bounds.of(self.free).clip(total / count)
 
-    def weighing(self, weights: Sequence[float]) -> RecordsProblem:
-        """Return the same problem with other weights; they are made relative to their mean.
-
-        The residual keeps the unit of the records' that way.
-        """
-        mean = math.sqrt(sum(weight**-2 for weight in weights) / len(weights))
-        return replace(self, weights=tuple(mean * weight for weight in weights))
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the weighted residuals, one record after the other, (rows,)."""
-        members = enumerate(zip(self.problems, self.weights, strict=True))
-        return np.concatenate([weight * p.residual(self.of_member(x, k)) for k, (p, weight) in members])
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        errors, slopes = [], []
-        for k, (problem, weight) in enumerate(zip(self.problems, self.weights, strict=True)):
-            error, J = problem.linearise(self.of_member(x, k))
-            errors.append(weight * error)
-            slopes.append(np.zeros((error.size, len(self.free))))
-            slopes[-1][:, self.places[k]] = weight * J
-        return np.concatenate(errors), np.concatenate(slopes)
-
 
 def several(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> RecordsProblem:
-    """Return the problem of several records; their residuals have equal weight, see `RecordsProblem.weighing`.
+    """Return the parameters of several records.
 
     Args:
         problems: one for each record, of one model of joint.
@@ -217,75 +171,72 @@ def several(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> Reco
         MethodError: the joints are not of one model; a name is not one of a record's parameters; a parameter is its
             record's own and has something known added; or nothing tells the drive's gain.
     """
-    own, added = layout.own, layout.added
-    names = {tuple(p.name for p in problem.loop.joint.parameters) for problem in problems}
-    if len(names) != 1 or len({problem.loop.joint.kind for problem in problems}) != 1:
-        raise MethodError("Records that are fitted together have one model of joint, of one kind; give them the same.")
-    for number, (problem, mine, more) in enumerate(zip(problems, own, added, strict=True), 1):
-        _check_parameter_names(problem, mine, more, number)
-    _require_scale(problems, own, added)
-    apart = _apart(problems, own)
+    _require_names(problems, layout)
+    _require_scale(problems, layout)
+    apart, first, members = _apart(problems, layout.own), problems[0], dict[str, list[Parameter]]()
     labels = [
-        [f"{p.name}@{k}" if p.name in apart[k - 1] else p.name for p in q.free] for k, q in enumerate(problems, 1)
+        [f"{p.name}@{k}" if p.name in mine else p.name for p in problem.free]
+        for k, (problem, mine) in enumerate(zip(problems, apart, strict=True), 1)
     ]
-    order = list(dict.fromkeys(name for each in labels for name in each))
-    order.sort(key=lambda name: int(name.partition("@")[2] or 0))  # stable: what is shared comes first
-    members: dict[str, list[Parameter]] = {name: [] for name in order}
-    for problem, each, more in zip(problems, labels, added, strict=True):
+    for problem, each, more in zip(problems, labels, layout.added, strict=True):
         for p, label in zip(problem.free, each, strict=True):
             known = more.get(p.name, 0.0)
             start = None if p.start is None else p.start - known
-            members[label].append(replace(p, start=start, lower=p.lower - known, upper=p.upper - known))
-
-    def common(label: str, each: Sequence[Parameter]) -> Parameter:
-        """Return the parameter that records share: within the bounds of all of them."""
-        symbol = each[0].symbol + label.removeprefix(each[0].name)
-        lower, upper = max(p.lower for p in each), min(p.upper for p in each)
-        return replace(each[0], name=label, symbol=symbol, lower=lower, upper=upper)
-
-    first, free = problems[0], {label: common(label, members[label]) for label in order}
+            own = replace(p, start=start, lower=p.lower - known, upper=p.upper - known)
+            members.setdefault(label, []).append(own)
+    order = sorted(members, key=lambda name: int(name.partition("@")[2] or 0))  # what is shared comes first
+    free = {
+        label: replace(
+            each[0],
+            name=label,
+            symbol=each[0].symbol + label.removeprefix(each[0].name),
+            lower=max(p.lower for p in each),  # within the bounds of all of them
+            upper=min(p.upper for p in each),
+        )
+        for label in order
+        for each in [members[label]]
+    }
     shared = {
-        p.name: free.get(p.name) or p.fix((p.start or 0.0) - added[0].get(p.name, 0.0))
+        p.name: free.get(p.name) or p.fix((p.start or 0.0) - layout.added[0].get(p.name, 0.0))
         for p in first.parameters
         if p.name in free or not (p.free or p.name in INITIAL)
     }
     return RecordsProblem(
         tuple((shared | free).values()),
-        np.concatenate([problem.measured for problem in problems]),
+        first.measured,
         first.filtering,
         layout,
         tuple(problems),
         tuple(free.values()),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
-        tuple(np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, added, strict=True)),
-        (1.0,) * len(problems),
+        tuple(
+            np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, layout.added, strict=True)
+        ),
     )
 
 
-def _check_parameter_names(
-    problem: ClosedLoopProblem, own: Sequence[str], added: Mapping[str, float], number: int
-) -> None:
-    known = [p.name for p in problem.parameters]
-    for name in (*own, *added):
-        if name not in known:
-            raise MethodError(f"Record {number} has no parameter {name}; it has {', '.join(known)}.")
-        if name in own and name in added:
-            raise MethodError(
-                f"{name} of record {number} is its own and has {added[name]:g} added to what others share; an addition "
-                "is to a shared parameter: leave out one of the two."
-            )
+def _require_names(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> None:
+    models = {(problem.joint.kind, *(p.name for p in problem.joint.parameters)) for problem in problems}
+    if len(models) != 1:
+        raise MethodError("Records that are fitted together have one model of joint, of one kind; give them the same.")
+    for number, (problem, own, added) in enumerate(zip(problems, layout.own, layout.added, strict=True), 1):
+        known = [p.name for p in problem.parameters]
+        for name in (*own, *added):
+            if name not in known or (name in own and name in added):
+                raise MethodError(
+                    f"Record {number} has {name} as its own, or with something added; expected one of both, and one of "
+                    f"its parameters, {', '.join(known)}."
+                )
 
 
-def _require_scale(
-    problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]], added: Sequence[Mapping[str, float]]
-) -> None:
+def _require_scale(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> None:
     """Refuse a free drive gain that all parameters of the joint can compensate."""
     if not any(p.name == "drive_gain" for problem in problems for p in problem.free):
         return
-    joint = {p.name for p in problems[0].loop.joint.parameters}
+    joint = {p.name for p in layout.joint.parameters}
     known = any(p.start for problem in problems for p in problem.parameters if not p.free and p.name in joint)
-    for name in {name for more in added for name in more}:
-        sharing = [m.get(name, 0.0) for m, mine in zip(added, own, strict=True) if name not in mine]
+    for name in {name for more in layout.added for name in more}:
+        sharing = [m.get(name, 0.0) for m, mine in zip(layout.added, layout.own, strict=True) if name not in mine]
         known = known or len(set(sharing)) > 1
     if not known:
         raise MethodError(
@@ -296,16 +247,13 @@ def _require_scale(
 
 def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:
     """Return, for each record, the names of its free parameters that it shares with no other."""
-    starts: dict[str, set[float | None]] = {}
-    for problem in problems:
-        joint = {p.name for p in problem.loop.joint.parameters}
-        for p in problem.free:
-            if p.name not in joint and of_law(p.name):
-                starts.setdefault(p.name, set()).add(p.start)
+    joint, starts = {p.name for p in problems[0].joint.parameters}, dict[str, set[float | None]]()
+    for p in (p for problem in problems for p in problem.free if p.name not in joint and of_law(p.name)):
+        starts.setdefault(p.name, set()).add(p.start)
     differing = {name for name, values in starts.items() if len(values) > 1}
     apart = [set(mine) | set(INITIAL) | differing for mine in own]
     for name in {p.name for problem in problems for p in problem.free}:
         sharing = [k for k, q in enumerate(problems) if name not in apart[k] and name in {p.name for p in q.free}]
-        if len(sharing) == 1:
+        if len(sharing) == 1 < len(problems):
             apart[sharing[0]].add(name)
     return apart

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -294,7 +295,9 @@ def law_fingerprint(loop: ClosedLoop) -> str:
 
 
 def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[int, int]) -> float:
-    """Return ``||measured - predicted|| / ||measured||`` with samples left out at both ends."""
+    """Return ``||measured - predicted|| / ||measured||`` with samples left out at both ends; NaN without samples."""
+    if not measured.size:
+        return math.nan
     if sum(borders) >= measured.size:
         raise RecordError(
             f"Borders of {borders[0]} and {borders[1]} samples leave nothing of a record of {measured.size}; give "

@@ -23,7 +23,6 @@ from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.model_tests import EndogeneityTest
-from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 
 
@@ -200,7 +199,6 @@ class Checks:
         known: which parameters and combinations the record determines, and how well.
         tests: of the method's assumptions.
         bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
-        repeatable: the part of the residual that repeats with the motion, in a long log.
         agreement: whether several records, each by itself, agree; drift: whether the segments of a long log do.
         encoder_lag: that hides the spring between both encoders, where they were read.
         diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None where it was not made.
@@ -213,7 +211,6 @@ class Checks:
     known: Identifiability | None = None
     tests: tuple[EndogeneityTest, ...] = ()
     bounds: tuple[StiffnessBound, ...] = ()
-    repeatable: Repeatable | None = None
     agreement: Agreement | None = None
     drift: Agreement | None = None
     encoder_lag: EncoderLag | None = None

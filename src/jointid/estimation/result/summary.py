@@ -116,8 +116,6 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
             f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
             f"{number(windows.duration / 3600, 3)} h",
         )
-    if windows is not None and checks.repeatable is not None:
-        yield "residual", str(checks.repeatable)
     if details:
         yield from (("test", str(test)) for test in checks.tests)
         passes = f", {fit.passes} times over the whole" if fit.passes else ""

@@ -18,11 +18,10 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
-from jointid.estimation.identify import fit_robot
+from jointid.estimation.identify import fit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.robot import KNOWN
-from jointid.estimation.robots.regression import robot_record_warnings
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -154,7 +153,6 @@ def identify_payload(
         raise MethodError(
             "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; of a joint, compare two estimates."
         )
-    robot = model if isinstance(model, Robot) else model.robot
     each, warnings = list[Estimate](), list[str]()
     for log in (empty, loaded):
         if isinstance(log, Estimate):
@@ -165,8 +163,8 @@ def identify_payload(
                 "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
                 "Record.payload, out."
             )
-        each.append(fit_robot(log, model, method, filtering=filtering, progress=progress))
-        warnings += [*each[-1].checks.warnings, *robot_record_warnings(log, robot)]
+        each.append(fit(log, model, method, filtering=filtering, progress=progress))
+        warnings += each[-1].checks.warnings
     return replace(payload_difference(*each), warnings=tuple(dict.fromkeys(warnings)))
 
 
