@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import RecordError, UnknownName
+from jointid.common.errors import RecordError
 from jointid.common.text import interval
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings, UnknownName
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers

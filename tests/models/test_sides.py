@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jointid.common.transmission import Transmission
+from jointid.estimation.result.parts import cross
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
@@ -26,13 +27,13 @@ def test_each_quantity_has_its_unit_and_its_power_of_the_ratio(torque_unit: str 
     factors = {"stiffness": R**-2, "motor_inertia": R**-2, "offset": -1 / R, "motor_viscous": R**-2}
     for p in joint.parameters:
         if p.name in units:
-            crossed = TURNED_SCREW.cross(p.name, joint.unit(p), unit)
+            crossed = cross(TURNED_SCREW, p.name, joint.unit(p), unit)
             assert crossed == (p.name, units[p.name], pytest.approx(factors[p.name]))
     for name, here, there, factor in (
         ("load_coulomb", unit, torque_unit or "N m", 1 / R), ("initial_position", "m", "rad", -R),
         ("period", "m", "rad", R), ("log_delay", "s", "s", 1.0), ("velocity_gain", "as declared", "as declared", 1.0),
     ):  # fmt: skip
-        assert TURNED_SCREW.cross(name, here, unit) == (name, there, pytest.approx(factor))
+        assert cross(TURNED_SCREW, name, here, unit) == (name, there, pytest.approx(factor))
 
 
 def test_both_ways_lead_back() -> None:
@@ -41,6 +42,6 @@ def test_both_ways_lead_back() -> None:
     ripple = PositionHarmonics(0.01, 2)
     for joint in (RigidJoint("prismatic", AsymmetricFriction()), FlexibleJoint("prismatic", AsymmetricFriction())):
         for p in (*joint.parameters, *ripple.parameters):
-            name, unit, factor = TURNED_SCREW.cross(p.name, joint.unit(p), "N")
-            assert back.cross(name, unit, "N m") == (p.name, joint.unit(p), pytest.approx(1 / factor))
+            name, unit, factor = cross(TURNED_SCREW, p.name, joint.unit(p), "N")
+            assert cross(back, name, unit, "N m") == (p.name, joint.unit(p), pytest.approx(1 / factor))
             assert (name != p.name) == p.name.endswith(("forwards", "backwards"))

@@ -20,8 +20,8 @@ from jointid.common.document import (
     Picture,
     Table,
     Verdicts,
-    block_html,
     plain_console,
+    templates,
 )
 from tests.output.report import reports
 
@@ -69,7 +69,10 @@ class Tags(HTMLParser):
 
 
 def test_html_makes_no_tag_of_a_text() -> None:
-    hostile, friendly = (Tags("".join(map(block_html, every(text).blocks))) for text in (EVIL, "a text"))
+    hostile, friendly = (
+        Tags("".join(map(templates().get_template("blocks.html").module.show, every(text).blocks)))
+        for text in (EVIL, "a text")
+    )
     assert hostile.found == friendly.found and "table" in hostile.found and not hostile.open
 
 

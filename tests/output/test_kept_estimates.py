@@ -16,7 +16,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.fields import dumps
+from jointid.estimation.result.fields import dumps
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.output.json import read_report

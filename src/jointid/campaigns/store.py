@@ -18,8 +18,8 @@ from typing import Any, Self
 from jointid import __version__
 from jointid.campaigns.campaign import Case, canonical
 from jointid.common.errors import RecordError
-from jointid.common.fields import read
 from jointid.common.files import explain, lock, open_file
+from jointid.estimation.result.fields import read
 
 _BEGIN = b'{"changes":'  # of each line, whose keys are in order
 

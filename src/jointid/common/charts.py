@@ -66,7 +66,6 @@ def panels(
         width: in inches.
         share_x: whether panels below each other have one x axis.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     class ShownFigure(Figure):
@@ -77,7 +76,6 @@ def panels(
 
     rows = [max(heights[i : i + columns]) for i in range(0, len(heights), columns)] or [170]
     figure = ShownFigure(figsize=(width, sum(rows) / _INCH))
-    FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, squeeze=False, height_ratios=rows, sharex="col" if share_x else False)
     if title:
         figure.suptitle(title)

@@ -62,12 +62,6 @@ class MethodError(JointidError):
     """The record, joint or controller lacks what a method needs."""
 
 
-class UnknownName(MethodError, KeyError):  # noqa: N818, it is a name that Python's own KeyError is caught by
-    """Unknown parameter name."""
-
-    __str__ = Exception.__str__  # KeyError's own puts the sentence in quotes
-
-
 class ExtraError(JointidError):
     """A missing optional package; the message names the extra."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -61,8 +60,7 @@ class Work:
 
     def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
         self._progress, self._what, self.total, self._unit = progress, what, total, unit
-        self._lock, self._done = threading.Lock(), 0.0
-        self._told = time.monotonic()
+        self._done, self._told = 0.0, time.monotonic()
 
     def reach(self, done: float) -> None:
         """Report the amount done."""
@@ -73,9 +71,8 @@ class Work:
             self._progress(Detail(f"{self._what}: {done:.0f}{whole} {self._unit}", pace=True))
 
     def add(self) -> None:
-        """Report one more step, from any thread."""
-        with self._lock:
-            self.reach(self._done + 1)
+        """Report one more step."""
+        self.reach(self._done + 1)
 
 
 def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit: str) -> Iterator[T]:

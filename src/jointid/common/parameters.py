@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Self
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.units import Kind
 
 POSITION_UNIT: Mapping[str, str] = {"prismatic": "m", "revolute": "rad"}
@@ -91,19 +90,6 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
     if quantity is Quantity.COMPLIANCE and " " in torque_unit:
         torque_unit = f"({torque_unit})"
     return quantity.unit.format(f=torque_unit, q=POSITION_UNIT[kind])
-
-
-def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
-    """Replace the parameters named in `changes`."""
-    parameters = tuple(parameters)
-    names = [parameter.name for parameter in parameters]
-    for name, change in changes.items():
-        if name not in names or not isinstance(change, Parameter):
-            raise MethodError(
-                f"This model has the parameters {', '.join(names)}; received {name} = {change!r}: change its own, by "
-                "fix(value) or dataclasses.replace."
-            )
-    return tuple(changes.get(parameter.name, parameter) for parameter in parameters)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ One ratio r, motor position per load position, describes it. Power passes withou
     q motor = r q load,        tau load = r tau motor
 
 A record is *referred* to the joint's side when it is read: positions by their factor, torques by its inverse.
-`Transmission.cross` refers an estimate to the other side. The motor's
+`jointid.estimation.result.parts.cross` refers an estimate to the other side. The motor's
 ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load::
 
     tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
@@ -24,19 +24,11 @@ from typing import Literal, TypeAlias
 
 from jointid.common import units
 from jointid.common.errors import MethodError
-from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 
 Side: TypeAlias = Literal["motor", "load"]
 
 SIDES: tuple[Side, ...] = ("motor", "load")
-
-_TURNED = (
-    "offset", "force_drift", "cosine", "_position", "_velocity", "initial_torque", "gravity_constant", "gravity_cos",
-    "gravity_sin", "counterbalance_constant", "counterbalance_cos", "counterbalance_sin",
-)  # fmt: skip
-"""Ends of the names of what changes its sign with the direction; all else is odd in the motion, or a size."""
-_EXCHANGED = {"forwards": "backwards", "backwards": "forwards"}
 
 
 @add_settings_to_docstring
@@ -116,27 +108,6 @@ class Transmission:
         if side == self.side:
             return 1.0
         return self.motor_per_load if side == "motor" else 1.0 / self.motor_per_load
-
-    def cross(self, name: str, unit: str, torque_unit: str) -> tuple[str, str, float]:
-        """Return name, unit and factor of a parameter on the other side, from those on this side.
-
-        Args:
-            name: of the parameter; a negative ratio exchanges its direction.
-            unit: of its value.
-            torque_unit: in which the joint's parameters are: N, N m, A or V.
-        """
-        other: Side = "motor" if self.side == "load" else "load"
-        ratio, kind = self.position(other), self.kind_of(other)
-        quantity = next((q for q in Quantity if unit_of(q, self.kind, torque_unit) == unit), None)
-        factor = 1.0
-        if quantity is not None:  # quantities of one unit scale alike
-            factor = abs(ratio) ** quantity.power
-            unit = unit_of(quantity, kind, TORQUE_UNIT[kind] if torque_unit in TORQUE_UNIT.values() else torque_unit)
-        if ratio < 0:
-            factor = -factor if name.endswith(_TURNED) else factor
-            stem, separator, way = name.rpartition("_")
-            name = f"{stem}{separator}{_EXCHANGED.get(way, way)}"
-        return name, unit, factor
 
     def __str__(self) -> str:
         """Return its description, in a sentence."""

@@ -16,8 +16,8 @@ from typing import Any
 
 from jointid.common.document import Document, Documented, Facts, Listing, Table
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.fields import read
 from jointid.common.text import in_words, join, number
+from jointid.estimation.result.fields import read
 from jointid.estimation.result.parts import EstimatedParameter
 
 LEVEL = 0.05

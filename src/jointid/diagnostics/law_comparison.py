@@ -25,13 +25,13 @@ from jointid.common.document import Document, Documented, Facts, Table, common_f
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Message, Progress, follow, ignore_progress
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import Parameter, adjust_parameters
+from jointid.common.parameters import Parameter
 from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.problems.base import INITIAL
+from jointid.estimation.problems.base import INITIAL, adjust_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import Parameter, Quantity, adjust_parameters
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import Method, Task, default_method
+from jointid.estimation.problems.base import adjust_parameters
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings

@@ -21,10 +21,11 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
-from jointid.common.parameters import Bounds, Parameter, adjust_parameters
+from jointid.common.parameters import Bounds, Parameter
 from jointid.estimation.identify_log import Start, build_answer, describe_record, pose
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.base import adjust_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.log_windows import Solved, stream
 from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem

@@ -16,13 +16,13 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.fields import finite, read
 from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.fields import finite, read
 from jointid.estimation.result.judge import judged
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import SpringVerdict

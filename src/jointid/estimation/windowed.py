@@ -16,11 +16,12 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity, adjust_parameters
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.base import adjust_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,

@@ -1,4 +1,4 @@
-"""Results as JSON, their fields by name (`common.fields`), and estimates back as far as a later command needs them.
+"""Results as JSON, their fields by name (`result.fields`), and estimates back as far as a later command needs them.
 
 Every document has `schema`, the class of its result with the number of this form, and `version`, that of the program.
 """
@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from jointid import ClosedLoop, __version__
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.fields import dumps, finite, plain, write
 from jointid.common.files import explain, open_file
 from jointid.config import File
 from jointid.estimation.methods.registry import METHODS
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.fields import dumps, finite, plain, write
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
-from jointid.common.document import inert
+from jointid.common.document import templates
 from jointid.output.report import repetition
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
@@ -140,7 +140,7 @@ def test_no_two_elements_of_a_page_have_one_id(rigid_page: str) -> None:
 
 def test_inert_json_is_the_same_json() -> None:
     given = {"a": "</script><!-- & >", "b": ["\u2028", "\\u003c"]}
-    text = inert(json.dumps(given))
+    text = templates().filters["inert"](json.dumps(given))
     assert not re.search("[<>&]", text)
     assert json.loads(text) == given
 

@@ -18,7 +18,7 @@ that stands beside those of the joint:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
@@ -65,6 +65,19 @@ _PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the la
 _POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
 _ROOM = 1e-3  # below what a law cannot have: a derivative by differences also evaluates outside the value
 _SMALL = 1e-6  # relative: how near a search comes to what a law cannot have
+
+
+def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
+    """Replace the parameters named in `changes`."""
+    parameters = tuple(parameters)
+    names = [parameter.name for parameter in parameters]
+    for name, change in changes.items():
+        if name not in names or not isinstance(change, Parameter):
+            raise MethodError(
+                f"This model has the parameters {', '.join(names)}; received {name} = {change!r}: change its own, by "
+                "fix(value) or dataclasses.replace."
+            )
+    return tuple(changes.get(parameter.name, parameter) for parameter in parameters)
 
 
 def surrounding(name: str, controller: Controller, period: float | None = None) -> Parameter:

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.fields import write
 from jointid.estimation.result.answer import Answer, answer_of
+from jointid.estimation.result.fields import write
 from jointid.estimation.result.parts import (
     Checks,
     Data,

@@ -10,7 +10,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
-from jointid.common.errors import MethodError, UnknownName
+from jointid.common.errors import MethodError
+from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.text import interval, number
 from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.estimation.result.agreement import Agreement
@@ -24,6 +25,19 @@ from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.model_tests import EndogeneityTest
 from jointid.uncertainty.residual_tests import ResidualReport
+
+_TURNED = (
+    "offset", "force_drift", "cosine", "_position", "_velocity", "initial_torque", "gravity_constant", "gravity_cos",
+    "gravity_sin", "counterbalance_constant", "counterbalance_cos", "counterbalance_sin",
+)  # fmt: skip
+"""Ends of the names of what changes its sign with the direction; all else is odd in the motion, or a size."""
+_EXCHANGED = {"forwards": "backwards", "backwards": "forwards"}
+
+
+class UnknownName(MethodError, KeyError):  # noqa: N818, it is a name that Python's own KeyError is caught by
+    """Unknown parameter name."""
+
+    __str__ = Exception.__str__  # KeyError's own puts the sentence in quotes
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,13 +155,35 @@ def on_other_side(
     """Return parameters, in a unit of torque, as they are on the other side of a transmission, in the same order."""
     here, found = {p.name: p for p in parameters}, list[EstimatedParameter]()
     for p in parameters:
-        name, unit, factor = gear.cross(p.name, p.unit, torque_unit)
+        name, unit, factor = cross(gear, p.name, p.unit, torque_unit)
         same = here.get(name, p)  # but for the direction
         value, bound = (None if one is None else factor * one + 0.0 for one in (same.value, same.lower_bound))  # no -0
         stderr = None if same.stderr is None else abs(factor) * same.stderr
         own = replace(same, name=p.name, symbol=p.symbol, unit=unit, value=value, stderr=stderr, lower_bound=bound)
         found.append(replace(own, lack_of_fit=abs(factor) * same.lack_of_fit))
     return tuple(found)
+
+
+def cross(gear: Transmission, name: str, unit: str, torque_unit: str) -> tuple[str, str, float]:
+    """Return name, unit and factor of a parameter on the other side, from those on the identified one.
+
+    Args:
+        gear: a negative ratio exchanges the direction of a parameter.
+        name: of the parameter.
+        unit: of its value.
+        torque_unit: in which the joint's parameters are: N, N m, A or V.
+    """
+    other: Side = "motor" if gear.side == "load" else "load"
+    ratio, kind, factor = gear.position(other), gear.kind_of(other), 1.0
+    quantity = next((q for q in Quantity if unit_of(q, gear.kind, torque_unit) == unit), None)
+    if quantity is not None:  # quantities of one unit scale alike
+        factor = abs(ratio) ** quantity.power
+        unit = unit_of(quantity, kind, TORQUE_UNIT[kind] if torque_unit in TORQUE_UNIT.values() else torque_unit)
+    if ratio < 0:
+        factor = -factor if name.endswith(_TURNED) else factor
+        stem, separator, way = name.rpartition("_")
+        name = f"{stem}{separator}{_EXCHANGED.get(way, way)}"
+    return name, unit, factor
 
 
 # The other parts

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from jointid import Record
 from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.fields import dumps, plain
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.fields import dumps, plain
 from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.output.figures import require_format
