@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,6 +110,29 @@ def test_a_reference_that_is_held_coarse_or_stepped_lacks_no_samples() -> None:
 def test_most_losses_of_a_motion_are_found() -> None:
     whole = moved(short_moves())
     assert sum(find_lost_samples(lose(whole, seed)) is not None for seed in range(20)) >= 16
+
+
+def zeroed(record: ji.Record) -> ji.Record:
+    jump = 0.03 * (np.arange(len(record.reference)) >= 500)
+    positions = {n: replace(getattr(record, n), values=getattr(record, n).values - jump) for n in POSITIONS}
+    return record.with_channels(positions)
+
+
+def commanded(record: ji.Record) -> ji.Record:
+    values = record.reference.values
+    return record.with_channels({"reference": replace(record.reference, values=0.1 * np.round(10 * values))})
+
+
+POSITIONS = ("reference", "motor_position")
+STEPS = 0.02 * np.sign(np.sin(2 * np.pi * 0.7e-3 * np.arange(4000)))
+
+
+@pytest.mark.parametrize(("edit", "cause"), [(zeroed, "new_zero"), (commanded, "profiled_steps"), (None, None)])
+def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cause: str | None) -> None:
+    for reference in (short_moves(), *((STEPS,) if edit is None else ())):
+        whole = ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3)
+        found = find_plain_cause(whole if edit is None else edit(whole))
+        assert (None if found is None else found.values["causes"][0]["cause"]) == cause
 
 
 def smaller(name: AxisName, share: float, noise: float = 1.0) -> tuple[Axis, Record, ClosedLoop]:

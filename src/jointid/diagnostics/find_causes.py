@@ -38,8 +38,7 @@ from jointid.diagnostics.hypothesis_fits import (
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import (
     explain_on_position,
-    find_lost_samples,
-    find_parts_off,
+    find_broken_part,
     find_plain_cause,
     find_standstill,
     find_torque_scale,
@@ -297,7 +296,7 @@ def find_gross_cause(
     """
     loop, filtering, left = estimate.settings.loop, estimate.settings.filtering, estimate.fit.filtered_error
     assert loop is not None
-    if (plain := find_lost_samples(record) or find_parts_off(record)) is not None:
+    if (plain := find_broken_part(record)) is not None:
         return Causes(left, plain=plain)
     if local:
         return None

@@ -48,6 +48,8 @@ _SAID = 3  # places
 _OFF_FOR, _NOTHING = 0.25, 0.03  # s; of the torque's scatter: without a torque for so long, the drive is off
 _RESTS, _NEAR_BY = 2e-3, 0.05  # of the largest speed and travel; of the travel
 _MEAN, _VARIES = 21, 0.5  # samples; of the root mean square of an acceleration that is not one and the same
+_JUMP = 10.0  # times the largest step but a few: no motor moves so far in a sample
+_FEW_CHANGES, _AT_ONCE = 0.02, 5  # of the samples, at which a reference in steps changes; samples
 _BACK = 0.05  # of all the way: who goes back less moves one way only
 
 
@@ -56,7 +58,12 @@ def find_plain_cause(record: Record) -> Message | None:
     if record.injected is not None:  # that moves the joint, too
         return None
     short = _check_length(record, SHORTEST, "to tell what is wrong")
-    return short or find_lost_samples(record) or find_parts_off(record) or find_steps(record)
+    return short or find_broken_part(record) or find_profiled_steps(record) or find_steps(record)
+
+
+def find_broken_part(record: Record) -> Message | None:
+    """Return the message of a part of the record that belongs to something else; None without one."""
+    return find_lost_samples(record) or find_parts_off(record) or find_new_zero(record)
 
 
 def find_too_short(record: Record) -> Message | None:
@@ -151,6 +158,43 @@ def find_parts_off(record: Record) -> Message | None:
     clause += "identify a part without them (record.start, record.stop)"
     cause = {"cause": "drive_off", "value": sum(end - begin for begin, end in off), "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], "parts": off}, clause)
+
+
+def find_new_zero(record: Record) -> Message | None:
+    """Return the message of positions whose zero is set within the record, as by homing: they jump together."""
+    motor, reference = record.motor_position, record.reference
+    if motor is None or reference is None or motor.values.shape != reference.values.shape:
+        return None
+    steps, asked = np.diff(motor.values), np.diff(reference.values)
+    usual = float(np.sort(np.abs(steps))[-_SAID - 1]) if steps.size > _SAID else 0.0
+    (places,) = np.nonzero((np.abs(steps) > _JUMP * usual) & (np.abs(asked - steps) < _ROUGH * np.abs(steps)))
+    if not usual > 0.0 or not places.size:
+        return None
+    said = [
+        f"by {number(float(steps[k]), 3)} {motor.unit} at {number(motor.sample_time * (k + 1), 3)} s" for k in places
+    ]
+    clause = f"reference and motor position jump together {join(said)} from the first sample that was read: a new zero "
+    clause += "was set there; identify a part without it (record.start, record.stop)"
+    cause = {"cause": "new_zero", "value": float(steps[places[0]]), "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+
+
+def find_profiled_steps(record: Record) -> Message | None:
+    """Return the message of a reference in steps that the torque does not follow at once: a profile is behind it."""
+    reference, torque = record.reference, record.torque
+    if reference is None or torque is None or torque.values.shape != reference.values.shape:
+        return None
+    (places,) = np.nonzero(np.diff(reference.values))
+    changes = np.abs(np.diff(torque.values))
+    if not _SAID <= places.size < _FEW_CHANGES * changes.size:
+        return None
+    after = [float(np.max(changes[k : k + _AT_ONCE])) for k in places]
+    if np.median(after) > np.quantile(changes, 1.0 - _FEW_CHANGES):
+        return None
+    clause = "the reference comes in steps that the torque does not follow at once: the drive makes a profile of them; "
+    clause += "log the setpoint behind its profile as the reference"
+    cause = {"cause": "profiled_steps", "value": None, "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
 
 
 def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least: float) -> bool:
