@@ -14,8 +14,7 @@ from collections.abc import Callable
 from jointid.simulation.closed_loop import simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
-from tests.plants import prismatic, rotary
-from tests.smooth_laws import LAWS, with_law
+from tests.plants import LAWS, prismatic, rotary, with_law
 
 TURNS, DERIVED = 7, 3
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 IN_CI = os.environ.get("CI") == "true"
+_ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync", "--no-first-run"]
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -39,10 +40,10 @@ def opened(address: str | Path, **options: Any) -> Iterator[tuple[Any, list[str]
     url = address.resolve().as_uri() if isinstance(address, Path) else address
     complaints: list[str] = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=path, args=_ARGUMENTS)
         try:
             page = browser.new_context(**options).new_page()
-            page.on("console", lambda said: complaints.append(said.text) if said.type in ("error", "warning") else None)
+            page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
             page.on("pageerror", lambda error: complaints.append(str(error)))
             local = url.split("/", 3)[:3]
             page.on("request", lambda asked: complaints.append(asked.url) if _elsewhere(asked.url, local) else None)

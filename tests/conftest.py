@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
-from tests.drawing import DRAW, SHARES, draw_tests
+from tests.drawing import DRAW, SHARES, is_drawn
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,15 +48,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tests that `JOINTID_DRAW` does not draw."""
-    if not DRAW:
-        return
-    layers = {item.nodeid: layer for item in items for layer in SHARES if item.get_closest_marker(layer)}
-    kept = draw_tests(((layer, name) for name, layer in layers.items()), DRAW)
-    left = [item for item in items if item.nodeid in layers and item.nodeid not in kept]
-    if left:
-        config.hook.pytest_deselected(items=left)
-        items[:] = [item for item in items if item.nodeid in kept or item.nodeid not in layers]
+    """Leave out the tests that `JOINTID_DRAW` does not draw; one of several layers is drawn in the last of them."""
+
+    def drawn(item: pytest.Item) -> bool:
+        layers = [layer for layer in SHARES if item.get_closest_marker(layer)]
+        return not layers or is_drawn(layers[-1], item.nodeid)
+
+    config.hook.pytest_deselected(items=[item for item in items if not drawn(item)])
+    items[:] = filter(drawn, items)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

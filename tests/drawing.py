@@ -6,12 +6,10 @@ attacks take their seed from it, too.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import random
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -20,36 +18,12 @@ DRAW = os.environ.get("JOINTID_DRAW", "")
 """What the draw is made from; empty if everything runs."""
 
 SHARES = {"slow": 1 / 20, "browser": 1 / 4, "docs": 1 / 6, "hostile": 1 / 8}
-"""The share of each layer that a draw keeps, rounded up and spread evenly over its files.
-
-A slow test has relatives among the quick ones, which a page of the documentation has not. A test of several layers is
-drawn in the last of them.
-"""
+"""The share of each layer that a draw keeps. A slow test has relatives among the quick ones, which a page has not."""
 
 
-def draw_tests(tests: Iterable[tuple[str, str]], draw: str) -> set[str]:
-    """Return the identifiers of the tests that a draw keeps.
-
-    The tests of a layer stand in one row, file after file, and the kept ones lie equally far apart in it.
-
-    Args:
-        tests: layer and identifier, as pytest writes it, of each test that may be left out.
-        draw: text that the draw is made from.
-    """
-    layers = defaultdict(list)
-    for layer, name in tests:
-        layers[layer].append(name)
-    kept: set[str] = set()
-    for layer, names in layers.items():
-        row = sorted(names, key=lambda name: (name.partition("::")[0], _hash(draw, name)))
-        count = math.ceil(SHARES[layer] * len(row))
-        first = random.Random(f"{draw} {layer}").random()
-        kept.update(row[int((k + first) * len(row) / count)] for k in range(count))
-    return kept
-
-
-def _hash(draw: str, name: str) -> bytes:
-    return hashlib.sha256(f"{draw} {name}".encode()).digest()
+def is_drawn(layer: str, name: str) -> bool:
+    """Return whether a draw keeps a test of a layer, by its identifier."""
+    return not DRAW or random.Random(f"{DRAW} {name}").random() < SHARES[layer]
 
 
 def draw_some(things: Sequence[T], layer: str) -> list[T]:

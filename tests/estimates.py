@@ -8,15 +8,11 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
-from jointid.diagnostics.validation import validate
-from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
-from jointid.models.robots.robot import Robot
-from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 
-T = TypeVar("T", bound=Estimate)
+T = TypeVar("T", bound=ji.Estimate)
 
 identify = partial(ji.identify, checks=False)
 """Identify without the checks, which take as long as the identification."""
@@ -27,11 +23,13 @@ def amended(estimate: T, **parts: Mapping[str, Any]) -> T:
     return replace(estimate, **{name: replace(getattr(estimate, name), **entries) for name, entries in parts.items()})
 
 
-def errors_of_bodies(estimate: Estimate, bodies: Robot, records: Sequence[Record]) -> list[float | None]:
+def errors_of_bodies(
+    estimate: ji.Estimate, bodies: ji.robots.Robot, records: Sequence[ji.Record]
+) -> list[float | None]:
     """Return what a robot leaves of the records of another motion, in the place of the estimate's nominal one."""
     part = estimate.require_robot()
     if estimate.settings.method == "idim":
         other = replace(part, nominal=part.parameters_of(bodies))
-        return [axis.nominal_error for axis in validate(replace(estimate, robot=other), records).axes]
+        return [axis.nominal_error for axis in ji.validate(replace(estimate, robot=other), records).axes]
     problem: Any = problem_of(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
     return [*errors_of(problem, RobotNumbers.of(bodies))]

@@ -6,12 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
-from jointid.models.controllers import PD, Cascade, FirstOrder
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.records.record import Channel, Record
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
+import jointid as ji
 
 LOG = 1e-3  # s
 RIGID = {"inertia": 1.0, "viscous": 1.7, "coulomb": 4.5, "offset": 0.3}
@@ -19,11 +14,11 @@ FLEXIBLE = {
     "motor_inertia": 0.45, "motor_viscous": 0.9, "motor_coulomb": 2.5, "stiffness": 9000.0, "damping": 2.5,
     "load_inertia": 0.55, "load_viscous": 0.8, "load_coulomb": 2.0, "offset": 0.3,
 }  # fmt: skip
-CASCADE = Cascade(position_gain=25.0, velocity_gain=110.0)
-SERVO = PD(position_gain=2500.0, derivative_gain=95.0, velocity_filter=FirstOrder(0.8e-3))
+CASCADE = ji.controller.Cascade(position_gain=25.0, velocity_gain=110.0)
+SERVO = ji.controller.PD(position_gain=2500.0, derivative_gain=95.0, velocity_filter=ji.controller.FirstOrder(0.8e-3))
 
 
-def _pulses(samples: int, fine: float) -> FloatArray:
+def _pulses(samples: int, fine: float) -> np.ndarray:
     """A known torque for 20 ms about every 0.4 s."""
     rng = np.random.default_rng(5)
     pulses, begin = np.zeros(samples), 0.3
@@ -35,27 +30,27 @@ def _pulses(samples: int, fine: float) -> FloatArray:
 
 
 def drive(
-    law: Cascade | PD,
+    law: ji.controller.Cascade | ji.controller.PD,
     times: int,
     *,
     flexible: bool = False,
     pulsed: bool = False,
     noise: float = 0.3,
     force: float = 0.0,
-) -> tuple[Record, ClosedLoop]:
+) -> tuple[ji.Record, ji.ClosedLoop]:
     """The log, at 1 kHz, of a drive that runs so many times as fast, and its loop without the period."""
     fine, rng = LOG / times, np.random.default_rng(1)
     controller = replace(law, delay=fine)
-    joint = FlexibleJoint("revolute") if flexible else RigidJoint("revolute")
-    reference = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, fine, duration=12.0 if flexible else 6.0)
-    record = simulated_record(
-        ClosedLoop(joint, controller), reference, FLEXIBLE if flexible else RIGID, sample_time=fine,
+    joint = ji.FlexibleJoint("revolute") if flexible else ji.RigidJoint("revolute")
+    reference = ji.excitation.trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, fine, duration=12.0 if flexible else 6.0)
+    record = ji.simulated_record(
+        ji.ClosedLoop(joint, controller), reference, FLEXIBLE if flexible else RIGID, sample_time=fine,
         injected=_pulses(reference.size, fine) if pulsed else None,
         disturbance=np.repeat(force * rng.standard_normal(reference.size // times + 1), times)[: reference.size],
         name="drive",
     )  # fmt: skip
 
-    def logged(channel: Channel) -> Channel:
+    def logged(channel: ji.Channel) -> ji.Channel:
         return replace(channel, values=channel.values[::times].copy(), sample_time=LOG)
 
     assert record.torque is not None
@@ -67,4 +62,4 @@ def drive(
         record, torque=torque, reference=logged(record.reference), motor_position=None, load_position=None,
         injected=injected,
     )  # fmt: skip
-    return shown, ClosedLoop(joint, controller)
+    return shown, ji.ClosedLoop(joint, controller)

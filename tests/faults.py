@@ -35,13 +35,11 @@ SATURATION = 0.7  # of the largest torque the controller asks for
 class Setting:
     """A loop of the twin as declared, and how large its noise is."""
 
-    name: Loop
     loop: ClosedLoop
     record: Record
     truth: dict[str, float]
     noise: dict[str, float]
     peak: float  # of the controller's output
-    brief: bool
 
 
 @lru_cache(maxsize=4)
@@ -58,7 +56,7 @@ def setting(name: Loop, brief: bool = False) -> Setting:
     assert record.injected is not None
     sizes = {kind: twin(name, noise=kind).noise for kind in ("white", "disturbance")}
     peak = float(np.max(np.abs(record.torque.values - record.injected.channel.values)))
-    return Setting(name, clean.loop, record, dict(clean.truth), sizes, peak, brief)
+    return Setting(clean.loop, record, dict(clean.truth), sizes, peak)
 
 
 @dataclass(frozen=True)
@@ -147,27 +145,15 @@ def solved(made: ClosedLoopProblem, where: Setting, tolerance: float = 1e-6) -> 
 def _logged(where: Setting, fault: Fault, noise: Noise | None, seed: int) -> FloatArray:
     """Return the torque as logged, (samples,)."""
     white = np.random.default_rng([seed, 7]).standard_normal(len(where.record.torque or ()))
-    force = where.noise["disturbance"] * white if noise == "disturbance" else None
-    torque = fault.log_gain * _moved(where, fault, force)
+    size = where.noise["disturbance"] if noise == "disturbance" else 0.0
+    torque = fault.log_gain * _run(where, fault, size * white).torque
     if fault.log_shift:
         torque = np.concatenate([np.full(fault.log_shift, torque[0]), torque[: -fault.log_shift]])
     return torque + where.noise["white"] * white if noise == "white" else torque
 
 
-def _moved(where: Setting, fault: Fault, force: FloatArray | None) -> FloatArray:
-    """Return the torque the log shows of the loop that really ran; without noise it is always the same."""
-    if force is None:
-        return _quiet(where.name, where.brief, fault)
-    return _run(where, fault, force).torque
-
-
-@lru_cache(maxsize=32)
-def _quiet(name: Loop, brief: bool, fault: Fault) -> FloatArray:
-    where = setting(name, brief)
-    return _run(where, fault, np.zeros(len(where.record.torque or ()))).torque
-
-
 def _run(where: Setting, fault: Fault, force: FloatArray) -> Simulation:
+    """Return the run of the loop that really ran."""
     numbers = fault.law(where.loop)
     if fault.limit is not None:
         numbers["limit"] = fault.limit * where.peak / where.loop.controller.gain  # type: ignore[attr-defined]

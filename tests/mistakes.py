@@ -11,22 +11,19 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
 from jointid.common.messages import Message
-from jointid.common.transmission import Transmission
 from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.records.record import Record
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
+from tests.edits import Edit, changes, declares, has, log, slower, swap
 
 AxisName: TypeAlias = Literal["rigid", "flexible", "direct", "screw", "fast", "table", "lift"]
 
@@ -63,10 +60,10 @@ def axis(name: AxisName) -> Axis:
             delay=0.5e-3,
         )
         values = {"inertia": 0.12, "viscous": 0.25, "coulomb": 0.9, "offset": 0.1}
-        reference = trapezoids((1.0, 2.0, 4.0), 30.0, 1.5, RATE, duration=9.0)
+        reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 30.0, 1.5, RATE, duration=9.0)
         return Axis(RigidJoint("revolute"), direct, values, reference, 0.05, 0.3, 0.05, 0.02)
     if name == "rigid":
-        gear = Transmission(load="revolute", ratio=50.0)
+        gear = ji.Transmission(load="revolute", ratio=50.0)
         law = Cascade(
             position_gain=25.0,
             velocity_gain=2.1,
@@ -78,15 +75,15 @@ def axis(name: AxisName) -> Axis:
             ratio=50.0,
         )
         values = {"inertia": 8.0, "viscous": 25.0, "coulomb": 40.0, "offset": 6.0}
-        reference = trapezoids((0.3, 0.7, 1.2), 6.0, 1.0, RATE, duration=10.0)
+        reference = ji.excitation.trapezoids((0.3, 0.7, 1.2), 6.0, 1.0, RATE, duration=10.0)
         return Axis(RigidJoint("revolute", transmission=gear), law, values, reference, 1.5, 0.05, 2.0, 1.0)
     truth = {
         "motor_inertia": 50.0, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 9.2e5, "damping": 160.0,
         "load_inertia": 45.0, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": -3.16,
     }  # fmt: skip
     law = Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188, limit=1e3)
-    reference = trapezoids((0.042, 0.083, 0.125), 2.5, 0.05, RATE, duration=10.0)
-    joint = FlexibleJoint("prismatic", transmission=Transmission(load="prismatic", ratio=10.0))
+    reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 2.5, 0.05, RATE, duration=10.0)
+    joint = FlexibleJoint("prismatic", transmission=ji.Transmission(load="prismatic", ratio=10.0))
     return Axis(joint, law, truth, reference, 1.0, 5e-3, 8.0, 1.0)
 
 
@@ -102,9 +99,9 @@ def _screw() -> Axis:
         delay=0.5e-3,
         ratio=500.0,
     )
-    joint = RigidJoint("prismatic", transmission=Transmission(load="prismatic", ratio=500.0))
+    joint = RigidJoint("prismatic", transmission=ji.Transmission(load="prismatic", ratio=500.0))
     values = {"inertia": 80.0, "viscous": 400.0, "coulomb": 260.0, "offset": 0.0}
-    reference = trapezoids((0.05, 0.2, 0.3), 3.0, 0.15, RATE, duration=8.0)
+    reference = ji.excitation.trapezoids((0.05, 0.2, 0.3), 3.0, 0.15, RATE, duration=8.0)
     return Axis(joint, law, values, reference, 5.0, 0.02, 6.0, 3.0)
 
 
@@ -119,9 +116,9 @@ def _fast() -> Axis:
         delay=0.25e-3,
         ratio=80.0,
     )
-    joint = RigidJoint("revolute", transmission=Transmission(load="revolute", ratio=80.0))
+    joint = RigidJoint("revolute", transmission=ji.Transmission(load="revolute", ratio=80.0))
     values = {"inertia": 3.0, "viscous": 12.0, "coulomb": 25.0, "offset": -4.0}
-    reference = trapezoids((0.4, 0.9, 1.6), 9.0, 1.0, 2.5e-4, duration=8.0)
+    reference = ji.excitation.trapezoids((0.4, 0.9, 1.6), 9.0, 1.0, 2.5e-4, duration=8.0)
     return Axis(joint, law, values, reference, 1.0, 0.07, 1.5, 1.0, rate=2.5e-4)
 
 
@@ -139,7 +136,7 @@ def _table() -> Axis:
         "motor_inertia": 0.05, "motor_viscous": 0.1, "motor_coulomb": 0.3, "stiffness": 900.0, "damping": 0.25,
         "load_inertia": 0.05, "load_viscous": 0.1, "load_coulomb": 0.2, "offset": 0.05,
     }  # fmt: skip
-    reference = trapezoids((1.0, 2.0, 4.0), 30.0, 1.5, 5e-4, duration=6.0)
+    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 30.0, 1.5, 5e-4, duration=6.0)
     return Axis(FlexibleJoint("revolute"), law, values, reference, 0.02, 0.3, 0.02, 0.01, rate=5e-4)
 
 
@@ -155,16 +152,16 @@ def _lift() -> Axis:
         delay=1e-3,
         ratio=200.0,
     )
-    joint = RigidJoint("prismatic", transmission=Transmission(load="prismatic", ratio=200.0))
+    joint = RigidJoint("prismatic", transmission=ji.Transmission(load="prismatic", ratio=200.0))
     values = {"inertia": 60.0, "viscous": 300.0, "coulomb": 160.0, "offset": 20.0}
-    reference = trapezoids((0.1, 0.25, 0.4), 2.5, 0.2, RATE, duration=8.0)
+    reference = ji.excitation.trapezoids((0.1, 0.25, 0.4), 2.5, 0.2, RATE, duration=8.0)
     return Axis(joint, law, values, reference, 8.0, 0.02, 6.0, 3.0)
 
 
 _OTHERS: Mapping[str, Callable[[], Axis]] = {"screw": _screw, "fast": _fast, "table": _table, "lift": _lift}
 
 
-def run(made: Axis, controller: Controller, joint: Joint | None = None, seed: int = 1) -> Record:
+def run(made: Axis, controller: Controller, joint: Joint | None = None, seed: int = 1) -> ji.Record:
     """The record of the axis under a controller, as its drive logs it."""
     rng = np.random.default_rng(seed)
     reference = made.reference
@@ -172,7 +169,7 @@ def run(made: Axis, controller: Controller, joint: Joint | None = None, seed: in
     slow = np.exp(-((speed / (0.05 * np.max(np.abs(speed)))) ** 2)) * np.sign(speed)
     coulomb = sum(v for n, v in made.values.items() if "coulomb" in n)
     force = -0.15 * coulomb * slow + made.ripple * np.sin(2 * math.pi * reference / made.period)
-    return simulated_record(
+    return ji.simulated_record(
         ClosedLoop(joint or made.joint, controller), reference, made.values, sample_time=made.rate,
         disturbance=force + made.noise * rng.standard_normal(reference.size),
         torque_noise=made.log_noise * rng.standard_normal(reference.size), name="drive",
@@ -193,260 +190,168 @@ def varied(made: Axis, seed: int) -> Axis:
     return replace(made, controller=law, values={n: other(v) for n, v in made.values.items()})
 
 
-Told: TypeAlias = tuple[Record, ClosedLoop]
+Told: TypeAlias = tuple[ji.Record, ClosedLoop]
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake.
+    """One mistake, or several at once.
 
     Attributes:
         name: in words.
         right: causes one of which must be named.
-        make: from an axis to its record as it is read, and the loop as it is declared.
+        edits: what is made of the drive, of its log and of what is declared, one after the other.
         said: words that must be there.
     """
 
     name: str
     right: frozenset[str]
-    make: Callable[[Axis, int], Told]
+    edits: tuple[Edit, ...]
     said: str = ""
 
-
-Edit: TypeAlias = Callable[[Record, ClosedLoop], Told]
-"""What a mistake makes of a record and a declaration, be they right or wrong already."""
-
-
-def _of(edit: Edit) -> Callable[[Axis, int], Told]:
-    return lambda made, seed: edit(*without_mistake(made, seed))
+    def make(self, made: Axis, seed: int) -> Told:
+        """Return the record of an axis as it is read, and the loop as it is declared."""
+        return told(made, seed, *self.edits)
 
 
-def _scale(channel: str, factor: float) -> Edit:
-    def edit(record: Record, loop: ClosedLoop) -> Told:
-        one = getattr(record, channel)
-        return record.with_channels({channel: replace(one, values=factor * one.values)}), loop
-
-    return edit
-
-
-def _scaled(channel: str, factor: float) -> Callable[[Axis, int], Told]:
-    return _of(_scale(channel, factor))
-
-
-def _swap_channels(record: Record, loop: ClosedLoop) -> Told:
-    assert record.torque is not None
-    assert record.reference is not None
-    swapped = {
-        "torque": replace(record.torque, values=record.reference.values),
-        "reference": replace(record.reference, values=record.torque.values),
-    }
-    return record.with_channels(swapped), loop
+def told(made: Axis, seed: int, *edits: Edit) -> Told:
+    """Return the record and the declared loop of an axis after edits."""
+    law = made.controller
+    one = SimpleNamespace(axis=made, seed=seed, law=law, declared=law, model=made.joint, edits=[], record=None)
+    for edit in edits:
+        edit(one)
+    record = one.record or run(made, one.law, seed=seed)
+    for change in one.edits:
+        record = change(record)
+    return record, ClosedLoop(one.model, one.declared)
 
 
 def without_mistake(made: Axis, seed: int = 1) -> Told:
     """The record of the axis, and its loop as it is."""
-    return run(made, made.controller, seed=seed), ClosedLoop(made.joint, made.controller)
+    return told(made, seed)
 
 
-def _give_position_as_reference(record: Record, loop: ClosedLoop) -> Told:
+def _mistake(name: str, right: str, *edits: Edit, said: str = "") -> Mistake:
+    return Mistake(name, frozenset(right.split()), edits, said)
+
+
+def _twice(name: str) -> Edit:
+    return declares(**{name: lambda one: 2 * getattr(one.law, name)})
+
+
+def _swapped(first: str, second: str) -> Edit:
+    return declares(**{
+        first: lambda one: getattr(one.law, second),
+        second: lambda one: getattr(one.law, first),
+    })  # fmt: skip
+
+
+def _give_position_as_reference(record: ji.Record) -> ji.Record:
     assert record.reference is not None
     assert record.motor_position is not None
     step = 1e-6 * float(np.ptp(record.reference.values))
     encoded = step * np.round(record.motor_position.values / step)
-    wrong = replace(record.reference, values=encoded)
-    return record.with_channels({"reference": wrong}), loop
+    return record.with_channels({"reference": replace(record.reference, values=encoded)})
 
 
-def _declare(**numbers: Any) -> Edit:
-    """A mistake in what is declared; a function of the axis' controller stands for a number of it."""
-
-    def edit(record: Record, loop: ClosedLoop) -> Told:
-        law: Any = loop.controller
-        changes = {n: v(law) if callable(v) else v for n, v in numbers.items()}
-        return record, replace(loop, controller=replace(law, **changes))
-
-    return edit
+def _gear_forgotten(one: Any) -> None:
+    ratio = one.model.transmission.motor_per_load
+    if one.law.ratio == 1.0:  # the same loop, told on the motor's side
+        one.law = replace(one.law, ratio=ratio, velocity_gain=one.law.velocity_gain / ratio**2)
+    one.declared = replace(one.law, ratio=1.0)
 
 
-def _declared(**numbers: Any) -> Callable[[Axis, int], Told]:
-    return _of(_declare(**numbers))
-
-
-def _left_out(**numbers: Any) -> Callable[[Axis, int], Told]:
-    """What the drive has, and the declaration has not; 0 of it, unless a pair says what."""
-
-    def make(made: Axis, seed: int) -> Told:
-        pairs = {n: v(made) if callable(v) else v for n, v in numbers.items()}
-        pairs = {n: v if isinstance(v, tuple) else (v, 0.0) for n, v in pairs.items()}
-        true = replace(made.controller, **{n: v[0] for n, v in pairs.items()})
-        declared = replace(made.controller, **{n: v[1] for n, v in pairs.items()})
-        return run(made, true, seed=seed), ClosedLoop(made.joint, declared)
-
-    return make
-
-
-def _constant_twice(made: Axis, seed: int) -> Told:
-    return _scaled("torque", made.controller.gain)(made, seed)
-
-
-def _time(factor: float) -> Edit:
-    def edit(record: Record, loop: ClosedLoop) -> Told:
-        timed = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
-        return record.with_channels(timed), loop
-
-    return edit
-
-
-def _sample_time(factor: float) -> Callable[[Axis, int], Told]:
-    return _of(_time(factor))
-
-
-def _gear_forgotten(made: Axis, seed: int) -> Told:
-    gear = made.joint.transmission
-    assert gear is not None
-    ratio = gear.motor_per_load
-    law = made.controller
-    if law.ratio == 1.0:  # the same loop, told on the motor's side
-        law = replace(law, ratio=ratio, velocity_gain=law.velocity_gain / ratio**2)
-    return run(made, law, seed=seed), ClosedLoop(made.joint, replace(law, ratio=1.0))
-
-
-SCALE = frozenset({"torque_scale"})
+_DEGREES = log("reference", lambda x: 180 / math.pi * x)
+_AHEAD = has(velocity_feedforward=1.0), declares(velocity_feedforward=0.0)
+_LATE = has(delay=2e-3), declares(delay=0.0)
 
 MISTAKES = (
-    Mistake("torque twice as large", SCALE, _scaled("torque", 2.0)),
-    Mistake("torque ten times as large", SCALE, _scaled("torque", 10.0)),
-    Mistake("torque fifty times as small", SCALE, _scaled("torque", 1 / 50)),
-    Mistake("torque turned round", frozenset({"torque_sign"}), _scaled("torque", -1.0)),
-    Mistake("reference in degrees", frozenset({"reference_scale"}), _scaled("reference", 180 / math.pi)),
-    Mistake("reference in mm", frozenset({"reference_scale"}), _scaled("reference", 1000.0)),
-    Mistake("reference turned round", frozenset({"reference_sign"}), _scaled("reference", -1.0)),
-    Mistake("torque and reference swapped", frozenset({"swapped_channels"}), _of(_swap_channels)),
-    Mistake("actual position as reference", frozenset({"reference_is_position"}), _of(_give_position_as_reference)),
-    Mistake(
-        "position_gain and velocity_gain swapped",
-        frozenset({"swapped_gains"}),
-        _declared(position_gain=lambda c: c.velocity_gain, velocity_gain=lambda c: c.position_gain),
+    _mistake("torque twice as large", "torque_scale", log("torque", lambda x: 2.0 * x)),
+    _mistake("torque ten times as large", "torque_scale", log("torque", lambda x: 10.0 * x)),
+    _mistake("torque fifty times as small", "torque_scale", log("torque", lambda x: 1 / 50 * x)),
+    _mistake("torque turned round", "torque_sign", log("torque", np.negative)),
+    _mistake("reference in degrees", "reference_scale", _DEGREES),
+    _mistake("reference in mm", "reference_scale", log("reference", lambda x: 1000.0 * x)),
+    _mistake("reference turned round", "reference_sign", log("reference", np.negative)),
+    _mistake("torque and reference swapped", "swapped_channels", changes(swap)),
+    _mistake("actual position as reference", "reference_is_position", changes(_give_position_as_reference)),
+    _mistake(
+        "position_gain and velocity_gain swapped", "swapped_gains", _swapped("position_gain", "velocity_gain")
     ),
-    Mistake(
-        "position_gain twice as large",
-        frozenset({"position_gain"}),
-        _declared(position_gain=lambda c: 2 * c.position_gain),
+    _mistake("position_gain twice as large", "position_gain", _twice("position_gain")),
+    _mistake("velocity_gain twice as large", "law_gain", _twice("velocity_gain")),
+    _mistake(
+        "torque constant said twice", "torque_constant",
+        lambda one: log("torque", lambda x: one.law.gain * x)(one),
     ),
-    Mistake(
-        "velocity_gain twice as large", frozenset({"law_gain"}), _declared(velocity_gain=lambda c: 2 * c.velocity_gain)
+    _mistake("integral forgotten", "integral_gain", has(integral_gain=60.0), declares(integral_gain=0.0)),
+    _mistake(
+        "velocity filter forgotten", "velocity_filter",
+        has(velocity_filter=FirstOrder(4e-3)), declares(velocity_filter=(1.0,)),
     ),
-    Mistake("torque constant said twice", frozenset({"torque_constant"}), _constant_twice),
-    Mistake("integral forgotten", frozenset({"integral_gain"}), _left_out(integral_gain=60.0)),
-    Mistake(
-        "velocity filter forgotten",
-        frozenset({"velocity_filter"}),
-        _left_out(velocity_filter=(FirstOrder(4e-3), (1.0,))),
-    ),
-    Mistake("sample time twice as long", frozenset({"sample_time"}), _sample_time(2.0)),
-    Mistake("sample time ten times as long", frozenset({"sample_time"}), _sample_time(10.0)),
-    Mistake("wrong side of the gear", frozenset({"gear_side"}), _gear_forgotten),
-    Mistake(
-        "velocity feed-forward forgotten", frozenset({"velocity_feedforward"}), _left_out(velocity_feedforward=1.0)
-    ),
-    Mistake("delay forgotten", frozenset({"delay"}), _left_out(delay=2e-3)),
-    Mistake("period forgotten", frozenset({"period"}), _left_out(period=lambda made: (made.rate / 8, None))),
-)
-
-
-_TWICE = _declare(position_gain=lambda c: 2 * c.position_gain)
-_AHEAD, _LATE = _left_out(velocity_feedforward=1.0), _left_out(delay=2e-3)
-
-
-def _pair(name: str, causes: set[str], *makes: Any) -> Mistake:
-    """Two mistakes at once; the first is made with the record unless it is an edit, too."""
-    first, *edits = makes
-
-    def make(made: Axis, seed: int) -> Told:
-        told: Told = first(made, seed)
-        for edit in edits:
-            told = edit(*told)
-        return told
-
-    return Mistake(name, frozenset(causes), make)
-
+    _mistake("sample time twice as long", "sample_time", slower(2.0)),
+    _mistake("sample time ten times as long", "sample_time", slower(10.0)),
+    _mistake("wrong side of the gear", "gear_side", _gear_forgotten),
+    _mistake("velocity feed-forward forgotten", "velocity_feedforward", *_AHEAD),
+    _mistake("delay forgotten", "delay", *_LATE),
+    _mistake("period forgotten", "period", has(period=lambda one: one.axis.rate / 8), declares(period=None)),
+)  # fmt: skip
 
 PAIRS = (
-    _pair(
-        "torque twice as large, position_gain twice as large",
-        {"torque_scale", "law_gain", "position_gain"},
-        _of(_TWICE),
-        _scale("torque", 2.0),
+    _mistake(
+        "torque twice as large, position_gain twice as large", "torque_scale law_gain position_gain",
+        _twice("position_gain"), log("torque", lambda x: 2.0 * x),
     ),
-    _pair(
-        "reference in degrees, position_gain twice as large",
-        {"reference_scale", "position_gain"},
-        _of(_TWICE),
-        _scale("reference", 180 / math.pi),
+    _mistake(
+        "reference in degrees, position_gain twice as large", "reference_scale position_gain",
+        _twice("position_gain"), _DEGREES,
     ),
-    _pair(
-        "delay forgotten, velocity_gain twice as large",
-        {"delay", "law_gain"},
-        _LATE,
-        _declare(velocity_gain=lambda c: 2 * c.velocity_gain),
+    _mistake("delay forgotten, velocity_gain twice as large", "delay law_gain", *_LATE, _twice("velocity_gain")),
+    _mistake(
+        "feed-forward forgotten, torque twice as large", "velocity_feedforward torque_scale",
+        *_AHEAD, log("torque", lambda x: 2.0 * x),
     ),
-    _pair(
-        "feed-forward forgotten, torque twice as large",
-        {"velocity_feedforward", "torque_scale"},
-        _AHEAD,
-        _scale("torque", 2.0),
-    ),
-)
+)  # fmt: skip
 """Two mistakes at once, with the causes of which one must be named where any is.
 
 A geared axis under a cascade can have them all.
 """
 
+_OF_PD = {
+    "position_gain and velocity_gain swapped": _mistake(
+        "position_gain and derivative_gain swapped", "swapped_gains", _swapped("position_gain", "derivative_gain")
+    ),
+    "velocity_gain twice as large": _mistake(
+        "derivative_gain twice as large", "derivative_gain", _twice("derivative_gain")
+    ),
+    "velocity feed-forward forgotten": _mistake(
+        "velocity of the reference forgotten", "velocity_feedforward", declares(reference_velocity="none")
+    ),
+}
+
 
 def mistakes_of(made: Axis) -> tuple[Mistake, ...]:
     """The twenty mistakes as its law and its transmission can have them."""
-    law = made.controller
-    instead: dict[str, Mistake] = {}
+    law, instead = made.controller, dict[str, Mistake]()
     if not hasattr(law, "velocity_gain"):
-        instead |= {
-            "position_gain and velocity_gain swapped": Mistake(
-                "position_gain and derivative_gain swapped",
-                frozenset({"swapped_gains"}),
-                _declared(position_gain=lambda c: c.derivative_gain, derivative_gain=lambda c: c.position_gain),
-            ),
-            "velocity_gain twice as large": Mistake(
-                "derivative_gain twice as large",
-                frozenset({"derivative_gain"}),
-                _declared(derivative_gain=lambda c: 2 * c.derivative_gain),
-            ),
-            "velocity feed-forward forgotten": Mistake(
-                "velocity of the reference forgotten",
-                frozenset({"velocity_feedforward"}),
-                _declared(reference_velocity="none"),
-            ),
-        }
+        instead |= _OF_PD
     if getattr(law, "integral_gain", 0.0):
-        forgotten = Mistake("integral forgotten", frozenset({"integral_gain"}), _declared(integral_gain=0.0))
+        forgotten = _mistake("integral forgotten", "integral_gain", declares(integral_gain=0.0))
         instead["integral forgotten"] = forgotten
     elif not hasattr(law, "integral_gain"):
-        instead["integral forgotten"] = Mistake(
-            "position_gain ten times as small",
-            frozenset({"position_gain"}),
-            _declared(position_gain=lambda c: c.position_gain / 10),
-        )
+        tenth = declares(position_gain=lambda one: one.law.position_gain / 10)
+        instead["integral forgotten"] = _mistake("position_gain ten times as small", "position_gain", tenth)
     if made.joint.transmission is None:
-        instead["wrong side of the gear"] = Mistake(
-            "sample time four times as long", frozenset({"sample_time"}), _sample_time(4.0)
-        )
+        instead["wrong side of the gear"] = _mistake("sample time four times as long", "sample_time", slower(4.0))
     return tuple(instead.get(one.name, one) for one in MISTAKES)
 
 
-def without_positions(record: Record) -> Record:
+def without_positions(record: ji.Record) -> ji.Record:
     """The record with torque and reference alone, as most drives log it."""
     return record.without(*(n for n in ("motor_position", "load_position") if getattr(record, n) is not None))
 
 
-def cut(record: Record, seconds: float) -> Record:
+def cut(record: ji.Record, seconds: float) -> ji.Record:
     """The first seconds of a record's motion."""
     assert record.reference is not None
     begin = int(np.flatnonzero(np.diff(record.reference.values))[0])
@@ -454,55 +359,37 @@ def cut(record: Record, seconds: float) -> Record:
     return record.with_channels({n: replace(c, values=c.values[begin:end]) for n, c in record.items()})
 
 
-def _too_short(made: Axis, seed: int) -> Told:
-    record, loop = without_mistake(made, seed)
-    return cut(without_positions(record), 0.6), loop
+def _side_forgotten(one: Any) -> None:
+    log("reference", lambda x: 1 / abs(one.model.transmission.motor_per_load) * x)(one)
 
 
-def _side_forgotten(made: Axis, seed: int) -> Told:
-    gear = made.joint.transmission
-    assert gear is not None
-    record, loop = _scaled("reference", 1 / abs(gear.motor_per_load))(made, seed)
-    return without_positions(record), loop
-
-
-def _other_ratio(made: Axis, seed: int) -> Told:
+def _other_ratio(one: Any) -> None:
     """The reference is logged on the load, torque and controller are the motor's: all that the ratio takes over."""
-    gear = made.joint.transmission
-    assert gear is not None
-    record = _scaled("torque", 0.1)(made, seed)[0]
-    joint = replace(made.joint, transmission=replace(gear, ratio=gear.motor_per_load / 10))
-    return without_positions(record), ClosedLoop(joint, replace(made.controller, ratio=made.controller.ratio / 10))
+    gear = one.model.transmission
+    log("torque", lambda x: 0.1 * x)(one)
+    one.model = replace(one.model, transmission=replace(gear, ratio=gear.motor_per_load / 10))
+    one.declared = replace(one.declared, ratio=one.declared.ratio / 10)
 
 
-def _seconds_for_milliseconds(made: Axis, seed: int) -> Told:
-    record, loop = _declared(integral_gain=lambda c: c.integral_gain / 1000)(made, seed)
-    return without_positions(record), loop
-
-
-def pulsed(made: Axis, seed: int, share: float = 1.0, held: float = 0.02) -> Record:
-    """The record of an axis with a signal injected, three levels held for some time, that is not logged."""
-    rng = np.random.default_rng([seed, 3])
-    size, each = made.reference.size, round(held / made.rate)
-    quiet = run(made, made.controller, seed=seed)
+def _pulse(one: Any) -> None:
+    """A signal is injected, three levels held for 20 ms, and not logged."""
+    made, rng = one.axis, np.random.default_rng([one.seed, 3])
+    size, each = made.reference.size, round(0.02 / made.rate)
+    quiet = run(made, made.controller, seed=one.seed)
     assert quiet.torque is not None
     levels = np.repeat(rng.choice([-1.0, 0.0, 1.0], size // each + 1), each)[:size]
-    record = simulated_record(
+    one.record = ji.simulated_record(
         ClosedLoop(made.joint, made.controller), made.reference, made.values, sample_time=made.rate,
-        injected=share * float(np.std(quiet.torque.values)) * levels,
+        injected=float(np.std(quiet.torque.values)) * levels,
         disturbance=made.noise * rng.standard_normal(size), torque_noise=made.log_noise * rng.standard_normal(size),
         name="drive",
-    )  # fmt: skip
-    return replace(record, injected=None)
+    ).without("injected")  # fmt: skip
 
 
-def _pulses(made: Axis, seed: int) -> Told:
-    return without_positions(pulsed(made, seed)), ClosedLoop(made.joint, made.controller)
-
-
-def _smooth(made: Axis, seed: int) -> Told:
+def _smooth(one: Any) -> None:
     """A friction that is a hyperbolic tangent of the velocity, under a cascade without a delay; integrated here."""
-    rng, law, values, T = np.random.default_rng([seed, 5]), made.controller, made.values, made.rate
+    made: Axis = one.axis
+    rng, law, values, T = np.random.default_rng([one.seed, 5]), made.controller, made.values, made.rate
     steps, size, ratio = 20, made.reference.size, law.ratio
     width = 0.02 * float(np.max(np.abs(np.gradient(made.reference, T))))
     kept = math.exp(-T / law.velocity_filter.time_constant)
@@ -522,22 +409,26 @@ def _smooth(made: Axis, seed: int) -> Told:
         for _ in range(steps):
             half = v + T / steps / 2 * accelerated(torque[k] + force[k], v)
             v, q = v + T / steps * accelerated(torque[k] + force[k], half), q + T / steps * half
-    record = without_positions(run(made, law, seed=seed))
-    assert record.torque is not None
-    logged = replace(record.torque, values=torque + made.log_noise * rng.standard_normal(size))
-    return record.with_channels({"torque": logged}), ClosedLoop(made.joint, replace(law, delay=0.0))
+    torque += made.log_noise * rng.standard_normal(size)
+    log("torque", lambda _: torque)(one)
+    one.declared = replace(law, delay=0.0)
 
 
-_GEARED = (
-    Mistake("side of the reference forgotten", frozenset({"gear_side"}), _side_forgotten, 'side = "load"'),
-    Mistake("gear ratio ten times as small", frozenset({"reference_scale"}), _other_ratio),
-)
+_BARE = changes(without_positions)
 MORE = (
-    Mistake("half a second of motion", frozenset({"record_too_short"}), _too_short, "the record is too short"),
-    Mistake("pulses not declared", frozenset({"injected"}), _pulses, "channel injected"),
+    _mistake(
+        "half a second of motion", "record_too_short", _BARE, changes(lambda record: cut(record, 0.6)),
+        said="the record is too short",
+    ),
+    _mistake("pulses not declared", "injected", _pulse, _BARE, said="channel injected"),
+)  # fmt: skip
+_GEARED = (
+    _mistake("side of the reference forgotten", "gear_side", _side_forgotten, _BARE, said='side = "load"'),
+    _mistake("gear ratio ten times as small", "reference_scale", _other_ratio, _BARE),
 )
-_INTEGRAL = Mistake("integral time in ms, in s", frozenset({"integral_gain"}), _seconds_for_milliseconds, "1000 times")
-SMOOTH = Mistake("friction smooth in the velocity", frozenset({"presliding"}), _smooth)
+_MILLISECONDS = declares(integral_gain=lambda one: one.law.integral_gain / 1000)
+_INTEGRAL = _mistake("integral time in ms, in s", "integral_gain", _MILLISECONDS, _BARE, said="1000 times")
+SMOOTH = _mistake("friction smooth in the velocity", "presliding", _smooth, _BARE)
 
 
 def more_mistakes_of(made: Axis) -> tuple[Mistake, ...]:
@@ -559,11 +450,11 @@ _OF_SENSITIVITIES = {
 """The cause that a fault found by its sensitivity is."""
 
 
-def tell(record: Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
+def tell(record: ji.Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
     """What `jointid identify` says is wrong: the causes that its first sentence names, and that sentence."""
     try:
         estimate = ji.identify(record, loop)
-    except JointidError as error:
+    except ji.JointidError as error:
         causes = find_causes(record, loop)
         if causes.nearest or not causes.found:
             return (), str(error)

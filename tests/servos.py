@@ -8,12 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from jointid.common.errors import MethodError
-from jointid.models.controllers import Cascade
-from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.records.record import Channel, Record
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
+import jointid as ji
 
 _LONGEST = 5  # samples from a command to where the motor is still held by it
 
@@ -22,8 +17,8 @@ _LONGEST = 5  # samples from a command to where the motor is still held by it
 class Servo:
     """A servo, its log, and what is known of it."""
 
-    record: Record
-    loop: ClosedLoop
+    record: ji.Record
+    loop: ji.ClosedLoop
     truth: dict[str, float]
     velocity: float  # at the first sample, rad/s
     force: float = 0.0  # standard deviation of the force in its loop, N m
@@ -50,7 +45,7 @@ def _tried(rng: np.random.Generator, moving: bool, force: bool) -> Servo | None:
     speeds = tuple(swing / pace * np.array([0.5, 1.0, 1.5]))
     acceleration = 10 * swing / pace**2 * rng.uniform(0.4, 1.0)
     torque = inertia * acceleration
-    law = Cascade(
+    law = ji.controller.Cascade(
         position_gain=bandwidth * rng.uniform(0.1, 0.35),
         velocity_gain=inertia * bandwidth,
         integral_gain=float(rng.choice([0.0, 1.0])) * bandwidth * rng.uniform(0.05, 0.3),
@@ -59,20 +54,22 @@ def _tried(rng: np.random.Generator, moving: bool, force: bool) -> Servo | None:
         limit=20 * torque,
         period=period,
     )
-    reference = trapezoids(speeds, acceleration, swing, period, rest=pace * rng.uniform(0.8, 2), duration=24.0)
+    reference = ji.excitation.trapezoids(
+        speeds, acceleration, swing, period, rest=pace * rng.uniform(0.8, 2), duration=24.0
+    )
     truth = {
         "inertia": inertia,
         "viscous": rng.uniform(0.05, 0.5) * torque / speeds[-1],
         "coulomb": rng.uniform(0.05, 0.4) * torque,
         "offset": rng.uniform(-0.1, 0.1) * torque,
     }
-    loop = ClosedLoop(RigidJoint(kind="revolute"), law)
+    loop = ji.ClosedLoop(ji.RigidJoint(kind="revolute"), law)
     pole = math.exp(-period * 2 * math.pi * rng.uniform(2, 30))
     disturbance = lfilter([1.0], [1.0, -pole], rng.standard_normal(reference.size))
     disturbance *= (rng.uniform(0.01, 0.06) if force else 0.0) * torque / disturbance.std()
     try:
-        whole = simulated_record(loop, reference, truth, sample_time=period, disturbance=disturbance)
-    except MethodError:  # the loop is not stable
+        whole = ji.simulated_record(loop, reference, truth, sample_time=period, disturbance=disturbance)
+    except ji.MethodError:  # the loop is not stable
         return None
     assert whole.torque is not None
     assert whole.motor_position is not None
@@ -91,8 +88,8 @@ def _tried(rng: np.random.Generator, moving: bool, force: bool) -> Servo | None:
         return None
     cut = int(rng.choice(np.flatnonzero(chosen)))
     noise = rng.uniform(0.005, 0.03) * torque * rng.standard_normal(logged.size - cut)
-    record = Record(
-        torque=Channel(logged[cut:] + noise, "N m", period, whole.torque.timing),
-        reference=Channel(reference[cut:], "rad", period),
+    record = ji.Record(
+        torque=ji.Channel(logged[cut:] + noise, "N m", period, whole.torque.timing),
+        reference=ji.Channel(reference[cut:], "rad", period),
     )
     return Servo(record, loop, truth, float(velocity[cut]), float(disturbance.std()))

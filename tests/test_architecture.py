@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import subprocess
 import sys
-from collections.abc import Collection
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "src" / "jointid"
 
 
 def test_imports_run_one_way() -> None:
@@ -28,31 +26,9 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 
     The shortcuts of an estimate, as `estimate.report`, import the package by its name and are no part of this graph.
     """
-    paths = {
-        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
-        for path in PACKAGE.rglob("*.py")
-    }
-    graph = {name: find_imports(path, paths) - {name} for name, path in paths.items()}
-    tuple(TopologicalSorter(graph).static_order())  # raises a CycleError that names the files
-
-
-def find_imports(path: Path, modules: Collection[str]) -> set[str]:
-    """Modules that a file imports when it runs."""
-    found: set[str] = set()
-    nodes: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
-    while nodes:
-        node = nodes.pop()
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            nodes += node.orelse
-            continue
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            below = {f"{node.module}.{alias.name}" for alias in node.names} & {*modules}
-            found |= below or {node.module}
-        elif not isinstance(node, ast.expr):  # which imports nothing
-            nodes += ast.iter_child_nodes(node)
-    return (found & {*modules}) - {"jointid"}
+    graph = grimp.build_graph("jointid", exclude_type_checking_imports=True, cache_dir=None)
+    imports = {one: graph.find_modules_directly_imported_by(one) - {"jointid"} for one in graph.modules}
+    tuple(TopologicalSorter(imports).static_order())  # raises a CycleError that names the files
 
 
 IMPORTS = {

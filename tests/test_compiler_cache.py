@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
+import numpy as np
 import pytest
 
 from jointid.common import compiled
+from jointid.common.arrays import Room
 
 KERNEL = """
 from jointid.common.compiled import compile_kernel
@@ -65,3 +69,16 @@ def test_a_kernel_is_compiled_once_and_again_where_its_cache_is_damaged(tmp_path
 def test_a_full_disk_costs_time_alone(tmp_path: Path) -> None:
     assert run(tmp_path, "full") == (3.0, 1)
     assert [run(tmp_path) for _ in "ab"] == [(3.0, 1), (3.0, 0)]
+
+
+def test_threads_have_rooms_of_their_own() -> None:
+    room, both = Room(), Barrier(2)
+
+    def fill(value: float) -> bool:
+        mine = room.array("a", (1000,))
+        mine[:] = value
+        both.wait()
+        return bool(np.all(mine == value))
+
+    with ThreadPoolExecutor(2) as pool:
+        assert all(pool.map(fill, (1.0, 2.0)))

@@ -5,25 +5,15 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from jointid.apps.cli import main
-from jointid.common.errors import JointFileError, MethodError, RecordError
+import jointid as ji
 from jointid.common.messages import dot_path
-from jointid.common.transmission import Transmission
-from jointid.config import File, dumps, loads
-from jointid.estimation.result.estimate import Estimate
+from jointid.config import File, loads
 from jointid.estimation.result.parts import on_other_side
-from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import load_estimate, to_dict, write
-from jointid.records.columns import Column
-from jointid.records.reading import read
-from jointid.records.record import Record
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
 from tests.joint_files import faults
@@ -76,11 +66,10 @@ BY_THE_LOAD = (
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the log of a screw whose nut goes down while its motor turns forwards."""
     made = tmp_path_factory.mktemp("screw")
-    reference = trapezoids((20.0, 40.0), 400.0, 60.0, RATE, duration=8.0)
-    loop = ClosedLoop(RigidJoint("revolute"), LAW)
+    reference = ji.excitation.trapezoids((20.0, 40.0), 400.0, 60.0, RATE, duration=8.0)
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
     noise = 0.004 * np.random.default_rng(2).standard_normal(reference.size)
-    torque = simulated_record(loop, reference, RIGID, sample_time=RATE, torque_noise=noise).torque
-    assert torque is not None
+    torque = ji.simulated_record(loop, reference, RIGID, sample_time=RATE, torque_noise=noise).torque
     time = np.arange(reference.size) * RATE
     columns = [time, 1e3 * torque.values, reference / (2 * math.pi), -1e3 * reference / R]
     rows = "\n".join(",".join(f"{value!r}" for value in map(float, row)) for row in zip(*columns, strict=True))
@@ -92,18 +81,18 @@ def file_of(folder: Path, text: str, side: str = "load") -> File:
     return loads(text.replace("SIDE", side), folder)
 
 
-def identified(folder: Path, text: str, side: str = "load") -> Estimate:
+def identified(folder: Path, text: str, side: str = "load") -> ji.Estimate:
     file = file_of(folder, text, side)
     assert file.loop is not None
     return identify(file.record(), file.loop, file.method, parameters=file.parameters)
 
 
 @pytest.fixture(scope="module")
-def motor(folder: Path) -> Estimate:
+def motor(folder: Path) -> ji.Estimate:
     return identified(folder, ON_THE_MOTOR)
 
 
-def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
+def test_three_files_give_one_answer(folder: Path, motor: ji.Estimate) -> None:
     by_motor, by_load = identified(folder, GEARED, "motor"), identified(folder, BY_THE_LOAD)
     assert by_load.settings.joint.kind == "prismatic"
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
@@ -117,7 +106,7 @@ def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     assert by_motor.fit.simulations == by_load.fit.simulations == motor.fit.simulations
 
 
-def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
+def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: ji.Estimate) -> None:
     found = identified(folder, BY_THE_LOAD)
     write(to_dict(found), folder / "out.json")
     answer = json.loads((folder / "out.json").read_text())
@@ -127,7 +116,7 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate
     file = file_of(folder, BY_THE_LOAD)
     assert load_estimate(folder / "out.json", file).values == found.values
     for other in (file_of(folder, GEARED, "motor"), file_of(folder, ON_THE_MOTOR)):
-        with pytest.raises(RecordError):
+        with pytest.raises(ji.RecordError):
             load_estimate(folder / "out.json", other)
 
 
@@ -135,7 +124,7 @@ def test_a_record_is_referred_when_it_is_read_and_comes_back(folder: Path) -> No
     on_motor, on_load = file_of(folder, ON_THE_MOTOR).record(), file_of(folder, GEARED).record()
     assert on_load.channels == ("torque", "reference", "motor_position", "load_position")
     file_of(folder, GEARED).write(on_load, folder / "again.csv")
-    back = read(folder / "again.csv", {"torque": "tau [mN m]", "motor_position": "turns [rev]"}, kind="revolute")
+    back = ji.read(folder / "again.csv", {"torque": "tau [mN m]", "motor_position": "turns [rev]"}, kind="revolute")
     kinds = {name: channel.unit for name, channel in on_load.items()}
     assert kinds == {"torque": "N", "reference": "m", "motor_position": "m", "load_position": "m"}
     for record, r in ((on_load, -R), (back, 1.0)):
@@ -146,17 +135,8 @@ def test_a_record_is_referred_when_it_is_read_and_comes_back(folder: Path) -> No
         np.testing.assert_allclose(values(again, name), values(on_load, name), rtol=1e-12)
 
 
-def values(record: Record, name: str) -> np.ndarray:
+def values(record: ji.Record, name: str) -> np.ndarray:
     return dict(record.items())[name].values
-
-
-def test_the_file_is_written_and_read_back(folder: Path) -> None:
-    for text in (GEARED, BY_THE_LOAD):
-        file = file_of(folder, text)
-        again = loads(dumps(file), folder)
-        assert again == file
-        assert again.joint.transmission == TURNED_SCREW
-        assert again.controller == file.controller
 
 
 def test_an_added_inertia_is_on_the_load(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,46 +160,16 @@ REFUSED = [  # by the key of the fault
 @pytest.mark.parametrize(("text", "place"), REFUSED)
 def test_a_file_that_cannot_be_is_refused_at_its_key(text: str, place: str) -> None:
     (fault,) = faults(text.replace("SIDE", "load"))
-    assert dot_path(fault.place) == (place if "." in place else f"transmission.{place}".rstrip("."))
-
-
-WRONG: list[dict[str, Any]] = [
-    {"ratio": 1.0, "lead": 1.0}, {}, {"ratio": -100.0}, {"ratio": math.nan}, {"lead": 0.01}, {"ratio": 3.0, "sign": 0},
-    {"ratio": 3.0, "side": "gear"},
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("wrong", WRONG)
-def test_a_transmission_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(MethodError):
-        Transmission(load="revolute", **wrong)
-    with pytest.raises(MethodError):  # which moves as its load does
-        RigidJoint("revolute", transmission=Transmission(load="prismatic", lead=0.01))
-
-
-@pytest.mark.slow
-def test_a_simulated_record_is_written_on_the_sides_of_its_channels(folder: Path) -> None:
-    geared, estimate = folder / "geared.toml", folder / "estimate.json"
-    geared.write_text(dumps(file_of(folder, BY_THE_LOAD)))
-    for words in (("identify", geared, "--json", estimate), ("simulate", geared, "--estimate", estimate)):
-        out = ("--out", folder / "out.csv") if words[0] == "simulate" else ()
-        with pytest.raises(SystemExit) as end:
-            main([str(word) for word in (*words, *out, "-q")])
-        assert end.value.code == 0
-    written = file_of(folder, GEARED).record(folder / "out.csv")
-    np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))
-    np.testing.assert_allclose(values(written, "motor_position"), values(written, "reference"), atol=4e-3)
-    plain = read(folder / "out.csv", {"torque": "tau [mN m]"}, kind="revolute")
-    assert np.max(np.abs(values(plain, "torque"))) < 0.5  # N m of the motor
+    assert dot_path(fault.place) == f"transmission.{place}".rstrip(".")
 
 
 def test_an_injected_force_may_be_on_the_other_side_of_the_torque(folder: Path) -> None:
     injected = 'injected = { column = "f [N]", side = "load" }\n[parameters]'
     assert file_of(folder, GEARED.replace("[parameters]", injected)).axis.columns["injected"].side == "load"
-    with pytest.raises(JointFileError):
+    with pytest.raises(ji.JointFileError):
         file_of(folder, GEARED.replace("[parameters]", injected.replace("f [N]", "f [A]")))
-    with pytest.raises(RecordError):
-        read(folder / "run.csv", {"reference": Column("x [mm]", side="load")}, kind="prismatic")
+    with pytest.raises(ji.RecordError):
+        ji.read(folder / "run.csv", {"reference": ji.Column("x [mm]", side="load")}, kind="prismatic")
 
 
 def test_a_drive_s_own_units_are_those_of_its_motor(folder: Path) -> None:

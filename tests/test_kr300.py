@@ -1,19 +1,27 @@
-"""What examples/kr300/README.md says of the real record is what comes out."""
+"""What examples/kr300/README.md says of the real records is what comes out, of each axis alone and of all at once."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.io import loadmat
 
 import jointid as ji
 from jointid.config import File
+from jointid.diagnostics.diagnose_axes import diagnose_robot
 from jointid.estimation.result.answer import Trust
+from jointid.estimation.robots.consistent import mass_matrix_at
+from tests.estimates import errors_of_bodies
+from tests.estimation.robots.twin import identified
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kr300"
 PAGE = (EXAMPLE / "README.md").read_text(encoding="utf-8")
-ROWS = re.findall(r"^\| (\d) \| ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
+OF_AXES = re.findall(r"^\| (\d) \| ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
+OF_THE_ROBOT = re.findall(r"^\| ([AB]) on ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
 
 
 def axis(number: int, data_dir: Path, record: str) -> tuple[File, ji.Record]:
@@ -21,21 +29,18 @@ def axis(number: int, data_dir: Path, record: str) -> tuple[File, ji.Record]:
     return file, file.record(data_dir / "kr300" / f"rec_{record}.mat")
 
 
-@pytest.mark.parametrize(("number", "name", "cells"), ROWS)
-def test_the_table_is_what_comes_out(data_dir: Path, number: str, name: str, cells: str) -> None:
+@pytest.mark.parametrize(("number", "name", "cells"), OF_AXES)
+def test_the_table_of_axes_is_what_comes_out(data_dir: Path, number: str, name: str, cells: str) -> None:
     file, record = axis(int(number), data_dir, name)
     estimate = ji.identify(record, file.joint, file.method)
-    said = [float(text) for text in re.findall(r"-?[\d.]+", cells)]
     values = [estimate[each] for each in ("inertia", "viscous", "coulomb", "offset")]
     found = [part for one in values for part in (one.value or 0.0, 2 * (one.stderr or 0.0))]
     found.append(100 * estimate.fit.filtered_error)
-    assert len(said) == len(found)
-    for text, value in zip(said, found, strict=True):
-        assert text == pytest.approx(value, rel=0.01, abs=1.0)
+    assert [float(text) for text in re.findall(r"-?[\d.]+", cells)] == pytest.approx(found, rel=0.01, abs=1.0)
 
 
 @pytest.mark.parametrize(("number", "name"), [(1, "A"), (3, "A")])
-def test_both_encoders_are_refused_with_the_reason(data_dir: Path, number: int, name: str) -> None:
+def test_both_encoders_are_refused(data_dir: Path, number: int, name: str) -> None:
     _, record = axis(number, data_dir, name)
     with pytest.raises(ji.MethodError):
         ji.identify(record, ji.FlexibleJoint("revolute"), ji.IDIM())
@@ -51,9 +56,62 @@ def test_a_stiffness_from_both_encoders_is_not_relied_on(
 ) -> None:
     _, record = axis(number, data_dir, name)
     estimate = ji.identify(record, ji.FlexibleJoint("revolute"), ji.IDIM())
-    spring = estimate["K12"]
+    spring, trust = estimate["K12"], estimate.answer.trust
     assert (spring.value, 2 * (spring.stderr or 0.0)) == pytest.approx((stiffness, two_sigma), rel=0.05)
-    assert any("a stiffness from both encoders is not to be trusted" in text for text in estimate.checks.warnings)
-    trust = estimate.answer.trust
     assert trust.code == Trust.NOT_YET
     assert "encoder_lag" in trust.values["reasons"]
+
+
+@pytest.fixture(scope="module")
+def file() -> File:
+    pytest.importorskip("mujoco", reason="reads the robot's model")
+    return ji.load(EXAMPLE / "robot.toml")
+
+
+def test_the_mass_matrix_is_the_nominal_one(file: File, data_dir: Path) -> None:
+    data = loadmat(data_dir / "kr300" / "rec_B.mat", squeeze_me=True, struct_as_record=False)
+    for k in range(0, 2501, 500):
+        found = np.diag(mass_matrix_at(file.robot, data["ref_kin"].phi_r_all[k]))
+        assert found == pytest.approx(data["m_all"][:, k], rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "second", "cells"), OF_THE_ROBOT)
+def test_the_table_of_the_robot_is_what_comes_out(
+    file: File, data_dir: Path, first: str, second: str, cells: str
+) -> None:
+    records = {name: file.records(data_dir / "kr300" / f"rec_{name}.mat") for name in "AB"}
+    estimate = identified(file.robot, records[first])
+    found = ji.validate(estimate, records[second])
+    bodies = errors_of_bodies(estimate, ji.robots.consistent_robot(estimate).robot, records[second])
+    each = ([a.filtered_error for a in found.axes], [a.nominal_error for a in found.axes], bodies)
+    errors = np.array(each, dtype=float).ravel()
+    assert [float(text) for text in re.findall(r"[\d.]+", cells)] == pytest.approx(100 * errors, rel=0.05, abs=0.3)
+
+
+@pytest.mark.parametrize("name", ["A", "B"])
+def test_its_springs_are_refused_on_the_drive_side(file: File, data_dir: Path, name: str) -> None:
+    joints = tuple(
+        replace(joint, spring=ji.robots.JointSpring(stiffness) if stiffness else None)
+        for joint, stiffness in zip(file.robot.joints, (4.58e6, 7.52e6, 4.10e6, 0, 0, 0), strict=True)
+    )
+    with pytest.raises(ji.MethodError):
+        identified(
+            ji.robots.RobotDriveSide(replace(file.robot, joints=joints)),
+            file.records(data_dir / "kr300" / f"rec_{name}.mat"),
+        )
+
+
+@pytest.mark.slow
+def test_no_law_of_reference_and_position_makes_its_torque(file: File, data_dir: Path) -> None:
+    """The loops of record A: any linear law leaves a fifth of the torques, so that something else is added to them."""
+    records = file.records(data_dir / "kr300" / "rec_A.mat")
+    laws = [ji.controller.Cascade(position_gain=15.0, velocity_gain=gain) for gain in (3e4, 3e4, 2e4, 2e3, 2e3, 1e3)]
+    found = diagnose_robot(identified(file.robot, records), records, laws)
+    assert found.as_declared is False
+    free = [one.law.noise for one in found.axes if one.law is not None]
+    assert len(free) == 6
+    assert min(free) > 0.1 and max(free) < 0.45
+    assert not any(one.explained for one in found.axes)
+    # What the model lacks is of several axes, so which fault is named on which of them hangs on the order of the tests.
+    assert sum(bool(one.faults.findings) for one in found.axes) >= 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -13,8 +14,38 @@ from pathlib import Path
 import pytest
 
 from tests.docs.blocks import blocks
+from tests.rigid_axis import TRUTH, write_axis
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+CLEAN = {name: value for name, value in os.environ.items() if name not in ("VIRTUAL_ENV", "PYTHONPATH")}
+
+
+def call(*words: object, cwd: Path | None = None) -> str:
+    """Run a program outside of the checkout's environment, and return what it printed."""
+    ran = subprocess.run(list(map(str, words)), check=True, env=CLEAN, cwd=cwd, capture_output=True, text=True)
+    return ran.stdout
+
+
+def build(folder: Path, source: Path = ROOT, kind: str = "wheel") -> Path:
+    call(sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", folder, cwd=source)
+    (built,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
+    return built
+
+
+def install(wheel: Path, environment: Path, *, pinned: bool = False) -> Path:
+    """Make an environment with the wheel, and what it needs or all that is pinned, and return its Python."""
+    uv = os.environ.get("UV") or shutil.which("uv")
+    if uv is None:
+        pytest.skip("uv is not there to make a fresh environment with")
+    call(uv, "venv", "-q", "--python", sys.executable, environment)
+    python = environment / ("Scripts" if os.name == "nt" else "bin") / "python"
+    commands = [["--require-hashes", "-r", ROOT / "requirements.txt"], ["--no-deps", wheel]]
+    for words in commands if pinned else [[wheel]]:
+        call(uv, "--no-config", "pip", "install", "-q", "--python", python, *words)
+    call(uv, "pip", "check", "-q", "--python", python)
+    return python
 
 
 @pytest.fixture(scope="module")
@@ -24,66 +55,24 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_wheel_works_when_installed_alone(wheel: Path, tmp_path: Path) -> None:
-    """Demo and the README's program, from outside of the checkout."""
+    """Demo and the README's program, from outside of the checkout; the kernels of this checkout need no compiling."""
     python = install(wheel, tmp_path / "env")
     (installed,) = (tmp_path / "env").rglob("site-packages/jointid")
-    take_kernels(installed)
-    program = python.with_name("jointid")
-    version = subprocess.run(
-        [program, "--version"], check=True, env=CLEAN, cwd=tmp_path, capture_output=True, text=True
-    )
-    assert re.search(r"\d+\.\d+\.\d+", version.stdout)
-    demo = subprocess.run([program, "demo", "out"], check=True, env=CLEAN, cwd=tmp_path, capture_output=True, text=True)
-    assert "inertia" in demo.stdout
-    assert (tmp_path / "out" / "torque.png").stat().st_size > 10_000
-    assert (installed / "py.typed").is_file()
-    (example,) = (block.text for block in blocks(ROOT / "README.md") if block.language == "python")
-    ran = subprocess.run(
-        [python, "-c", example], check=True, env=CLEAN, cwd=tmp_path / "out", capture_output=True, text=True
-    )
-    value, low, high = map(float, re.findall(r"[\d.]+(?:e[+-]?\d+)?", ran.stdout.splitlines()[-1]))
-    assert low < 800_000 < high
-    assert low < value < high
-
-
-CLEAN = {name: value for name, value in os.environ.items() if name not in ("VIRTUAL_ENV", "PYTHONPATH")}
-
-
-def install(wheel: Path, environment: Path, *, pinned: bool = False) -> Path:
-    """Make an environment with the wheel, and what it needs or all that is pinned, and return its Python."""
-    uv = os.environ.get("UV") or shutil.which("uv")
-    if uv is None:
-        pytest.skip("uv is not there to make a fresh environment with")
-    subprocess.run([uv, "venv", "-q", "--python", sys.executable, str(environment)], check=True, env=CLEAN)
-    python = environment / ("Scripts" if os.name == "nt" else "bin") / "python"
-    commands = [["--require-hashes", "-r", str(ROOT / "requirements.txt")], ["--no-deps", str(wheel)]]
-    for words in commands if pinned else [[str(wheel)]]:
-        subprocess.run(
-            [uv, "--no-config", "pip", "install", "-q", "--python", str(python), *words], check=True, env=CLEAN
-        )
-    subprocess.run([uv, "pip", "check", "-q", "--python", str(python)], check=True, env=CLEAN)
-    return python
-
-
-def build(folder: Path, source: Path = ROOT, kind: str = "wheel") -> Path:
-    subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)],
-        cwd=source, check=True, capture_output=True,
-    )  # fmt: skip
-    (built,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
-    return built
-
-
-def take_kernels(installed: Path) -> None:
-    """Copy the compiled kernels of this checkout beside the installed sources, which are the same files.
-
-    Compiling them takes most of a minute. A copy that does not fit is compiled again.
-    """
     package = ROOT / "src" / "jointid"
     for kernel in package.rglob("*.nb[ic]"):
         there = installed / kernel.relative_to(package)
         there.parent.mkdir(exist_ok=True)
         shutil.copy2(kernel, there)
+    program = python.with_name("jointid")
+    assert re.search(r"\d+\.\d+\.\d+", call(program, "--version", cwd=tmp_path))
+    assert "inertia" in call(program, "demo", "out", cwd=tmp_path)
+    assert (tmp_path / "out" / "torque.png").stat().st_size > 10_000
+    assert (installed / "py.typed").is_file()
+    (example,) = (block.text for block in blocks(ROOT / "README.md") if block.language == "python")
+    printed = call(python, "-c", example, cwd=tmp_path / "out").splitlines()[-1]
+    value, low, high = map(float, re.findall(r"[\d.]+(?:e[+-]?\d+)?", printed))
+    assert low < 800_000 < high
+    assert low < value < high
 
 
 @pytest.mark.slow
@@ -96,7 +85,7 @@ def test_the_wheel_is_the_same_whenever_it_is_built_and_installs_with_the_pinned
     (source,) = (tmp_path / "source").iterdir()
     assert build(tmp_path / "of the source", source).read_bytes() == wheel.read_bytes()
     python = install(wheel, tmp_path / "env", pinned=True)
-    subprocess.run([python.with_name("jointid"), "--version"], check=True, env=CLEAN, capture_output=True)
+    call(python.with_name("jointid"), "--version")
 
 
 THREADS = """
@@ -105,6 +94,7 @@ import numpy.linalg._umath_linalg as linear
 import jointid as ji
 from jointid.diagnostics import validation
 from jointid.planning import design as planned
+from tests.rigid_axis import LOOP, TRUTH, recorded
 
 library = ctypes.CDLL(linear.__file__)
 if not hasattr(library, "scipy_openblas_set_num_threads64_"):
@@ -112,14 +102,11 @@ if not hasattr(library, "scipy_openblas_set_num_threads64_"):
     raise SystemExit
 read, threads = library.scipy_openblas_get_num_threads64_, set()
 library.scipy_openblas_set_num_threads64_(2)
-loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-estimate = ji.identify(record, loop, progress=lambda _: threads.add(read()))
+record = recorded()
+estimate = ji.identify(record, LOOP, progress=lambda _: threads.add(read()))
 validation.check_record = planned._predict = lambda *_: threads.add(read())
 ji.validate(estimate, record)
-ji.design(loop, record, values=truth, noise={"log": 1.0}, motion=record)
+ji.design(LOOP, record, values=TRUTH, noise={"log": 1.0}, motion=record)
 print(*threads, read())
 """
 
@@ -130,3 +117,31 @@ def test_identification_limits_linear_algebra_to_one_thread_and_gives_it_back() 
     if ran.stdout.split() == ["none", "none"]:
         pytest.skip("NumPy was built without OpenBLAS")
     assert ran.stdout.split() == ["1", "2"]
+
+
+AWAY = """
+import asyncio, concurrent.futures.process, ctypes, multiprocessing.connection, os, signal, subprocess, sys, tempfile
+import llvmlite.binding, matplotlib.pyplot, numba, numpy, scipy.signal, scipy.optimize, threadpoolctl
+
+for name in ("fcntl", "resource", "pwd", "grp", "termios"):
+    sys.modules[name] = None
+for name in ("SIGALRM", "SIGHUP", "SIGIO", "SIGXCPU", "pthread_sigmask", "setitimer"):
+    delattr(signal, name)
+for name in ("fork", "sched_getaffinity", "getuid", "geteuid", "mkfifo", "O_CLOEXEC", "statvfs"):
+    delattr(os, name)
+threadpoolctl.ThreadpoolController._find_libraries_with_enum_process_module_ex = lambda self: None  # by Windows
+sys.platform = "win32"
+from jointid.apps.cli import main
+
+main(["identify", "joint.toml", "-q", "--json", "out.json", "--figure", "torque.png"])
+"""
+
+
+@pytest.mark.slow
+def test_an_identification_runs_without_what_windows_lacks(tmp_path: Path) -> None:
+    write_axis(tmp_path)
+    ran = subprocess.run([sys.executable, "-c", AWAY], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"]["inertia"]
+    assert abs(found["value"] - TRUTH["inertia"]) < 0.3
+    assert (tmp_path / "torque.png").stat().st_size > 10_000

@@ -13,7 +13,8 @@ from jointid.campaigns.campaign import Case, load_campaign
 from jointid.campaigns.run import run_case
 from jointid.campaigns.store import Outcome, open_store
 from jointid.common.errors import JointFileError
-from tests.campaigns.conftest import FLEET, JOINT
+from tests.campaigns.conftest import FLEET
+from tests.rigid_axis import JOINT, run
 
 
 def campaign(place: Path, text: str) -> list[Case]:
@@ -128,3 +129,51 @@ def test_another_spelling_of_a_pattern_means_the_same(place: Path, records: str)
     assert [case.content_hash for case in found] == same
     there = load_campaign(place / "x" / ".." / "campaign.toml")
     assert [case.content_hash for case in there.cases] == same
+
+
+@pytest.fixture
+def fleet(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The small fleet, one of whose records is spoiled, in the current folder."""
+    (place / "logs" / "b" / "2026-11-02.npy").write_bytes(b"")
+    (place / "campaign.toml").write_text(FLEET)
+    monkeypatch.chdir(place)
+    return place
+
+
+def test_a_campaign_is_run_goes_on_and_is_told(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ("campaign", "campaign.toml", "--workers", 1, "-q")
+    assert run(*command) == 0
+    assert "Run now: 4 of 4." in capsys.readouterr().out
+    before = (fleet / "campaign.jsonl").read_bytes()
+    assert run(*command, "--html", "page.html") == 0
+    assert "Run now: 0 of 4." in capsys.readouterr().out
+    assert (fleet / "campaign.jsonl").read_bytes() == before
+    assert "<h2" in (fleet / "page.html").read_text()
+    text = (fleet / "campaign.jsonl").read_text()
+    (fleet / "campaign.jsonl").write_text(text.replace('"identified"', '"not reliable"', 1))
+    assert run(*command, "--again") == 0
+    assert "Run now: 1 of 4." in capsys.readouterr().out, "an answer that is not reliable stays"
+    (fleet / "campaign.jsonl").write_text(text)
+    good = (fleet / "logs" / "b" / "2026-11-01.npy").read_bytes()
+    (fleet / "logs" / "b" / "2026-11-02.npy").write_bytes(good)
+    assert run(*command) == 0
+    assert "Run now: 1 of 4." in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("fleet")
+@pytest.mark.parametrize(
+    "words",
+    [
+        "none.toml",
+        "campaign.toml --workers -1",
+        "campaign.toml --workers 2 --dask tcp://10.0.0.1:1",
+        "campaign.toml --out campaign.toml",
+        "campaign.toml --out logs",
+        "campaign.toml --false-alarm 0",
+        "campaign.toml --html r.jsonl --out r.jsonl",
+    ],
+)
+def test_a_mistake_is_refused(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("campaign", *words.split()) == 2
+    assert capsys.readouterr().out == ""
+    assert not list(Path().glob("*.jsonl"))

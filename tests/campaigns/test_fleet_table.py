@@ -11,7 +11,7 @@ from jointid.campaigns.campaign import Case, load_campaign
 from jointid.campaigns.run import run_case
 from jointid.campaigns.store import Outcome
 from jointid.common.errors import JointFileError
-from tests.campaigns.conftest import JOINT
+from tests.rigid_axis import JOINT
 
 FLEET = '[fleet]\ntable = "line/fleet.csv"\njoint = "joint.toml"\nrecords = "logs/{joint}/{day}.npy"\n'
 

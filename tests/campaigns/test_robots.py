@@ -9,7 +9,8 @@ import pytest
 from jointid.campaigns.campaign import load_campaign
 from jointid.campaigns.run import run_case
 from jointid.campaigns.store import Outcome
-from tests.apps.cli.test_robots_from_torques import logged, run, write_files
+from tests.apps.cli.test_robots_from_torques import logged, write_files
+from tests.rigid_axis import call as run
 from tests.robots_plants import two
 
 

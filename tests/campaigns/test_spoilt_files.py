@@ -20,11 +20,8 @@ from jointid.campaigns.store import Outcome, Row, open_store
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.files import digest
-from tests.campaigns.conftest import JOINT, TRUTH
+from tests.rigid_axis import JOINT, TRUTH, recorded
 
-LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-STEP = 1e-3
-REFERENCE = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=STEP)
 SPOILT: dict[str, Callable[[FloatArray], FloatArray]] = {
     "unit": lambda torque: -1000.0 * torque,
     "frozen": lambda torque: np.where(np.arange(torque.size) > torque.size // 3, torque[torque.size // 3], torque),
@@ -39,11 +36,7 @@ BY_IDIM += '[method]\nname = "idim"\n'
 
 def run(place: Path, joint: str, day: str, kind: str, seed: int, file: str = JOINT) -> Row:
     """Identify one record of a joint of its own inertia, spoilt in one way or as it is."""
-    dice = np.random.default_rng(seed)
-    truth = TRUTH | {"inertia": TRUTH["inertia"] * (1.0 + 0.3 * np.sin(int(joint[-2:])))}
-    noise = 2.0 * dice.standard_normal(len(REFERENCE))
-    record = ji.simulated_record(LOOP, REFERENCE, truth, sample_time=STEP, torque_noise=noise)
-    assert record.torque is not None
+    record = recorded(2.0, seed, inertia=TRUTH["inertia"] * (1.0 + 0.3 * np.sin(int(joint[-2:]))))
     values = SPOILT.get(kind, lambda torque: torque)(record.torque.values)
     path = place / f"{joint}-{day}.npy"
     ji.write(replace(record, torque=replace(record.torque, values=values)), path)

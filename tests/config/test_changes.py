@@ -6,12 +6,9 @@ from typing import Any
 
 import pytest
 
-from jointid.common.errors import JointFileError
+import jointid as ji
 from jointid.config import loads
 from jointid.config.toml import apply_changes
-from jointid.estimation.methods.didim import DIDIM
-from jointid.models.friction import AsymmetricFriction
-from jointid.records.signals.filtering import Filtering
 from tests.joint_files import BOTH_ENCODERS, CASCADE, CHANNELS, FLEXIBLE, JOINT, SMALLEST
 
 FILE = """
@@ -45,7 +42,7 @@ offset = 0.0
 )
 def test_a_change_is_a_key_and_a_value_in_toml(change: str, expected: dict[str, Any] | None) -> None:
     if expected is None:
-        with pytest.raises(JointFileError):
+        with pytest.raises(ji.JointFileError):
             apply_changes({}, [change])
     else:
         assert apply_changes({}, [change]) == expected
@@ -90,7 +87,7 @@ def test_the_records_of_a_list_are_counted_from_1() -> None:
     ],
 )
 def test_a_fault_of_a_change_is_one_sentence(change: str, place: tuple[str, ...]) -> None:
-    with pytest.raises(JointFileError) as caught:
+    with pytest.raises(ji.JointFileError) as caught:
         loads(FILE, changes=[change])
     (fault,) = caught.value.faults
     assert fault.place == place
@@ -99,18 +96,18 @@ def test_a_fault_of_a_change_is_one_sentence(change: str, place: tuple[str, ...]
 def test_keys_are_set_before_the_file_is_checked() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + "[method]\ntolerance = 1e-3"
     assert loads(text, changes=[]) == loads(text)
-    assert loads(text, changes=["method.frequency=42.0"]).method == DIDIM(tolerance=1e-3, frequency=42.0)
+    assert loads(text, changes=["method.frequency=42.0"]).method == ji.DIDIM(tolerance=1e-3, frequency=42.0)
     changed = loads(text, changes=["method.frequency=20.0", "filtering={cutoff=60, decimation=6}"])
-    assert changed.method == DIDIM(tolerance=1e-3, frequency=20.0)
-    assert changed.filtering == Filtering(cutoff=60.0, decimation=6)
+    assert changed.method == ji.DIDIM(tolerance=1e-3, frequency=20.0)
+    assert changed.filtering == ji.Filtering(cutoff=60.0, decimation=6)
     whole = ['method={name="didim", frequency=20.0}']  # in place of the whole table
-    assert loads(text, changes=whole).method == DIDIM(frequency=20.0)
-    assert loads(SMALLEST, changes=["joint.friction=asymmetric"]).joint.friction == AsymmetricFriction()
-    with pytest.raises(JointFileError):
+    assert loads(text, changes=whole).method == ji.DIDIM(frequency=20.0)
+    assert loads(SMALLEST, changes=["joint.friction=asymmetric"]).joint.friction == ji.friction.AsymmetricFriction()
+    with pytest.raises(ji.JointFileError):
         loads(text, changes=["method.estimator=ols"])
 
 
 def test_a_change_may_bring_what_makes_a_method_the_file_s_own() -> None:
     text = JOINT + CHANNELS + "[method]\ntolerance = 1e-3"
     controller = [f"controller={{{', '.join(CASCADE.strip().splitlines()[1:])}}}"]
-    assert loads(text, changes=controller).method == DIDIM(tolerance=1e-3)
+    assert loads(text, changes=controller).method == ji.DIDIM(tolerance=1e-3)

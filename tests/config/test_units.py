@@ -59,7 +59,6 @@ def test_a_number_is_taken_to_si_by_its_unit(line: str, name: str, value: float)
     text = "\n".join(one for one in TURNING.splitlines() if not one.startswith(key)) + f"\n{line}"
     file = loads(text)
     assert getattr(file.controller, name) == pytest.approx(value, rel=1e-14)
-    assert file.controller is not None
     assert file.controller.gain == 0.72  # type: ignore[attr-defined]
     written = dumps(file)
     assert line in written or '"' not in line
@@ -125,7 +124,6 @@ def test_a_unit_that_does_not_fit_is_one_fault(changes: list[tuple[str, str]], s
 )
 def test_the_torque_constant_is_said_once(changes: list[tuple[str, str]], gain: float) -> None:
     file = loads(changed(*[change for change in changes if change[0]]))
-    assert file.controller is not None
     assert file.controller.gain == pytest.approx(gain, rel=1e-14)  # type: ignore[attr-defined]
     assert file.joint.torque_unit == ("A" if ("torque_constant", "#") in changes else None)
     assert loads(dumps(file)) == file

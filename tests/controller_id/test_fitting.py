@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from jointid.common.arrays import FloatArray
+import jointid as ji
 from jointid.controller_id.fitting import Fitter, order_rates
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error, position_response
@@ -20,10 +20,7 @@ from jointid.controller_id.structures import (
     list_laws,
 )
 from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, run
-from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Timing
-from jointid.simulation.excitation import pulses, trapezoids
-from jointid.simulation.synthesis import simulated_record
 from studies.learned import loop_twin
 from tests.learned_once import run_law
 
@@ -57,10 +54,8 @@ def test_gains_are_solved_for(seed: int) -> None:
     fitter = Fitter(prepare_loop_record(twin.record).select_strongest(4000))
     near = {name: value for name, value in twin.numbers.items() if name != "integral"}
     begun = fitter.fit(twin.structure, near, fitter.shared, 0)
-    assert begun is not None
     fitter.share(begun)
     found = fitter.fit(twin.structure, near, begun.noise, 0)
-    assert found is not None
     for name in ("position_gain", "velocity_gain", "derivative_gain"):
         assert found.numbers.get(name, 1.0) == pytest.approx(twin.numbers.get(name, 1.0), rel=2e-2), name
     exact = run_law(fitter.log, twin.structure, found.numbers)
@@ -109,7 +104,7 @@ def test_what_a_law_faster_than_the_log_sees_of_the_log_s_error() -> None:
     at = np.minimum(np.arange(size * rate) / rate, size - 1.0)
     inputs[:, POSITION] = CubicSpline(np.arange(size), error)(at)
     seen = run(law, inputs, np.zeros(law.order)).output[::rate]
-    expected: FloatArray = np.abs(np.fft.rfft(seen))
+    expected: np.ndarray = np.abs(np.fft.rfft(seen))
     found = position_response(law.feedback, T, size, rate)
     assert np.allclose(found[5:], expected[5:], rtol=0.02, atol=0.01 * expected.max())
 
@@ -146,12 +141,12 @@ def test_a_stretch_keeps_the_phase_of_a_slower_loop() -> None:
 @pytest.mark.parametrize("averaged", [False, True], ids=["held", "averaged"])
 def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None:
     """The known signal is in the torque of law and log, filtered with it where it is injected before the limit."""
-    reference = trapezoids([0.1, 0.3], 2.0, 0.2, T, 0.1, 4.0)
-    known = pulses(reference.size, T, height=20.0, width=0.02, every=0.2, seed=1)
+    reference = ji.excitation.trapezoids([0.1, 0.3], 2.0, 0.2, T, 0.1, 4.0)
+    known = ji.excitation.pulses(reference.size, T, height=20.0, width=0.02, every=0.2, seed=1)
     law = Cascade(position_gain=60.0, velocity_gain=500.0, torque_filters=(FirstOrder(2e-3),))
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
-    record = simulated_record(
-        ClosedLoop(RigidJoint("prismatic"), law),
+    record = ji.simulated_record(
+        ji.ClosedLoop(ji.RigidJoint("prismatic"), law),
         reference,
         values,
         sample_time=T,
@@ -159,7 +154,6 @@ def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None
         at=at,
         encoder_step=1e-9,
     )
-    assert record.torque is not None
     if averaged:
         means = np.concatenate([record.torque.values[:1], record.torque.values[:-1]])
         record = replace(record, torque=replace(record.torque, values=means, timing=Timing.AVERAGED))

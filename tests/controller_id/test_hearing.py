@@ -41,7 +41,6 @@ def test_noise_is_not_heard() -> None:
     """Where a loud noise covers the law's torque next to nothing is heard."""
     twin = loop_twin(134)
     torque = twin.record.torque
-    assert torque is not None
     size = 0.05 * np.std(torque.values)
     noise = size * np.random.default_rng(1).standard_normal(torque.values.size)
     noisy = replace(torque, values=torque.values + noise)

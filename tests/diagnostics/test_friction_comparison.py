@@ -15,8 +15,7 @@ from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
-from tests.plants import prismatic
-from tests.smooth_laws import RISES, rigid, slow
+from tests.plants import RISES, prismatic, rigid, slow
 
 compare_frictions = partial(
     compare_laws, among="frictions", filtering=None, parameters=None, didim=None, progress=ignore_progress

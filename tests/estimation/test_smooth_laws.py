@@ -6,8 +6,7 @@ import pytest
 
 from tests.estimates import identify
 from tests.estimation.test_stribeck import noisy
-from tests.plants import prismatic
-from tests.smooth_laws import LAWS, with_law
+from tests.plants import LAWS, prismatic, with_law
 
 
 @pytest.mark.slow

@@ -15,8 +15,7 @@ from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
-from tests.plants import Case, prismatic
-from tests.smooth_laws import FALLS, RISES, rigid, slow
+from tests.plants import FALLS, RISES, Case, prismatic, rigid, slow
 
 EMPS_RESIDUAL = {"symmetric": (4.48, 5.41), "stribeck": (3.79, 4.93), "asymmetric-stribeck": (2.72, 4.13)}
 

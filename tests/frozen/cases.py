@@ -17,6 +17,7 @@ import numpy as np
 
 import jointid as ji
 from jointid.simulation.prescribed import DriveSide
+from tests.edits import Edit, all_channels, changes, declares, has, late_by, law, log, slower, swap
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("JOINTID_DATA", ROOT.parent / "shared" / "data"))
@@ -89,48 +90,6 @@ def healthy(kind: str, noise: str, seed: int) -> ji.Estimate:
     return ji.identify(record(one), ji.ClosedLoop(one.joint, one.declared))
 
 
-def law(**factors: float) -> Callable[[Any], None]:
-    """Let the true controller have numbers that are so many times as large as declared."""
-    return lambda one: setattr(
-        one, "law", replace(one.law, **{n: by * getattr(one.law, n) for n, by in factors.items()})
-    )
-
-
-def has(**parts: Any) -> Callable[[Any], None]:
-    """Let the true controller have parts that are not declared."""
-    return lambda one: setattr(one, "law", replace(one.law, **parts))
-
-
-def declares(**parts: Any) -> Callable[[Any], None]:
-    """Declare parts of the controller that it has not; a function is of what was drawn."""
-    return lambda one: setattr(
-        one, "declared", replace(one.declared, **{n: v(one) if callable(v) else v for n, v in parts.items()})
-    )
-
-
-def log(channel: str, edit: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """Edit the values of a channel of the log."""
-
-    def change(logged: ji.Record) -> ji.Record:
-        given = getattr(logged, channel)
-        return logged.with_channels({channel: replace(given, values=edit(given.values))})
-
-    return lambda one: one.edits.append(change)
-
-
-def all_channels(edit: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """Edit every channel of the log."""
-    return lambda one: one.edits.append(lambda r: r.with_channels({n: edit(c) for n, c in r.items()}))
-
-
-def swap(logged: ji.Record) -> ji.Record:
-    """Exchange torque and reference."""
-    torque, reference = logged.torque, logged.reference
-    assert torque is not None and reference is not None
-    pair = {"torque": replace(torque, values=reference.values), "reference": replace(reference, values=torque.values)}
-    return logged.with_channels(pair)
-
-
 def follow(logged: ji.Record) -> ji.Record:
     """Give the motor's position as the reference."""
     assert logged.reference is not None and logged.motor_position is not None
@@ -142,12 +101,7 @@ def push(size: Callable[[Any, Any], Any]) -> Callable[[Any], None]:
     return lambda one: one.forces.append(lambda one: one.force * size(one.reference, np.gradient(one.reference, T)))
 
 
-def late_by(samples: int) -> Callable[[Any], Any]:
-    """Shift values by some samples."""
-    return lambda x: np.concatenate([np.full(samples, x[0]), x[:-samples]])
-
-
-FAULTS: dict[str, Callable[[Any], None]] = {
+FAULTS: dict[str, Edit] = {
     "position_gain": law(position_gain=1.06), "velocity_gain": law(velocity_gain=0.93),
     "integral_gain": law(integral_gain=1.4), "gain": law(gain=1.04), "law_gain": law(gain=3.0),
     "velocity_filter": has(velocity_filter=ji.controller.FirstOrder(2e-3)), "delay": has(delay=1.5e-3),
@@ -168,11 +122,11 @@ FAULTS: dict[str, Callable[[Any], None]] = {
     "gear_side": log("torque", lambda x: x / 50), "averaged_reference": log("reference", lambda x: np.convolve(
         np.pad(x, (0, 4), mode="edge"), np.full(5, 0.2), "valid")),
     "offset_reference": log("reference", lambda x: x + 0.01 * np.sin(3 * np.arange(x.size) * T)),
-    "sample_time": all_channels(lambda c: replace(c, sample_time=2 * c.sample_time)),
+    "sample_time": slower(2.0),
     "lost_samples": all_channels(lambda c: replace(c, values=np.delete(c.values, slice(1500, 1506)))),
-    "swapped_channels": lambda one: one.edits.append(swap),
-    "reference_is_position": lambda one: one.edits.append(follow),
-    "injected": lambda one: one.edits.append(lambda r: r.without("injected")),
+    "swapped_channels": changes(swap),
+    "reference_is_position": changes(follow),
+    "injected": changes(lambda r: r.without("injected")),
     "gravity": push(lambda q, v: 0.4 * np.sin(q)), "cogging": push(lambda q, v: 0.15 * np.sin(q / 0.01)),
     "position_force": push(lambda q, v: 0.5 * q), "uneven_friction": push(lambda q, v: -0.6 * q * np.sign(v)),
     "coupled": push(lambda q, v: 0.2 * np.sin(2.2 * np.arange(q.size) * T)),

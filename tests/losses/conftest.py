@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.apps.cli import main
 from jointid.records.formats import Table, write_table
+from tests.rigid_axis import run
 
 
 @pytest.fixture(scope="session")
@@ -20,9 +20,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from jointid.simulation.warm_up import warm_up
 
     folder = tmp_path_factory.mktemp("demo")
-    with pytest.raises(SystemExit) as end:
-        main(["demo", str(folder), "-q"])
-    assert end.value.code == 0
+    assert run("demo", folder, "-q") == 0
     (folder / "torque.png").unlink()
     record = folder / "record.csv"  # a third of it, to have more moments in the same time
     record.write_text("".join(record.read_text(encoding="utf-8").splitlines(keepends=True)[:8001]), encoding="utf-8")

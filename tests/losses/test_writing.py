@@ -97,15 +97,6 @@ def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
     assert len((place / "campaign.jsonl").read_text().splitlines()) == 2
 
 
-@pytest.mark.parametrize(("ending", "code"), [(">/dev/full", 2), (">&-", 0), (">&- 2>&-", 0)])
-def test_an_output_that_takes_nothing_costs_no_file(ending: str, code: int, place: Path) -> None:
-    program = f"{sys.executable} -c 'from jointid.apps.cli import main; main()'"
-    line = f"{program} inspect table.csv --json o.json {ending}"
-    ended = subprocess.run(["bash", "-c", line], cwd=place, capture_output=True, check=False)
-    assert ended.returncode == code and b"Traceback" not in ended.stderr
-    assert is_whole("o.json", (place / "o.json").read_bytes())
-
-
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
 def test_any_terminal_shows_what_it_can(encoding: str, place: Path) -> None:
     program = [sys.executable, "-c", "from jointid.apps.cli import main; main()", "inspect", "table.csv"]

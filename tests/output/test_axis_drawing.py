@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import pytest
@@ -11,7 +10,7 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import show_value
-from jointid.output.figures.axis_drawing import axis_figure, resonance_sentence
+from jointid.output.figures.axis_drawing import axis_figure
 from tests.estimates import amended
 from tests.output.report import reports
 
@@ -34,18 +33,6 @@ def test_every_value_is_in_the_drawing_and_none_is_cut(kind: str) -> None:
     for one in figure.axes[0].texts:
         found = one.get_window_extent()
         assert -1 <= found.x0 < found.x1 <= width + 1 and -1 <= found.y0 < found.y1 <= height + 1, one.get_text()
-
-
-def test_the_sentence_has_resonance_and_antiresonance() -> None:
-    estimate = reports.flexible().estimate
-    found = estimate.frequencies
-    stiffness, motor, load = (estimate.values[name] for name in ("stiffness", "motor_inertia", "load_inertia"))
-    assert found["motor_locked"] == pytest.approx((stiffness / load) ** 0.5 / 6.283185307)
-    assert found["free_free"] == pytest.approx((stiffness / load + stiffness / motor) ** 0.5 / 6.283185307)
-    said = resonance_sentence(estimate)
-    assert re.fullmatch(r"Resonance 29\.\d Hz, antiresonance 2\d\.\d Hz, from .*", said)
-    assert said in reports.marked(reports.flexible()).split("## Parameters")[0]
-    assert resonance_sentence(reports.rigid().estimate) == ""
 
 
 def test_a_gear_is_drawn_with_its_ratio_and_the_side_of_the_values() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from functools import cache
-from html.parser import HTMLParser
 from typing import Any
 
 import pytest
@@ -45,35 +44,12 @@ def every(text: str) -> Document:
     )
 
 
-class Tags(HTMLParser):
-    """The tags of a text, as a browser takes it apart; each that is closed was the last to be opened."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.found: list[str] = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: object) -> None:
-        del attrs
-        self.found.append(tag)
-        self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: object) -> None:
-        del attrs
-        self.found.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-
 def test_html_makes_no_tag_of_a_text() -> None:
     hostile, friendly = (
-        Tags("".join(map(templates().get_template("blocks.html").module.show, every(text).blocks)))
+        reports.Elements("".join(map(templates().get_template("blocks.html").module.show, every(text).blocks)))
         for text in (EVIL, "a text")
     )
-    assert hostile.found == friendly.found and "table" in hostile.found and not hostile.open
+    assert hostile.tags == friendly.tags and "table" in hostile.tags and not hostile.open
 
 
 def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
@@ -99,8 +75,8 @@ def results() -> dict[str, Any]:
 def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
     made = results()[name]
     html = made._repr_html_()
-    found = Tags(html)
-    assert not found.open and not {"script", "a"} & {*found.found}
+    found = reports.Elements(html)
+    assert not found.open and not {"script", "a"} & {*found.tags}
     assert html.index("<p>") < html.index("<table") if "<table" in html else True
     assert html.count(f"<p>{made.sentence.split('<')[0][:30]}") == 1  # a title that is the answer is not said again
 

@@ -15,13 +15,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.fields import dumps
 from jointid.models.robots.dynamics import inverse_dynamics
-from jointid.models.robots.robot import Robot
 from jointid.output.json import read_report
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -33,7 +29,7 @@ VALUES = {
 
 
 @cache
-def logged(seed: int) -> tuple[RobotLoop, tuple[ji.Record, ...]]:
+def logged(seed: int) -> tuple[ji.robots.RobotLoop, tuple[ji.Record, ...]]:
     """Return a robot under its controllers, and a record of each of its joints."""
     loop = two().loop()
     return loop, tuple(recorded(loop, two().records(4.0 + seed), 0.01)[0])
@@ -62,7 +58,7 @@ def motion(n: int) -> list[np.ndarray]:
     return [random.normal(size=(40, n) if n else 40) for _ in range(3)]
 
 
-def torque_of(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+def torque_of(robot: ji.robots.Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return the torques of a robot with rigid joints and symmetric friction, by its links."""
     links = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     rotor, viscous, coulomb, offset = (
@@ -92,7 +88,7 @@ def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path)
         expected = torque_of(back.require_robot().robot(), q, v, a)
     np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)
     assert back.to_dict()["parameters"] == estimate.to_dict()["parameters"]
-    with pytest.raises(MethodError):
+    with pytest.raises(ji.MethodError):
         back.torque(q, v[:-1], a)
 
 
@@ -161,7 +157,7 @@ def test_an_error_that_is_not_known_is_not_relied_on(tmp_path: Path) -> None:
     for part, key in (("fit", "converged"), ("checks", "verdicts"), ("checks", "warnings"), ("fit", "filtered_error")):
         lacking = {name: value for name, value in document[part].items() if name != key}
         path.write_text(dumps(document | {part: lacking}), "utf-8")
-        with pytest.raises(RecordError):
+        with pytest.raises(ji.RecordError):
             ji.load_estimate(path, setup_of("joint"))
 
 
@@ -194,12 +190,12 @@ def test_a_robot_that_is_another_one_is_refused(tmp_path: Path) -> None:
     path = found("idim").save(tmp_path / "out.json")
     first, second = loop.robot.links
     longer = replace(loop.robot, links=(first, replace(second, origin=1.2 * second.origin)))
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         ji.load_estimate(path, longer)
     renamed = replace(loop.robot, joints=tuple(replace(one, name=f"j{k}") for k, one in enumerate(loop.robot.joints)))
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         ji.load_estimate(path, renamed)
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         ji.load_estimate(found("didim").save(tmp_path / "loop.json"), loop.robot)
 
 
@@ -209,7 +205,7 @@ def test_a_saved_estimate_of_a_flexible_robot_comes_back(method: str, tmp_path: 
     twin = two((12.0, 15.0))
     loop = twin.loop()
     records = tuple(recorded(loop, twin.records(6.0, multisine=0.004), 0.003)[0])
-    system = loop if method == "didim" else RobotDriveSide(loop.robot)
+    system = loop if method == "didim" else ji.robots.RobotDriveSide(loop.robot)
     estimate = ji.identify(records, system, checks=False)
     back = ji.load_estimate(estimate.save(tmp_path / "out.json"), system)
     assert back.to_dict() == estimate.to_dict()

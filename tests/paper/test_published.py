@@ -6,11 +6,9 @@ import math
 from decimal import ROUND_DOWN, Decimal
 from types import MappingProxyType
 
-import numpy as np
 import pytest
 
 from jointid.models.joints import FlexibleJoint
-from jointid.models.position_forces import Motion
 from jointid.paper.tables import (
     METHODS,
     SYMBOLS,
@@ -18,7 +16,6 @@ from jointid.paper.tables import (
     TESTS,
     PublishedTable,
     compare_table,
-    compute_relative_deviations,
     compute_relative_errors,
     compute_variations,
     format_as_print,
@@ -26,20 +23,24 @@ from jointid.paper.tables import (
     sum_sides,
 )
 from jointid.paper.twin import TABLE_2, TABLE_4
-from tests.paper.errata_numbers import (
-    EXPERIMENT,
-    REGRESSOR,
-    REGRESSOR_OF_2,
-    agrees,
-    compute_shifts,
-    compute_stiffness,
-    find_largest_decimation,
-    find_misprints,
-    find_wrong_entries,
-    stops,
-)
 
 NAMES = [p.name for p in FlexibleJoint("prismatic").parameters][:-1]
+
+
+def find_misprints(table: PublishedTable) -> set[tuple[str, str]]:
+    """Cells that do not follow from other printed numbers by any denominator, neither rounded, cut nor made whole."""
+    return {
+        (column, SYMBOLS[name])
+        for (column, name), candidates in recompute_cells(table).items()
+        if not any(is_printed(table.column(column)[name], candidate) for candidate in candidates)
+    }
+
+
+def is_printed(printed: Decimal, recomputed: Decimal) -> bool:
+    if printed in (recomputed.quantize(printed), recomputed.quantize(printed, ROUND_DOWN)):
+        return True
+    whole = printed.to_integral_value()
+    return whole == printed == recomputed.quantize(whole)
 
 
 def by_symbol(column: dict[str, Decimal]) -> dict[str, float]:
@@ -136,7 +137,6 @@ def test_frequencies_and_that_print_cuts_the_free_free_one() -> None:
         assert list(each) == ["free_free", "motor_locked", "load_locked"]
         assert TABLES[n].frequency == math.floor(each["free_free"])
         assert str(TABLES[n].frequency) != f"{each['free_free']:.1f}"
-        assert max(each.values()) < EXPERIMENT.natural_frequency
 
 
 def test_table_6_differs_from_tables_2_to_5_in_five_cells() -> None:
@@ -154,7 +154,7 @@ def test_table_6_differs_from_tables_2_to_5_in_five_cells() -> None:
         ("DIDIM", "Fc1"): -1.0,
         ("DIDIM", "K12"): -0.1e5,
     }
-    assert {(method, SYMBOLS[name]) for method, name in find_misprints(TABLES[6])} == set(differ)
+    assert find_misprints(TABLES[6]) == set(differ)
 
 
 def test_table_7_by_both_denominators() -> None:
@@ -173,89 +173,15 @@ def test_table_7_by_both_denominators() -> None:
     assert (round(by_15[0]["ZZ1"], 2), round(by_idim[0]["ZZ1"], 2)) == (0.86, 0.85)  # 1.0 is printed: a whole percent
 
 
-def test_table_7_has_three_cells_that_no_denominator_explains() -> None:
-    found = {(test, SYMBOLS[name]) for test, name in find_misprints(TABLES[7])}
-    assert found == {("first test", "F12"), ("first test", "K12"), ("second test", "Fc1")}
+def test_cells_that_no_denominator_explains() -> None:
+    found = {("first test", "F12"), ("first test", "K12"), ("second test", "Fc1")}
+    assert find_misprints(TABLES[7]) == found
+    assert [find_misprints(TABLES[n]) for n in (1, 2, 3, 4, 5)] == [set()] * 4 + [{("relative_percent", "ZZ2")}]
 
 
 def test_every_sum_is_as_printed() -> None:
     for n in (2, 3, 4, 5):
         assert sum_sides(TABLES[n].values) == pytest.approx({k: float(v) for k, v in TABLES[n].sums.items()}, rel=1e-12)
-
-
-def test_one_relative_deviation_follows_neither_rounded_nor_cut() -> None:
-    tables = [TABLES[n] for n in (1, 2, 3, 4, 5)]
-    pairs = {
-        (table.number, SYMBOLS[name]): (printed, compute_relative_deviations(table)[name])
-        for table in tables
-        for name, printed in table.column("relative_percent").items()
-    }
-    rounded = {cell for cell, pair in pairs.items() if agrees(*pair)}
-    cut = {cell for cell, pair in pairs.items() if agrees(*pair, ROUND_DOWN)}
-    assert set(pairs) - rounded - cut == {(5, "ZZ2")}
-    assert round(pairs[5, "ZZ2"][1], 3) == Decimal("0.197")
-    assert rounded - cut == {(1, "ZZ"), (1, "Fc"), (2, "Fv1"), (2, "K12"), (2, "F12"), (3, "ZZ1"), (4, "Fv2")}
-    assert cut - rounded == {
-        (2, "Fv2"), (3, "K12"), (3, "F12"), (3, "ZZ2"), (3, "Fv2"), (4, "ZZ1"), (5, "ZZ1"),
-    }  # fmt: skip
-    assert [table.number for table in tables if find_misprints(table)] == [5]
-
-
-def test_the_viscous_frictions_are_not_permuted() -> None:
-    moved = [by_symbol(compute_variations(*test)) for test in TESTS]
-    assert [(m["Fv1"], m["Fv2"]) for m in moved] == [(35, -34), (33, -30)]
-    sigmas = [{SYMBOLS[name]: shift for name, shift in compute_shifts(*test).items()} for test in TESTS]
-    assert [(round(s["Fv1"], 1), round(s["Fv2"], 1)) for s in sigmas] == [(26.4, -28.6), (24.6, -25.4)]
-
-
-def test_a_shift_is_measured_in_both_deviations() -> None:
-    """By hand: ZZ2 of Tables 2 and 4 has 2 sigma of 0.19 and 0.20, and moves by 10.2."""
-    assert compute_shifts(*METHODS["IDIM"])["load_inertia"] == pytest.approx(10.2 / math.sqrt(0.095**2 + 0.1**2))
-
-
-def test_the_damping_is_not_zero_by_its_own_interval() -> None:
-    away = [float(2 * value / two_sigma) for value, two_sigma, _ in (TABLES[n].rows["damping"] for n in (2, 3, 4, 5))]
-    assert [round(a, 1) for a in away] == [7.0, 7.8, 10.5, 5.0]
-
-
-def test_one_in_six_is_the_most_for_60_hz() -> None:
-    assert find_largest_decimation(EXPERIMENT.flexible_cutoff, EXPERIMENT.sample_rate) == 6
-    assert EXPERIMENT.decimation == 12
-    assert round(EXPERIMENT.sample_rate / 2 / EXPERIMENT.decimation, 1) == 41.7
-
-
-def test_the_stop_rule_as_printed_stops_at_any_decrease() -> None:
-    assert stops(2.0, 1.0, 0.025, absolute=False)
-    assert not stops(2.0, 1.0, 0.025)
-    assert stops(2.0, 1.96, 0.025)
-    assert not stops(1.0, 2.0, 0.025, absolute=False)
-
-
-@pytest.mark.parametrize("n", [2, 3, 4, 5])
-def test_the_stiffness_start_turns_the_free_free_frequency_round(n: int) -> None:
-    values = TABLES[n].values
-    found = compute_stiffness(
-        values["motor_inertia"], values["load_inertia"], FlexibleJoint.frequencies(values)["free_free"]
-    )
-    assert found == pytest.approx(values["stiffness"], rel=1e-12)
-
-
-def test_the_regressor_is_that_of_the_joint_and_print_has_two_other_entries() -> None:
-    random = np.random.default_rng(3)
-    motor, load = (Motion(*random.normal(size=(3, 20))) for _ in range(2))
-    signals = {
-        "v1": motor.velocity, "a1": motor.acceleration, "v12": load.velocity, "a12": load.acceleration,
-        "q2": load.position - motor.position, "v2": load.velocity - motor.velocity, "0": np.zeros(20),
-    }  # fmt: skip
-    for symbol in ("v1", "v12"):
-        signals[f"sign({symbol})"] = np.sign(signals[symbol])
-    for symbol in ("q2", "v2"):
-        signals[f"-{symbol}"] = -signals[symbol]
-    expected = FlexibleJoint("prismatic").regressor(motor, load)[:, :, :-1]  # the paper has no offset
-    assert np.array_equal([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR_OF_2], expected)
-    printed = np.array([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR])
-    assert sorted(set(np.nonzero(printed != expected)[2] + 1)) == [1, 6]
-    assert find_wrong_entries() == ((1, "v1", "a1"), (6, "v12", "a12"))
 
 
 # For readers
@@ -273,19 +199,3 @@ def test_a_comparison_has_every_printed_number_and_a_text_per_heading(table: Pub
     assert sum(cell != "-" for row in rows.values() for cell in row[printed:]) == sum(
         len(values) for values in recompute_cells(table).values()
     ) + (6 if table.number in (2, 3, 4, 5) else 0)
-
-
-def test_how_table_7_reads_by_both_denominators() -> None:
-    found = compare_table(TABLES[7])
-    assert found.header[-1] == "recomputed second test, by the IDIM value"
-    rows = [" ".join(row) for row in found.rows]
-    assert [row.split() for row in rows] == [
-        ["ZZ1", "(%)", "1.0", "2.3", "0.862", "2.34", "0.855", "2.28"],
-        ["Fv1", "(%)", "38.0", "35.0", "27.6", "25.8", "38.0", "34.7"],
-        ["Fc1", "(%)", "0.0", "0.0", "0", "9.09", "0", "10.0"],
-        ["K12", "(%)", "1.28", "0.0", "1.23", "0", "1.25", "0"],
-        ["F12", "(%)", "9.0", "76.0", "7.35", "320", "7.94", "76.2"],
-        ["ZZ2", "(%)", "2.0", "1.6", "1.97", "1.53", "2.01", "1.56"],
-        ["Fv2", "(%)", "31.0", "27.3", "44.7", "37.5", "30.9", "27.3"],
-        ["Fc2", "(%)", "4.0", "0.0", "4.00", "0", "3.85", "0"],
-    ]

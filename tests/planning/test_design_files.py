@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.apps.cli import main
 from jointid.config import load, loads
-from jointid.models.limits import AxisLimits
 from jointid.output.test_layout import lay_out
-from jointid.planning.design import design
 from jointid.records.formats import read_table
+from tests.rigid_axis import run
 from tests.robots_plants import six, two
 
 ARM = """<robot name="arm"><link name="base"/>
@@ -76,16 +74,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(*words: object) -> None:
-    """Run a command that succeeds."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
-    assert ended.value.code == 0
-
-
 def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(folder: Path, tmp_path: Path) -> None:
     out, answer = tmp_path / "out", tmp_path / "a.json"
-    run("design", folder / "robot.toml", "-q", "--search-time", "0.5", "--out", out, "--json", answer)
+    assert run("design", folder / "robot.toml", "-q", "--search-time", "0.5", "--out", out, "--json", answer) == 0
     told = json.loads(answer.read_text(encoding="utf-8"))
     columns = read_table(out / "test.csv").columns
     assert list(columns) == ["t", "s.reference", "e.reference"]
@@ -119,9 +110,9 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     file = loads(JOINT_FILE)
     assert file.loop is not None
     values = {"inertia": 2.0, "viscous": 4.0, "coulomb": 1.0, "offset": 0.0}
-    limits = AxisLimits(stroke=1.0, speed=2.0, acceleration=10.0, torque=60.0)
+    limits = ji.AxisLimits(stroke=1.0, speed=2.0, acceleration=10.0, torque=60.0)
     asked = {"values": values, "noise": {"log": 0.05}, "limits": limits, "duration": 3.0, "sample_time": 1e-3}
-    found = lay_out(file, design(file.loop, injection=False, search_time=0.5, **asked))  # type: ignore[arg-type]
+    found = lay_out(file, ji.design(file.loop, injection=False, search_time=0.5, **asked))  # type: ignore[arg-type]
     (record,) = found.records()
     assert record.injected is None and "on the torque" not in found.description, "the drive adds nothing"
     found.write(tmp_path)
@@ -129,19 +120,18 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     assert reference is not None and list(columns) == ["t", "demand"]
     np.testing.assert_allclose(columns["demand"], np.degrees(20.0 * reference.values), atol=1e-9)
     again = file.record(tmp_path / "test.csv", driving=True).reference
-    assert again is not None
     np.testing.assert_allclose(again.values, reference.values, atol=1e-12)
-    both = lay_out(file, design(file.loop, search_time=1.0, **asked))  # type: ignore[arg-type]
+    both = lay_out(file, ji.design(file.loop, search_time=1.0, **asked))  # type: ignore[arg-type]
     assert both.records()[0].injected is not None, "with a signal it tells more"
     assert "trajectory.yaml" not in both.files()
     both.write(tmp_path)
     columns = read_table(tmp_path / "test.csv").columns
     injected = both.records()[0].injected
-    assert injected is not None
     np.testing.assert_allclose(columns["injected"], injected.channel.values / 10.0, atol=1e-9)
     known = "[parameters]\n" + "".join(f"{name} = {{ start = {value} }}\n" for name, value in values.items())
     (tmp_path / "joint.toml").write_text(JOINT_FILE + known, encoding="utf-8")
-    run("simulate", tmp_path / "joint.toml", "--record", tmp_path / "test.csv", "--out", tmp_path / "played.csv")
+    played = ("--record", tmp_path / "test.csv", "--out", tmp_path / "played.csv")
+    assert run("simulate", tmp_path / "joint.toml", *played) == 0
     peak = np.abs(read_table(tmp_path / "played.csv").columns["current"]).max()
     assert 10.0 * peak == pytest.approx(both.axes[0].reached["torque"], rel=0.05), "A of the motor"
 
@@ -152,7 +142,7 @@ def test_a_trajectory_of_a_coupled_wrist_is_of_its_joints() -> None:
     q = np.column_stack([0.4 * np.sin(1.5 * t), 0.3 * np.sin(2.3 * t)])
     shafts = q @ np.array([[1.0, 0.5], [0.0, 1.0]])
     driven = [ji.Record(reference=ji.Channel(one, "rad", 2e-3)) for one in shafts.T.copy()]
-    motion = design(robot, limits=[AxisLimits()] * 2, noise=[0.1] * 2, motion=driven).trajectory()
+    motion = ji.design(robot, limits=[ji.AxisLimits()] * 2, noise=[0.1] * 2, motion=driven).trajectory()
     rows, at = read_trajectory(motion)
     np.testing.assert_allclose(rows, q[np.round(at / 2e-3).astype(int)], atol=1e-8)
 
@@ -169,7 +159,7 @@ def test_a_motion_is_written_as_robots_play_it() -> None:
     twin, period = six(), 2e-3
     q = twin.home + 0.3 * np.sin(np.outer(period * np.arange(1000), np.arange(1, 7)))
     driven = [ji.Record(reference=ji.Channel(one, "rad", period)) for one in q.T]
-    found = design(twin.robot, limits=[AxisLimits()] * 6, noise=[0.1] * 6, motion=driven)
+    found = ji.design(twin.robot, limits=[ji.AxisLimits()] * 6, noise=[0.1] * 6, motion=driven)
     text = found.files()["trajectory.yaml"].decode()
     assert json.loads(text.splitlines()[0].removeprefix("joint_names: ")) == list(twin.robot.names)
     rows, at = read_trajectory(text)

@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
-from jointid.models.limits import AxisLimits
-from jointid.paper.twin import twin
 from jointid.planning.goals import parse_goal
 from jointid.planning.predict import Noise, PredictedTest
 from jointid.uncertainty.covariance import covariance_of
@@ -19,7 +16,7 @@ from tests.planning.test_joint_design import AXIS, NOISE, short_record
 from tests.planning.test_robot_design import LIMITS
 from tests.robots_plants import two
 
-WIDE = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
+WIDE = ji.AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
 
 
 def plan(**given: Any) -> Any:
@@ -39,30 +36,30 @@ def plan(**given: Any) -> Any:
         lambda: plan(goal="nothing"),
         lambda: plan(feed_forward="gravity"),
         lambda: plan(limits=[WIDE, WIDE]),
-        lambda: plan(limits=AxisLimits(speed=1.0, acceleration=1.0)),
+        lambda: plan(limits=ji.AxisLimits(speed=1.0, acceleration=1.0)),
         lambda: plan(duration=None, sample_time=None),
         lambda: ji.design(AXIS.loop),
         lambda: ji.design(two().robot, short_record()),
         lambda: ji.design(two().robot, [short_record()]),
         lambda: ji.design(two().robot, values={}),
-        lambda: ji.design(two().robot, limits=(AxisLimits(lower=0.0), LIMITS[1])),
+        lambda: ji.design(two().robot, limits=(ji.AxisLimits(lower=0.0), LIMITS[1])),
         lambda: ji.design(two().robot, limits=LIMITS[:1]),
         lambda: ji.design(two().robot, limits=LIMITS, duration=0.01),
         lambda: ji.design(two((9.0, None)).robot, limits=LIMITS),
-        lambda: AxisLimits(lowest=200.0, highest=30.0),
-        lambda: AxisLimits(lower=1.0, upper=0.5),
+        lambda: ji.AxisLimits(lowest=200.0, highest=30.0),
+        lambda: ji.AxisLimits(lower=1.0, upper=0.5),
         Noise,
         lambda: Noise(log=-1.0),
     ],
 )
 def test_what_cannot_be_planned_is_refused(asked: Callable[[], Any]) -> None:
-    with pytest.raises(MethodError):
+    with pytest.raises(ji.MethodError):
         asked()
 
 
 def test_an_estimate_has_its_own_values(identified: Callable[..., ji.Estimate]) -> None:
-    with pytest.raises(MethodError):
-        ji.design(identified("L19", noise="disturbance", seed=3), twin("L19", seed=3).record, values={})
+    with pytest.raises(ji.MethodError):
+        ji.design(identified("L19", noise="disturbance", seed=3), ji.twin("L19", seed=3).record, values={})
 
 
 def test_offsets_alone_have_a_score_too() -> None:

@@ -18,7 +18,6 @@ from jointid.planning import search as search_module
 from jointid.planning.design import design
 from jointid.planning.designed import Design
 from jointid.planning.objective import complete
-from jointid.planning.plans import Series
 from jointid.planning.robots import RobotModel, _read_first, find_modes
 from jointid.planning.search import search
 from jointid.records.record import Channel, Record
@@ -95,7 +94,6 @@ def test_what_didim_will_report_is_predicted() -> None:
     driven, rng = found.records(), np.random.default_rng(5)
     logged = []
     for k, one in enumerate(simulate(loop, driven).records(driven)):
-        assert one.torque is not None
         values = one.torque.values + noise[k] * rng.normal(size=len(one.torque))
         logged.append(replace(one, torque=replace(one.torque, values=values)))
     fit = search_robot(loop, logged)
@@ -118,28 +116,6 @@ def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
     wide, needed = (AxisLimits(), AxisLimits(speed=2.0)), RobotModel.needed
     taken = complete(wide, two().robot.names, needed, needed, found.present.reached)
     assert taken[0].upper == pytest.approx(0.4, rel=0.01) and taken[1].speed == 2.0
-
-
-def relative(found: Design) -> dict[str, float]:
-    """Return the deviations of the stiffnesses, as shares."""
-    told = found.proposed
-    return {name: std / told.values[name] for name, std in told.std.items() if name.endswith(".stiffness")}
-
-
-@pytest.mark.slow
-def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
-    twin = two((9.0, 16.0))
-    limits = tuple(replace(one, acceleration=None, torque=None) for one in LIMITS)
-    asked = {"duration": 5.0, "sample_time": 1e-3, "loop": twin.loop(), "noise": (0.1, 0.05)}
-    found = design(twin.robot, limits=limits, search_time=6.0, **asked)  # type: ignore[arg-type]
-    own = relative(found)
-    assert own["joint1.stiffness"] < 0.01 and own["joint2.stiffness"] < 0.01
-    motions = Series(limits, 5.0, 8)
-    numbers = np.random.default_rng(0).uniform(size=motions.size)
-    slow = motions.play(tuple(numbers), np.arange(5000) * 1e-3)[0]
-    bare = design(twin.robot, limits=limits, motion=references(twin.robot, slow, 1e-3), **asked)  # type: ignore[arg-type]
-    plain = relative(bare)
-    assert plain["joint2.stiffness"] > 3 * own["joint2.stiffness"]
 
 
 def played() -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -214,17 +190,6 @@ def test_slow_controllers_are_predicted_with_their_feed_forward() -> None:
     swings = [np.ptp(simulate(loop, one).motor_position) for one in (bare.records(), q_fed(loop, q))]
     assert swings[0] > 1.1 * swings[1], "without it they overshoot"
     assert np.mean(np.log(stds(fed) / stds(bare))) > 0.3, "and would tell more of a motion that will not be made"
-
-
-def test_a_torque_without_friction_is_not_promised() -> None:
-    robot = two().robot
-    bare = replace(robot, joints=(robot.joints[0], RobotJoint("joint2", 0.3)))
-    found = design(bare, limits=LIMITS, duration=4.0, sample_time=T, motion=references(bare, played()[0]))
-    assert len(found.notes) == 1 and "joint2" in found.notes[0] and "a guess" in found.noise
-    whole = design(
-        robot, limits=LIMITS, duration=4.0, sample_time=T, motion=references(robot, played()[0]), noise=(1, 1)
-    )
-    assert not whole.notes and "a guess" not in whole.noise
 
 
 def arm(stiffness: float) -> RobotLoop:

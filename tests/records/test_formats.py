@@ -7,16 +7,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jointid.common.errors import ExtraError, RecordError
-from jointid.records.columns import Column
+import jointid as ji
+from jointid.output.json import dumps, to_dict
 from jointid.records.formats import Table, read_blocks, read_table, write_table
-from jointid.records.reading import read
-from tests.records.logged import LOGGED, POSITION, TIME, TORQUE, Logged
+from tests.records.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
 
 PACKAGES = {"hdf5": "h5py", "mat73": "h5py", "parquet": "pyarrow", "tdms": "nptdms", "mcap": "rosbags"}
 
@@ -41,7 +41,7 @@ def test_what_the_formats_own_library_writes_is_read(name: str, tmp_path: Path) 
 @pytest.mark.parametrize("name", ["mat", "hdf5", "mat73", "tdms", "mcap", "db3", "npz", "jsonl"])
 def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         next(iter(read_blocks(path, 10)))
     assert read_table(path).columns
 
@@ -91,7 +91,7 @@ def test_what_is_written_is_read_to_the_last_bit(
     ],
 )
 def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, tmp_path: Path) -> None:
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         write_table(tmp_path / name, table)
     assert not (tmp_path / name).exists()
 
@@ -106,7 +106,7 @@ def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, mo
     for module in [m for m in sys.modules if m.partition(".")[0] == PACKAGES[name]]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, PACKAGES[name], None)
-    with pytest.raises(ExtraError, match=rf'needs the package {PACKAGES[name]}.*pip install "jointid\[logs\]"'):
+    with pytest.raises(ji.JointidError, match=rf'needs the package {PACKAGES[name]}.*pip install "jointid\[logs\]"'):
         read_table(path)
 
 
@@ -115,13 +115,13 @@ def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(
     write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(1000)}))
     assert list(read_table(path).columns)[::999] == ["channel 0", "channel 999"]
     np.save(path, np.zeros((10_002, 10_001), dtype="u1"))
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         read_table(path)
     with path.open("wb") as file:  # a byte each in the file, and eight in memory
         header = {"descr": [("q", "|u1")], "fortran_order": False, "shape": (2**28,)}
         np.lib.format.write_array_header_1_0(file, header)
         file.truncate(file.tell() + 2**28)
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         read_table(path)
     assert next(read_blocks(path, 100)).rows == 100
 
@@ -129,7 +129,7 @@ def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(
 @pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
 def test_a_pipe_is_not_called_empty(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "run.csv")
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         read_table(tmp_path / "run.csv")
 
 
@@ -139,7 +139,7 @@ def test_a_pipe_is_not_called_empty(tmp_path: Path) -> None:
 
 def recorded(path: Path, logged: Logged, **how: Any) -> Any:
     time, position, torque = logged.names
-    return read(path, {"torque": torque, "reference": position}, time=time, kind="revolute", **how)
+    return ji.read(path, {"torque": torque, "reference": position}, time=time, kind="revolute", **how)
 
 
 def test_the_unit_of_the_file_counts_where_none_is_stated(tmp_path: Path) -> None:
@@ -154,7 +154,70 @@ def test_the_unit_of_the_file_counts_where_none_is_stated(tmp_path: Path) -> Non
     np.testing.assert_allclose(record.reference.values, POSITION * np.pi / 180)
     np.testing.assert_array_equal(record.torque.values, TORQUE)
     assert record.torque.sample_time == pytest.approx(1e-3)
-    stated = {"torque": "axis/tau", "reference": Column("axis/q", unit="rad")}
-    said = read(path, stated, time="t", kind="revolute")
-    assert said.reference is not None
+    stated = {"torque": "axis/tau", "reference": ji.Column("axis/q", unit="rad")}
+    said = ji.read(path, stated, time="t", kind="revolute")
     np.testing.assert_array_equal(said.reference.values, POSITION)
+
+
+def test_thousands_of_columns_are_told_in_a_thousand_lines(tmp_path: Path) -> None:
+    write_table(tmp_path / "wide.npy", Table({str(k): np.arange(3.0) for k in range(1, 2503)}))
+    inspection = ji.inspect(tmp_path / "wide.npy")
+    assert len(inspection.channels) == len(to_dict(inspection)["channels"]) == 2502
+    assert len(inspection.summary().splitlines()) < 1020
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{LOGGED[name].suffix}"
+    LOGGED[name].write(path)
+    inspection = ji.inspect(path)
+    channels = {channel.name: channel for channel in inspection.channels}
+    time, position, torque = (channels[column] for column in LOGGED[name].names)
+    assert position.time == torque.time == time.name
+    assert position.sample_time == pytest.approx(1e-3)
+    assert position.rows == ROWS
+    assert position.maximum == pytest.approx(1.0, abs=1e-4)
+    text = str(inspection)
+    assert "0.001 s" in text
+    assert ("rad" in text) == (name in ("hdf5", "parquet", "tdms"))
+    assert f'"{time.name}"' in dumps(to_dict(inspection))
+
+
+def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    columns = {"a/time": np.arange(9) / 10, "a/q": np.ones(9), "b/time [ms]": np.arange(5.0), "b/q": np.ones(5),
+               "c/time": np.array([0.0, 1.0, 0.5]), "c/q": np.ones(3)}  # fmt: skip
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file[name] = values
+    inspection = ji.inspect(path)
+    found = {channel.name: (channel.time, channel.sample_time) for channel in inspection.channels}
+    assert found["a/q"] == ("a/time", pytest.approx(0.1))
+    assert found["b/q"] == ("b/time [ms]", pytest.approx(1e-3))
+    assert found["c/q"] == (None, None)  # its clock runs back
+
+
+@pytest.mark.parametrize("name", ["t", "time [s]", "Zeit [ms]"])
+def test_a_column_called_time_is_the_clock_of_the_others(name: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(f"{name};torque\n0;1,5\n1;2,5\n2;0,5\n")
+    time, torque = ji.inspect(tmp_path / "run.csv").channels
+    assert time.time == time.name
+    assert torque.time == name
+
+
+def test_hostile_names_are_shown_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "run.npy"
+    hostile = "\x1b[2J\x07q\n\u202ex$^_{$"
+    write_table(path, Table({hostile: np.arange(3.0), "<script>": np.ones(3)}))
+    inspection = ji.inspect(path)
+    text = str(inspection)
+    assert all(character.isprintable() or character == "\n" for character in text)
+    assert "\\x1b[2J\\x07q\\n\\u202ex" in text
+
+
+def test_a_channel_without_numbers_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,q\n0,\n1,\n2,\n", encoding="utf-8")
+    inspection = ji.inspect(path)
+    assert inspection.channels[1].minimum is None
+    assert '"minimum": null' in dumps(to_dict(inspection))

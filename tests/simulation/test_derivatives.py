@@ -29,9 +29,8 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
-from tests.plants import Case, prismatic, rotary
+from tests.plants import LAWS, PIECES, Case, prismatic, rotary, with_law
 from tests.simulation.differences import AT_REST, error_beside_differences
-from tests.smooth_laws import LAWS, PIECES, with_law
 
 T = 1e-3
 RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}

@@ -15,9 +15,8 @@ from jointid.models.springs import SPRINGS
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
-from tests.plants import Case, prismatic, rotary
+from tests.plants import Case, prismatic, rotary, with_law
 from tests.simulation.differences import error_beside_differences
-from tests.smooth_laws import with_law
 
 _STEP = 3e-6
 

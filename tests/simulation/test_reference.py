@@ -15,9 +15,8 @@ from jointid.records.record import Record
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate
 from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
-from tests.plants import Case, prismatic, rotary
+from tests.plants import LAWS, PIECES, Case, prismatic, rotary, with_law
 from tests.simulation.reference import of_joint
-from tests.smooth_laws import LAWS, PIECES, with_law
 
 _PERIODS = 100
 _FINE = 0.01  # rad in a step

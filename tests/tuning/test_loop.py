@@ -101,26 +101,6 @@ def test_margins_are_those_of_python_control(
     assert found.delay == pytest.approx(min(delays), rel=3e-3)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.25, 1.0, 1.75, 3.0])
-def test_a_delay_of_part_of_a_period_is_sampled_exactly(late: float) -> None:
-    law = replace(CONTROLLERS["L19"], delay=late * PERIOD).law(PERIOD)
-    linear = linear_joints(FlexibleJoint("prismatic"), [dict(TABLE_2)])
-    coarse = sample_joints(linear, law)
-    fine = sample_joints(linear, replace(law, delay=0.0, period=PERIOD / 4))
-    torque = np.random.default_rng(0).standard_normal(20)
-    put_out = np.concatenate([np.zeros(round(4 * late)), np.repeat(torque, 4)])
-    state, expected = np.zeros(4), []
-    for at in range(4 * torque.size):
-        if at % 4 == 0:
-            expected.append(state)
-        state = fine.transition[0] @ state + fine.new[0] * put_out[at]
-    past = np.concatenate([np.zeros(coarse.whole + 1), torque])
-    state = np.zeros(4)
-    for at, wanted in enumerate(expected):
-        np.testing.assert_allclose(state, wanted, atol=1e-12)
-        state = coarse.transition[0] @ state + coarse.new[0] * past[at + 1] + coarse.old[0] * past[at]
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
     drive = random_drive(seed)

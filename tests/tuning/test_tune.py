@@ -55,29 +55,12 @@ def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | N
     return identify(record.without("motor_position", "load_position"), loop)
 
 
-@pytest.mark.slow
-def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
-    interval = possible_joints(estimate, 0.95)
-    assert "3.55 standard deviations" in interval.description  # the root of the quantile of chi-square with 6 degrees
-    points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))
-    points /= np.linalg.norm(points, axis=1)[:, np.newaxis]
-    for loop in (tuned.present, tuned.proposed):
-        assert loop is not None
-        law = loop.controller.law(PERIOD)
-        margins = joint_set(interval.joint, interval.at(points), law).margins(law)
-        stated = np.array([getattr(loop.worst, name) for name in NAMES])
-        assert np.all(margins >= 0.98 * stated)
-        assert np.all(np.min(margins, axis=0) <= 1.05 * stated)  # and it is no smaller than it must be
-
-
 def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estimate: Estimate, tuned: Tuned) -> None:
-    assert tuned.proposed is not None
     worst, asked = tuned.proposed.worst, tuned.settings
     assert worst.gain >= 0.995 * asked.gain_margin
     assert math.degrees(worst.phase) >= 0.995 * asked.phase_margin
     assert worst.modulus >= 0.995 * asked.modulus
     controller = tuned.proposed.controller
-    assert isinstance(controller, Cascade)
     faster = replace(
         controller, position_gain=1.1 * controller.position_gain, velocity_gain=1.1 * controller.velocity_gain
     ).law(PERIOD)
@@ -110,7 +93,6 @@ integral_gain = "20000 A/(m s)"
     assert [gain.unit for gain in tuned.gains] == ["A per m", "A per m/s", "A per m s"]
     [_, derivative, integral] = [(gain.before, gain.after) for gain in tuned.gains]
     law = tuned.proposed.controller  # type: ignore[union-attr]
-    assert isinstance(law, PID)
     assert derivative == (pytest.approx(400.0), pytest.approx(law.derivative_gain))
     assert integral == (pytest.approx(20000.0), pytest.approx(law.integral_gain))
     assert tuned.feedforward[0].after == pytest.approx(estimate.values["inertia"] / 5.0)
@@ -159,7 +141,6 @@ def test_a_layout_has_the_poles_that_its_formula_says(controller: Cascade | PD, 
     again = with_gains(with_gains(controller, inertia, rate, damping), inertia, 2 * rate, damping)
     if isinstance(again, PID | Cascade):
         first = with_gains(controller, inertia, rate, damping)
-        assert isinstance(first, PID | Cascade)
         assert again.integral_gain == pytest.approx(first.integral_gain * (8 if isinstance(again, PID) else 2))
 
 
@@ -173,7 +154,6 @@ def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
     errors = []
     for one in (controller, replace(controller, **proposed)):
         run = simulated_record(ClosedLoop(RigidJoint("prismatic"), one), REFERENCE, RIGID, sample_time=PERIOD)
-        assert run.motor_position is not None
         errors.append(float(np.std(run.motor_position.values - REFERENCE)))
     assert errors[1] < 0.1 * errors[0]
 
@@ -193,9 +173,7 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
     wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params.rows)
-    assert estimate.settings.loop is not None
     controller = estimate.settings.loop.controller
-    assert isinstance(controller, Cascade)
     fast = ClosedLoop(
         estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain)
     )  # 8.5 times as fast it would not be stable

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError
 from jointid.config import load
 from jointid.controller_id.structures import Structure
 from tests.learned_once import find_law
+from tests.rigid_axis import call as run
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -62,10 +62,6 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "arm.xml").write_text(MODEL, encoding="utf-8")
     (place / "robot.toml").write_text(ROBOT, encoding="utf-8")
     return place / "robot.toml"
-
-
-def run(*words: str | Path) -> object:
-    return app([str(word) for word in words], result_action="return_value")
 
 
 def test_commands_of_one_joint(

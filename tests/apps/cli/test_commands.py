@@ -5,10 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,29 +13,17 @@ import numpy as np
 import pytest
 
 import jointid
-from jointid.apps.cli import main
-from jointid.common.errors import MethodError, RecordError
+import jointid as ji
+from jointid.apps.cli.app import app
 from jointid.config import File, load
 from jointid.controller_id.learned_controller import LearnedController
-from jointid.models.controllers import Cascade
 from jointid.output.report import tune_to_limit
 from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
 from jointid.records.formats import Table, write_table
-from jointid.records.record import Record
-from jointid.records.writing import write
-from jointid.simulation.excitation import trapezoids
-from tests.apps.commands import commands
+from tests.joint_files import EXAMPLE as EMPS
+from tests.rigid_axis import JOINT, run, write_axis
 
 ROOT = Path(__file__).resolve().parents[3]
-EMPS = ROOT / "examples" / "emps" / "joint.toml"
-
-
-def run(*words: object) -> int:
-    """Run the program and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +44,7 @@ def demo(printed_demo: tuple[Path, str]) -> Path:
 def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the first 10 s of a demo's record; all 24 s take longer."""
     whole = tmp_path_factory.mktemp("brief") / "record.csv"
-    write(twin(seed=7).record, whole)
+    ji.write(twin(seed=7).record, whole)
     whole.write_text("".join(whole.read_text(encoding="utf-8").splitlines(keepends=True)[:10_001]), encoding="utf-8")
     return whole
 
@@ -134,48 +119,6 @@ def test_identify_validate_simulate_on_the_real_axis(
     assert again["fit"]["relative_error"] <= 1e-6
 
 
-def test_what_is_simulated_for_a_profile_is_identified_by_it(tmp_path: Path) -> None:
-    """A geared axis traced by a CiA 402 drive, in counts and per mille: simulate and identify, with one joint file.
-
-    What drives the simulation has no torque, as a designed test has none.
-    """
-    text = """[joint]
-kind = "revolute"
-[transmission]
-ratio = 50
-[record]
-file = "trace.csv"
-[record.channels]
-reference = { sign = -1 }
-[drive]
-profile = "cia402"
-rated_torque = 1.27
-counts_per_turn = 1048576
-[controller]
-law = "cascade"
-position_gain = 25.0
-velocity_gain = 0.02
-[parameters]
-inertia = { start = 0.5 }
-viscous = { start = 2.5 }
-coulomb = { start = 1.5 }
-offset = { start = 0.5 }
-"""
-    reference = trapezoids((20.0, 40.0), 400.0, 60.0, 1e-3, duration=8.0) / (2 * np.pi) * 2**20  # counts of the motor
-    columns = {"t": np.arange(reference.size) * 1e-3, "6062h": -reference}
-    write_table(tmp_path / "trace.csv", Table(columns))
-    joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
-    joint.write_text(text, encoding="utf-8")
-    assert run("simulate", joint, "--out", made, "-q") == 0
-    names, *rows = made.read_text(encoding="utf-8").splitlines()
-    assert names == "t,6074h,6062h,6064h"
-    assert max(len(row.partition(",")[0]) for row in rows) == len("7.999")
-    assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
-    found = json.loads(out.read_text(encoding="utf-8"))["parameters"]
-    for name, value in {"inertia": 0.5, "viscous": 2.5, "coulomb": 1.5, "offset": 0.5}.items():
-        assert abs(found[name]["value"] / value - 1) <= 1e-6, name
-
-
 def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: Path) -> None:
     """The record begins 2 ms after its file, at its first refresh; what is written begins with itself."""
     text = """[joint]
@@ -197,7 +140,7 @@ viscous = { start = 0.2 }
 coulomb = { start = 0.3 }
 offset = { start = 0.1 }
 """
-    slow = trapezoids((1.0, 2.0), 10.0, 2.0, 4e-3, duration=16.0)
+    slow = ji.excitation.trapezoids((1.0, 2.0), 10.0, 2.0, 4e-3, duration=16.0)
     samples = 4 * slow.size
     rows = np.maximum((np.arange(samples) - 2) // 4, 0)
     columns = {"t": np.arange(samples) * 1e-3, "r": slow[rows], "i": np.sin(0.3 * rows)}
@@ -212,29 +155,15 @@ offset = { start = 0.1 }
     assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
 
 
-def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out.json"
-    filtering = "{position_cutoff=100, cutoff=40, decimation=10, borders=[49, 0], timing='as_sampled'}"
-    published = ("--set", "method.name=idim", "--set", f"filtering={filtering}")
-    words = ("--record", emps_path, *published, "-q", "--json", out)
-    assert run("identify", EMPS, *words) == 0
-    assert "4.0834 %" in capsys.readouterr().out
-    pulses = emps_path.with_name("DATA_EMPS_PULSES.mat")
-    assert run("validate", EMPS, "--estimate", out, "--record", pulses) == 0
-    assert "5.9824 %" in capsys.readouterr().out
-    assert run("identify", EMPS, *words, "--set", "joint.friction=asymmetric") == 0
-    assert "3.1117 %" in capsys.readouterr().out
-
-
 @pytest.fixture
-def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
+def learned(monkeypatch: pytest.MonkeyPatch) -> ji.controller.Cascade:
     """The controller that is found here, at once: a velocity loop at 4 ms, a position loop at every fourth of them."""
-    controller = Cascade(
+    controller = ji.controller.Cascade(
         position_gain=40.0, velocity_gain=2.0, period=4e-3, position_period=16e-3, position_offset=12e-3
     )
     nothing = np.zeros(0)
 
-    def learn_controller(record: Record, **_: object) -> LearnedController:
+    def learn_controller(record: ji.Record, **_: object) -> LearnedController:
         return LearnedController(
             controller, "P-P", (), nothing, (), None, {}, 0.0, 0.0, 0.0, 0.0, nothing, "N m", "rad", record.name, None,
         )  # fmt: skip
@@ -245,27 +174,15 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
 
 @pytest.mark.parametrize("place", [".", "learned/here", "../beside"])
 def test_a_learned_joint_file_finds_its_record_from_any_folder(
-    tmp_path: Path, learned: Cascade, place: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, learned: ji.controller.Cascade, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     home = tmp_path / "home"
     home.mkdir()
-    time = np.arange(400) * 1e-3
-    write_table(
-        home / "run 1.csv",
-        Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)}),
-    )
-    (home / "joint.toml").write_text(
-        """[joint]
-kind = "revolute"
-[record]
-file = 'run 1.csv'               # of the morning
-[drive]
-profile = "generic"
-[method]
-name = "idim"
-""",
-        encoding="utf-8",
-    )
+    columns = dict.fromkeys(("torque", "position", "reference"), np.sin(np.arange(400.0)))
+    write_table(home / "run 1.csv", Table({"t": np.arange(400) * 1e-3, **columns}))
+    text = "[joint]\nkind = 'revolute'\n[record]\nfile = 'run 1.csv'               # of the morning\n"
+    text += "[drive]\nprofile = 'generic'\n[method]\nname = 'idim'\n"
+    (home / "joint.toml").write_text(text, encoding="utf-8")
     folder = home / place
     folder.mkdir(parents=True, exist_ok=True)
     monkeypatch.chdir(home)
@@ -310,30 +227,8 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(
 
 
 def test_listed_records_alone_are_examined_and_planned_from(tmp_path: Path) -> None:
-    reference = trapezoids((1.0, 2.0), 10.0, 2.0, 1e-3, duration=2.0)
-    for name in ("a", "b"):
-        write_table(tmp_path / f"{name}.csv", Table({"r": reference, "i": np.zeros(reference.size)}))
-    joint = tmp_path / "joint.toml"
-    joint.write_text(
-        """[joint]
-kind = "revolute"
-[record]
-sample_time = 0.001
-[record.channels]
-torque = { column = "i" }
-reference = { column = "r" }
-[controller]
-law = "cascade"
-position_gain = 10.0
-velocity_gain = 2.0
-[[records]]
-file = "a.csv"
-[[records]]
-file = "b.csv"
-""",
-        encoding="utf-8",
-    )
-    assert run("diagnose", joint) == 3
+    joint = write_axis(tmp_path, JOINT.replace('file = "run.npy"\n', "") + '[[records]]\nfile = "run.npy"\n' * 2)
+    assert run("diagnose", joint) == 0
     assert run("diagnose", joint, "--json", tmp_path / "found.json") == 2
     assert run("design", joint) == 2
 
@@ -353,14 +248,13 @@ def test_a_file_or_goal_that_is_not_there_is_refused_before_the_joint_is_identif
     assert run(*words) == 2
 
 
-@pytest.mark.parametrize("words", [("report",), ("design",)])
+@pytest.mark.parametrize("command", ["report", "design"])
 def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_identified(
-    words: tuple[str, ...], demo: Path, monkeypatch: pytest.MonkeyPatch
+    command: str, demo: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(demo)
     monkeypatch.setattr(File, "identify", None)
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", 1000)
-    assert run(words[0], "joint.toml", "-q", *words[1:]) == 2
+    assert run(command, demo / "joint.toml", "-q") == 2
 
 
 def test_the_rigid_example_finds_the_sums(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -399,44 +293,26 @@ def test_a_demo_that_is_interrupted_leaves_no_folder(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.slow
-def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = friction_of(emps_path, "asymmetric-stribeck", tmp_path / "out.json", capsys)
-    assert found == pytest.approx(-9.3, abs=0.2)  # beside the delay within a sample that is identified with it
-
-
-def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture[str]) -> float:
-    """Return the force of Stribeck's law that is identified as the comparison of the laws says."""
-    assert run("diagnose", EMPS, "--laws", "--record", record, "--json", out, "-q") == 3
-    assert f'declare the joint with friction = "{law}" to identify it' in " ".join(capsys.readouterr().out.split())
+def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path) -> None:
+    """It is identified as the comparison of the laws says, beside the delay within a sample."""
+    law, out = "asymmetric-stribeck", tmp_path / "out.json"
+    assert run("diagnose", EMPS, "--laws", "--record", emps_path, "--json", out, "-q") == 3
     (frictions,) = json.loads(out.read_text(encoding="utf-8"))["laws"]
     assert (frictions["kind"], frictions["shown"]["name"]) == ("friction", law)
     keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
-    assert run("identify", EMPS, "--record", record, *keys) == 0
-    return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"])
+    assert run("identify", EMPS, "--record", emps_path, *keys) == 0
+    force = json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"]
+    assert force == pytest.approx(-9.3, abs=0.2)
 
 
 def test_every_command_is_documented() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^## `jointid ([a-z-]+)", page, re.MULTILINE)) == set(commands())
+    assert set(re.findall(r"^## `jointid ([a-z-]+)", page, re.MULTILINE)) == {
+        name for name in app if not name.startswith("-")
+    }
 
 
-@pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])
-def test_small_matrices_are_left_to_one_thread(given: str | None, kept: str) -> None:
-    """Before NumPy is loaded, which reads it once; what the user has set stays."""
-    program = (
-        "import os, sys\n"
-        "from jointid.apps.cli import main\n"
-        "assert 'numpy' not in sys.modules\n"
-        "try:\n    main(['--version'])\n"
-        "except SystemExit:\n    print(os.environ['OPENBLAS_NUM_THREADS'])\n"
-    )
-    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
-    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    assert ran.stdout.split()[-1] == kept
-
-
-@pytest.mark.parametrize("raised", [MethodError, RecordError, np.linalg.LinAlgError])
+@pytest.mark.parametrize("raised", [ji.MethodError, ji.RecordError, np.linalg.LinAlgError])
 def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise raised("by design")

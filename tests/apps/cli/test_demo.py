@@ -7,18 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.cli import main
 from jointid.apps.cli.demo import FIRST_DAY
 from jointid.config import load
+from tests.rigid_axis import run
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-def run(*words: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
 from jointid.common.messages import Detail, follow, ignore_progress
+from tests.rigid_axis import LOOP, TRUTH
 
 
 def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,12 +28,10 @@ def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_first_pass_over_a_log_is_told_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jointid.common.messages._OFTEN", 0.0)
-    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=30.0)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     said: list[str] = []
-    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    ji.identify(record, loop, windows=6.0, progress=said.append)
+    record = ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3)
+    ji.identify(record, LOOP, windows=6.0, progress=said.append)
     assert next(one for one in said if isinstance(one, Detail) and one.pace) == "passing over the log: 1 windows"
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.apps.cli.app import app
 from jointid.common.errors import RecordError
 from jointid.output.export import export
+from tests.rigid_axis import call as run
 from tests.robots_plants import Twin, two
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -26,10 +26,6 @@ sample_time = 0.001
 torque = { column = "tau{axis}" }
 reference = { column = "r{axis}" }
 """
-
-
-def run(*words: str | Path) -> None:
-    app([str(word) for word in words], result_action="return_value")
 
 
 def write_files(place: Path, twin: Twin, seconds: float, multisine: float = 0.0, heavier: float = 1.0) -> None:

@@ -10,14 +10,10 @@ from pathlib import Path
 import pytest
 import uvicorn
 
+import jointid as ji
 from jointid.apps.web import application as serving
 from jointid.apps.web import folder as bound
 from jointid.apps.web.application import build_application
-from jointid.models.controllers import Cascade
-from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.records.writing import write
-from jointid.simulation.excitation import trapezoids
-from jointid.simulation.synthesis import simulated_record
 from tests.apps.web.asking import ADDRESS, TOKEN, WAIT, Asker, Served
 from tests.apps.web.testclient import TestClient
 
@@ -51,11 +47,11 @@ def asker(client: TestClient) -> Asker:
 @pytest.fixture(scope="session")
 def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A log of a rigid axis under a P-P law, position_gain 60, velocity_gain 500; its truth is TRUTH."""
-    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=60.0, velocity_gain=500.0))
-    reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
-    record = simulated_record(loop, reference, TRUTH, sample_time=1e-3, encoder_step=1e-7)
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=60.0, velocity_gain=500.0))
+    reference = ji.excitation.trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
+    record = ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3, encoder_step=1e-7)
     path = tmp_path_factory.mktemp("log") / "log.csv"
-    write(record, path)
+    ji.write(record, path)
     return path.read_bytes()
 
 

@@ -8,20 +8,17 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from jointid.apps.cli import main
-from tests.browser import browser_path
+from tests.browser import opened
+from tests.rigid_axis import run
 
 pytestmark = pytest.mark.browser
 
-ARGUMENTS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--no-first-run",
-]  # fmt: skip
 LAW = {
     "position_gain": "160.18",
     "velocity_gain": "243.45",
@@ -40,42 +37,19 @@ def address(tmp_path: Path) -> Iterator[str]:
     program = "import sys; from jointid.apps.cli import main; main(sys.argv[1:])"
     words = [sys.executable, "-c", program, "serve", "--port", "0", "--folder", str(folder)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         found = re.search(r"http://127\.0\.0\.1:\d+/[\w-]+/", process.stdout.readline())
-        assert found is not None
         yield found[0]
         process.terminate()
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    path = browser_path()
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as running:
-        launched = running.chromium.launch(executable_path=path, args=ARGUMENTS)
-        yield launched
-        launched.close()
-
-
+@dataclass
 class Visit:
     """A person with a fresh browser; what the page complains of, and where it asks, is written down."""
 
-    def __init__(self, browser: Any, address: str, size: dict[str, int] | None = None) -> None:
-        self.size = size or DESK
-        self.page = browser.new_context(viewport=self.size).new_page()
-        self.address = address
-        self.complaints: list[str] = []
-        self.elsewhere: list[str] = []
-        self.page.set_default_timeout(60_000)
-        self.page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", self._asked)
-        self.page.goto(address)
-
-    def _asked(self, request: Any) -> None:
-        if not request.url.startswith((self.address, "data:", "blob:")):
-            self.elsewhere.append(request.url)
+    page: Any
+    complaints: list[str]
+    address: str
+    size: dict[str, int]
 
     def looked_at(self, name: str) -> None:
         """Nothing is wider than the screen, of a desk or of a phone; a picture is left where one is wanted."""
@@ -107,6 +81,14 @@ class Visit:
         return self.page.locator(f'[name="{name}"]')
 
 
+@pytest.fixture
+def visit(address: str, request: pytest.FixtureRequest) -> Iterator[Visit]:
+    size = getattr(request, "param", DESK)
+    with opened(address, viewport=size) as (page, complaints):
+        page.set_default_timeout(60_000)
+        yield Visit(page, complaints, address, size)
+
+
 def upload(visit: Visit, record: Path) -> None:
     visit.page.set_input_files("#file", record)
     visit.page.get_by_role("button", name="Read it").click()
@@ -133,9 +115,9 @@ def fill_in_controller(visit: Visit) -> None:
     visit.field("extra").fill("controller.velocity_filter = [0.5, 0.5]")
 
 
-def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("visit", [PHONE], indirect=True)
+def test_emps_end_to_end(visit: Visit, emps_path: Path, tmp_path: Path) -> None:
     """On a phone, where everything is harder to reach."""
-    visit = Visit(browser, address, PHONE)
     page = visit.page
     visit.looked_at("1-record")
     upload(visit, emps_path)
@@ -176,14 +158,11 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
         page.get_by_role("link", name="Joint file").click()
     joint = tmp_path / "joint.toml"
     downloading.value.save_as(joint)
-    with pytest.raises(SystemExit) as end:
-        main(["identify", str(joint), "--record", str(emps_path), "--json", str(tmp_path / "again.json"), "-q"])
-    assert end.value.code == 0
+    assert run("identify", joint, "--record", emps_path, "--json", tmp_path / "again.json", "-q") == 0
     again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
-    answer = page.context.request.get(f"{address}runs/1/answer.json").json()
+    answer = page.context.request.get(f"{visit.address}runs/1/answer.json").json()
     assert again["parameters"] == answer["parameters"]
     assert visit.complaints == []
-    assert visit.elsewhere == []
 
 
 def tab_to(visit: Visit, selector: str) -> None:
@@ -197,8 +176,7 @@ def tab_to(visit: Visit, selector: str) -> None:
     raise AssertionError(f"Tab never reaches {selector}")
 
 
-def test_by_keyboard_alone(browser: Any, address: str) -> None:
-    visit = Visit(browser, address)
+def test_by_keyboard_alone(visit: Visit) -> None:
     page, keys = visit.page, visit.page.keyboard
     keys.press("Tab")
     assert page.evaluate("document.activeElement.className") == "skip"
@@ -234,8 +212,7 @@ def test_by_keyboard_alone(browser: Any, address: str) -> None:
     page.wait_for_selector("h1:has-text('Cancelled')")
 
 
-def test_a_file_that_is_dropped_is_read(browser: Any, address: str) -> None:
-    visit = Visit(browser, address)
+def test_a_file_that_is_dropped_is_read(visit: Visit) -> None:
     visit.page.evaluate(
         """() => {
             const data = new DataTransfer();

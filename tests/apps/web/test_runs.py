@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from jointid.apps.cli import main
 from jointid.apps.web import folder as folder_module
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Draft
 from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
+from tests.rigid_axis import run as command
 
 pytestmark = pytest.mark.slow
 
@@ -66,9 +66,7 @@ def test_from_a_log_to_files_that_repeat_the_answer(asker: Asker, log: bytes, tm
     for name, value in TRUTH.items():
         assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
     assert {*run.files} == {"joint.toml", "answer.json", "report.html", "log.csv"}
-    with pytest.raises(SystemExit) as end:
-        main(["identify", str(run.path / "joint.toml"), "--json", str(tmp_path / "again.json"), "-q"])
-    assert end.value.code == 0
+    assert command("identify", run.path / "joint.toml", "--json", tmp_path / "again.json", "-q") == 0
     again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
     assert (again["parameters"], again["data"]) == (answer["parameters"], answer["data"])
     report = client.get(f"/runs/{run.path.name}/report.html")

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from jointid.apps.cli import main
 from jointid.apps.web.folder import Draft
 from tests.apps.cli.test_robots import HEAD, write_robot
 from tests.apps.web.asking import LAW, UNITS, Asker
 from tests.estimation.robots.twin import arm
+from tests.rigid_axis import run as command
 
 ROBOT = HEAD + '[[joints]]\nname = "joint1"\n[[joints]]\nname = "joint2"\n'
 
@@ -65,9 +65,7 @@ def test_a_mistake_in_the_text_is_refused_and_stays_to_be_mended(asker: Asker, l
 
 def answers_of(run: Draft, folder: Path) -> tuple[Any, Any]:
     """Return the answers of the page and of the command in the folder of the run."""
-    with pytest.raises(SystemExit) as end:
-        main(["identify", str(run.path / run.file), "--json", str(folder / "again.json"), "-q"])
-    assert end.value.code == 0
+    assert command("identify", run.path / run.file, "--json", folder / "again.json", "-q") == 0
     return run.json("answer.json"), json.loads((folder / "again.json").read_text(encoding="utf-8"))
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import pickle
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -89,21 +86,6 @@ def test_a_name_is_not_looked_for_on_this_machine(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.run").mkdir()  # where it is looked for, a folder is a bag
     assert "no format that is read" in asker.said("there.run", log)
-    assert not asker.kept
-
-
-class Boom:
-    """An object that would run code when it is unpickled."""
-
-    def __reduce__(self) -> tuple[object, tuple[str]]:
-        return exec, ("raise SystemExit('executed')",)
-
-
-def test_nothing_in_a_file_is_executed(asker: Asker) -> None:
-    objects = io.BytesIO()
-    np.save(objects, np.array([Boom()], dtype=object), allow_pickle=True)
-    assert "executed" not in asker.said("a.npy", objects.getvalue())
-    assert "executed" not in asker.said("a.mat", pickle.dumps(Boom()))
     assert not asker.kept
 
 

@@ -20,16 +20,6 @@ PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "to
 """The paper's axis with what springs in pieces have, too."""
 
 
-SMOOTH = TABLE_2 | {
-    "cubic_stiffness": 1e13, "hysteresis_stiffness": 3e5, "hysteresis_torque": 5.0, "motor_presliding_distance": 1e-3,
-    "load_presliding_distance": 4e-4, "load_friction_per_torque": 0.1, "motor_viscous_drift": -100.0,
-    "motor_coulomb_drift": 5.0, "load_coulomb_drift": -4.0,
-    "load_viscous_drift": 200.0, "swinging_share": 0.3, "swinging_stiffness": 1e6, "swinging_damping": 200.0,
-    "harmonic_1_cosine": 3.0, "harmonic_1_sine": -2.0, "harmonic_2_cosine": 0.0, "harmonic_2_sine": 4.0,
-}  # fmt: skip
-"""The paper's axis with what smooth laws have, too."""
-
-
 def model(joint: Joint, values: Mapping[str, float | None], record: str = "run 7", **settings: Any) -> ji.Estimate:
     """An estimate of these values, and with these settings."""
     rows = tuple(EstimatedParameter(p.name, p.symbol, joint.unit(p), values[p.name], 0.01, True, True)
@@ -75,7 +65,6 @@ def simulated(
 ) -> np.ndarray:
     """The torque of our own simulation of the same loop, at 1 kHz."""
     record = ji.simulated_record(ji.ClosedLoop(joint, law), reference, values, sample_time=1e-3)
-    assert record.torque is not None
     return record.torque.values
 
 

@@ -10,23 +10,15 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.apps.cli import main
 from jointid.config import loads
 from jointid.output.export.joint_model import JointModel
 from jointid.paper.twin import JOINT_FILE, TABLE_2
-from jointid.simulation.closed_loop import Simulation
 from tests.output.export.models import model, with_parameter
+from tests.rigid_axis import run
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = 'run"\n[joint]\nkind = "revolute" \x07 \u2028 \\'
 RIGID = {"inertia": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
-
-
-def run(*words: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 @pytest.fixture
@@ -89,8 +81,6 @@ def test_simulate_takes_the_joint_file_and_gives_the_torque_of_the_estimate(fold
     assert exported(folder, "filled.toml") == 0
     assert run("simulate", folder / "filled.toml", "--out", folder / "torque.csv", "-q") == 0
     again = ji.load(folder / "filled.toml").record(folder / "torque.csv")
-    assert again.torque is not None
-    assert made.torque is not None
     assert abs(again.torque.values - made.torque.values).max() < 1e-9
 
 
@@ -103,12 +93,6 @@ def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> Non
     assert set(again.parameters) == {*TABLE_2} - {"stiffness", "motor_viscous"}
     with pytest.raises(ji.MethodError):
         ji.export(model(file.joint, values), "mjcf")
-
-
-@pytest.mark.parametrize("name", ["motor_inertia", "load_viscous", "load_coulomb", "stiffness", "damping"])
-def test_a_value_that_no_joint_can_have_is_named(name: str) -> None:
-    with pytest.raises(ji.MethodError, match=f"{name} is -4"):
-        ji.export(model(ji.FlexibleJoint("prismatic"), {**TABLE_2, name: -4.0}), "mjcf")
 
 
 def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
@@ -165,24 +149,6 @@ def test_mistakes_are_refused(folder: Path, words: tuple[object, ...]) -> None:
     before = (folder / "out.json").read_bytes()
     assert exported(folder, *words) == 2
     assert (folder / "out.json").read_bytes() == before
-
-
-def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
-    first, second = (ji.twin("L19", seed=seed).record for seed in (1, 2))
-    loop = ji.ClosedLoop(
-        ji.RigidJoint("prismatic"),
-        ji.controller.Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188),
-    )
-    alone = ji.identify(first, loop, filtering=ji.Filtering(cutoff=5.0))
-    both = ji.identify([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
-    hours = ji.identify(first, loop, windows=6.0, filtering=ji.Filtering(cutoff=5.0))
-    for estimate in (alone, both, hours):
-        text = ji.export(estimate, "mjcf", name="Achse").text
-        assert 'model="Achse"' in text and repr(estimate["inertia"].value) in text
-    with pytest.raises(ji.MethodError):
-        ji.export(object.__new__(Simulation), "urdf")  # type: ignore[arg-type]
-    with pytest.raises(ji.MethodError):
-        ji.export(alone, "urdf", side="left")  # type: ignore[arg-type]
 
 
 def test_to_the_other_side_and_back_nothing_changes() -> None:

@@ -89,16 +89,6 @@ def test_a_spring_that_becomes_softer_is_none_of_mujoco_s() -> None:
         ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "mjcf")
 
 
-def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:
-    joint, law = ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"]
-    values = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0}
-    reference = REFERENCE[:3000]
-    ours = simulated(joint, law, reference, values)
-    coarse, fine = (apart(mjcf_torque(joint, values, law, reference, timestep=step), ours) for step in (1e-4, 1e-5))
-    assert fine < 4e-4  # measured: 3.0e-4, first order in the step
-    assert fine < 0.2 * coarse
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("gear", [{"load": "prismatic", "lead": 0.010}, {"load": "revolute", "ratio": 50.0}])
 def test_behind_a_gear_or_a_screw_the_control_is_the_motor_s_own_torque(gear: dict[str, Any], sign: int) -> None:

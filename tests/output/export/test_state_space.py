@@ -71,12 +71,6 @@ def test_python_control_closes_the_loop_with_our_torque(made: str, tmp_path: Pat
     assert apart(servo(law, reference, T, plant), simulated(JOINT, law, reference, VISCOUS)) < 1e-9
 
 
-def test_its_poles_are_the_joint_s() -> None:
-    free = ji.FlexibleJoint.frequencies(TABLE_2)
-    poles = np.linalg.eigvals(ji.state_space(model(JOINT, TABLE_2)).A)
-    assert max(abs(poles)) / (2 * np.pi) == pytest.approx(free["free_free"], rel=1e-3)
-
-
 def test_on_the_other_side_of_a_transmission_the_motion_is_the_same(tmp_path: Path) -> None:
     gear = ji.Transmission(load="revolute", ratio=80.0, sign=-1)
     told = model(ji.FlexibleJoint("revolute", transmission=gear), VISCOUS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from html.parser import HTMLParser
 
 import numpy as np
 
@@ -11,7 +12,37 @@ from jointid.common.document import Document, Heading, Table
 from jointid.output.report import Report
 from tests.mistakes import cut
 
+VOID = ("meta", "link", "br", "hr", "img", "input")
 EVIL = "<script>document.title='x'</script></script><!--[a](javascript:x)|"
+
+
+class Elements(HTMLParser):
+    """The elements of a text, as a browser takes it apart; each that is closed was the last to be opened."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+        self.close()
+
+    @property
+    def tags(self) -> list[str]:
+        return [tag for tag, _ in self.found]
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_startendtag(tag, attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
 
 
 def rigid_record(

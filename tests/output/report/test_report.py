@@ -6,39 +6,31 @@ import json
 import os
 import re
 import shlex
-from html.parser import HTMLParser
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
 from jointid.common.document import templates
-from jointid.output.report import repetition
-from tests.apps.cli.test_commands import EMPS, run
+from jointid.diagnostics.report_data import compute_response, estimate_spectra
+from jointid.estimation.result.robot import SpringVerdict
+from jointid.output.report import Report, repetition
 from tests.browser import opened
+from tests.estimation.robots.twin import arm, identified, records_of
+from tests.joint_files import EXAMPLE as EMPS
 from tests.output.report import reports
+from tests.output.report.reports import Elements
+from tests.rigid_axis import run
+from tests.robots_plants import two
 
 SECTIONS = (
     "Result", "Parameters", "Torque", "Appendix", "The estimate in full", "Residual", "Spectra",
     "Frequency response", "Settings and data",
 )  # fmt: skip
-
-
-class Elements(HTMLParser):
-    """The elements of a page, as a browser takes it apart."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.found: list[tuple[str, dict[str, str | None]]] = []
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
-
-    def of(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.found if name == tag]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +63,6 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
 def test_the_three_frequencies_are_marked() -> None:
     told = reports.flexible()
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)
-    assert told.data.response is not None
     assert told.data.response.modes == expected
     marks = [text.get_text() for text in told.figures["spectra"].axes[0].texts]
     assert [f"{name} {hertz:.1f} Hz" for name, hertz in (
@@ -104,7 +95,6 @@ def test_nothing_is_loaded_from_elsewhere(rigid_page: str) -> None:
         for name in ("src", "href", "xlink:href"):
             assert (attributes.get(name) or "#").startswith(("#", "data:")), (tag, attributes)
     policy = next(m["content"] for m in elements.of("meta") if m.get("http-equiv") == "Content-Security-Policy")
-    assert policy is not None
     assert policy.startswith("default-src 'none';")
     assert "script-src" not in policy
 
@@ -127,7 +117,7 @@ def test_a_chart_makes_no_element_of_a_name() -> None:
         return figure
 
     figures = [draw(name) for name in ("a name", reports.EVIL, r"$\none$")]
-    friendly, hostile, _ = ([tag for tag, _ in Elements(svg(one, "x").decode()).found] for one in figures)
+    friendly, hostile, _ = (Elements(svg(one, "x").decode()).tags for one in figures)
     assert set(hostile) == set(friendly)
     assert hostile.count("text") == friendly.count("text")
 
@@ -161,3 +151,65 @@ def test_the_page_shows_its_charts_and_runs_no_name(rigid_page: str, tmp_path: P
         assert complaints == []
     with opened(path, viewport={"width": 820, "height": 900}) as (page, _):
         assert page.evaluate("document.documentElement.scrollWidth") <= 820
+
+
+def test_the_motor_dips_at_the_motor_locked_frequency_and_peaks_at_the_free_free_one() -> None:
+    found = compute_response(reports.flexible().estimate)
+    motor = found.curves[0]
+    near = (found.frequency > 15) & (found.frequency < 60)
+    lowest = found.frequency[near][np.argmin(motor.magnitude[near])]
+    highest = found.frequency[near][np.argmax(motor.magnitude[near])]
+    assert lowest == pytest.approx(found.modes["motor_locked"], rel=0.02)
+    assert highest == pytest.approx(found.modes["free_free"], rel=0.02)
+
+
+def test_the_band_is_that_of_the_covariance() -> None:
+    estimate = reports.rigid().estimate
+    found = compute_response(estimate)
+    curve = found.curves[0]
+    inertia = estimate["inertia"]
+    assert inertia.value is not None
+    assert inertia.stderr is not None
+    ratio = curve.high[-1] / curve.magnitude[-1]  # far above the corner only the inertia counts
+    assert np.log(ratio) == pytest.approx(2 * inertia.stderr / inertia.value, rel=0.02)
+
+
+def test_the_spectrum_of_white_noise_is_flat_and_of_the_right_size() -> None:
+    noise = np.random.default_rng(0).standard_normal(50_000)
+    found = estimate_spectra(noise, np.zeros_like(noise), 1e-3)
+    inner = found.error[2:-2]
+    assert np.mean(inner**2) == pytest.approx(1.0 / 500.0, rel=0.03)  # variance 1 over 500 Hz
+    assert np.array_equal(found.error, found.measured)
+    with pytest.raises(ji.RecordError):
+        estimate_spectra(noise[:20], noise[:20], 1e-3)
+
+
+def test_what_is_refused_is_not_in_the_table() -> None:
+    twin = two((9.0, None))
+    loop, driven = twin.loop(), twin.records(2.0, multisine=0.01)
+    logged = ji.simulate(loop, driven).records(driven)
+    records = tuple(ji.Record(torque=one.torque, reference=one.reference) for one in logged)
+    found = identified(loop, records, ji.DIDIM(evaluations=3))
+    part = replace(found.require_robot(), springs=(SpringVerdict("joint1", False, None, None, 1234.0),))
+    bounds = {"joint1.stiffness": 1234.0, "joint1.damping": None}
+    rows = tuple(
+        replace(row, value=None, stderr=None, lower_bound=bounds[row.name]) if row.name in bounds else row
+        for row in found.params.rows
+    )
+    estimate = replace(found, robot=part, params=replace(found.params, rows=rows))
+    told = Report.of(estimate, records)
+    text = reports.marked(told)
+    assert "| joint1, stiffness | c | > 1234 |" in text
+    assert "It was not held against a record that it has not seen" in text
+    answer = json.loads(told.answer())
+    assert answer["estimate"]["schema"] == "jointid.Estimate/2" and answer["validation"] is None
+    assert set(told.figures) == {"torque", "residual", "spectra"}
+    assert np.ptp(told.figures["torque"].axes[0].lines[0].get_ydata()) > 0
+
+
+def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
+    records = records_of(arm(3), 2, noise=0.2)
+    for axes in Report.of(identified(arm(3), records), records).figures["torque"].axes:
+        for line in axes.lines:
+            hidden = np.isnan(np.asarray(line.get_ydata()))
+            assert 0 < np.mean(hidden) < 0.5
