@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import jointid as ji
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
+from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_numbers import RobotNumbers
 
 T = TypeVar("T", bound=ji.Estimate)
@@ -23,9 +24,7 @@ def amended(estimate: T, **parts: Mapping[str, Any]) -> T:
     return replace(estimate, **{name: replace(getattr(estimate, name), **entries) for name, entries in parts.items()})
 
 
-def errors_of_bodies(
-    estimate: ji.Estimate, bodies: ji.robots.Robot, records: Sequence[ji.Record]
-) -> list[float | None]:
+def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.Record]) -> list[float | None]:
     """Return what a robot leaves of the records of another motion, in the place of the estimate's nominal one."""
     part = estimate.require_robot()
     if estimate.settings.method == "idim":

@@ -7,9 +7,10 @@ import numpy as np
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
+from jointid.models.robots.robot import Robot
 
 
-def model_of(robot: ji.robots.Robot, step: float) -> mujoco.MjModel:
+def model_of(robot: Robot, step: float) -> mujoco.MjModel:
     """Return a robot for steps of that many seconds; its Coulomb friction is MuJoCo's constraint, made hard."""
     model = mujoco.MjModel.from_xml_string(ji.export(robot, "mjcf", timestep=step).text)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -19,7 +20,7 @@ def model_of(robot: ji.robots.Robot, step: float) -> mujoco.MjModel:
 
 
 def simulate_by_mujoco(
-    robot: ji.robots.Robot,
+    robot: Robot,
     gains: FloatArray,
     references: FloatArray,
     period: float,

@@ -142,7 +142,7 @@ def values(record: ji.Record, name: str) -> np.ndarray:
 def test_an_added_inertia_is_on_the_load(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = '[[records]]\nfile = "a.csv"\n[[records]]\nfile = "b.csv"\nadded_inertia = 10.0\n'
     monkeypatch.setattr(File, "record", lambda *_: None)
-    monkeypatch.setattr(File, "identify", lambda *_, several, **__: several.added_inertia)
+    monkeypatch.setattr(File, "identify", lambda *_, several, **__: several["added_inertia"])
     assert file_of(folder, GEARED + runs).identify_together() == [0.0, 10.0]
     assert file_of(folder, GEARED + runs, "motor").identify_together() == [0.0, pytest.approx(10.0 / R**2)]
     assert file_of(folder, ON_THE_MOTOR + runs).identify_together() == [0.0, 10.0]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.planning.predict import Noise
 from jointid.simulation import excitation
 from tests.planning.planned import LOOP, TRUTH, T, planned_record, predict_test
 

@@ -26,7 +26,7 @@ def model(joint: Joint, values: Mapping[str, float | None], record: str = "run 7
                  for p in joint.parameters)  # fmt: skip
     names = tuple(row.name for row in rows)
     return ji.Estimate(
-        Params(rows, names, np.eye(len(rows)), ""),
+        Params(rows, names, np.eye(len(rows))),
         Fit(np.zeros(0), np.zeros(0), (0, 0), 0.01, 0.01, 100, 1, "it settled", True),
         Checks(),
         Data(record, ("torque",), 1e-3, joint.force_unit, "5f1c"),
