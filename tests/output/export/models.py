@@ -22,7 +22,7 @@ PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "to
 
 def model(joint: Joint, values: Mapping[str, float | None], record: str = "run 7", **settings: Any) -> ji.Estimate:
     """An estimate of these values, and with these settings."""
-    rows = tuple(EstimatedParameter(p.name, p.symbol, joint.unit(p), values[p.name], 0.01, True, True)
+    rows = tuple(EstimatedParameter(p.name, p.symbol, joint.unit(p), values[p.name], 0.01, True)
                  for p in joint.parameters)  # fmt: skip
     names = tuple(row.name for row in rows)
     return ji.Estimate(
