@@ -263,10 +263,7 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:
-    """Return the step in which a channel's values come, in its unit; None if not detectable.
-
-    All values are multiples of the step, and the smallest gap is a small multiple.
-    """
+    """Return the step, in its unit, of which a channel's values and smallest gap are multiples; None without one."""
     if channel is None:
         return None
     values = np.sort(channel.values) - channel.values.min()

@@ -78,7 +78,9 @@ def find_stamps(
             "name of the time column as time."
         )
     (column,) = names
-    return column, table.columns[column] * seconds_of(table, column, time_unit)
+    stamps = table.columns[column] * seconds_of(table, column, time_unit)
+    # The nanoseconds beside a column of whole seconds begin again with each of them.
+    return column, np.unwrap(stamps, period=1.0) if np.all((stamps >= 0.0) & (stamps < 1.0)) else stamps
 
 
 def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, resampled: bool = False) -> Clock:
