@@ -28,7 +28,7 @@ from jointid.common.files import files_of
 from jointid.common.settings import declare, setting
 from jointid.common.text import join, pluralise
 from jointid.config import loads
-from jointid.config.declaration import Reader, key_error
+from jointid.config.declaration import Reader, fault_at
 from jointid.config.toml import apply_changes, parse_toml, read_text
 
 _NAMED = 5  # names in a sentence
@@ -89,7 +89,7 @@ class FleetTable:
         for key, path, known in (("joint", self.joint, ["{joint}"]), ("records", self.records, [*_PLACEHOLDERS])):
             for name in re.findall(r"\{\w*\}", path):
                 if name not in known:
-                    raise key_error(key, f" has {name} in it; expected {join(known)}: correct it.")
+                    raise JointFileError(fault_at((key,), f" has {name} in it; expected {join(known)}: correct it."))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +106,7 @@ class CampaignTable:
         for key, values in self.sweep.items():
             if type(values) is not list or not values:
                 rest = f".{key} is no list of values; expected one or more of them, as [20, 30]: correct it."
-                raise key_error("sweep", rest, "value")
+                raise JointFileError(fault_at(("sweep",), rest, "value"))
 
 
 @dataclass(frozen=True, slots=True)

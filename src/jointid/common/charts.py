@@ -82,8 +82,6 @@ def panels(
     for axes in grid.flat[len(heights) :]:
         axes.remove()
     made: list[Axes] = [*grid.flat[: len(heights)]]
-    for axes in made if columns > 2 else ():
-        axes.locator_params(axis="x", nbins=4)
     return figure, made
 
 

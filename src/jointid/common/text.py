@@ -38,11 +38,6 @@ def format_signed(value: float, digits: int = 5) -> str:
     return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
 
 
-def round_to(value: float, digits: int = 3) -> float:
-    """Round to significant digits."""
-    return float(f"{value:.{digits - 1}e}")
-
-
 def interval(value: float, spread: float) -> str:
     """Format a value and its spread, both to the first two digits of the spread.
 
@@ -56,7 +51,7 @@ def interval(value: float, spread: float) -> str:
     largest = math.floor(math.log10(max(abs(value), spread)))
     exponent = 0 if -3 <= largest < 6 else largest
     ending = f"e{exponent:+03d}" if exponent else ""
-    value, spread = value / 10.0**exponent, round_to(spread / 10.0**exponent, 2)
+    value, spread = value / 10.0**exponent, float(f"{spread / 10.0**exponent:.1e}")
     places = 1 - math.floor(math.log10(spread))
     shown = (f"{round(one, places) + 0.0:.{max(places, 0)}f}{ending}" for one in (value, spread))  # of 0 no negative
     return " ± ".join(shown)

@@ -5,12 +5,6 @@ One ratio r, motor position per load position, describes it. Power passes withou
     q motor = r q load,        tau load = r tau motor
 
 A record is *referred* to the joint's side when it is read: positions by their factor, torques by its inverse.
-`jointid.estimation.result.parts.cross` refers an estimate to the other side. The motor's
-``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load::
-
-    tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
-
-Stiffness and damping scale with r^2, a compliance with its inverse. A negative r exchanges the directions.
 
 Gear losses appear in the friction: speed-dependent ones as viscous, constant ones as Coulomb friction. A loss
 proportional to the transmitted torque is spread over these and the load inertia.

@@ -122,13 +122,7 @@ QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
 
 
 def per(above: str, below: str) -> str:
-    """Return the unit of a quotient, as drives write it.
-
-    Example:
-        >>> from jointid.common.units import per
-        >>> per("A", "rad/s"), per("N", "m"), per("N m", "rad s")
-        ('A s/rad', 'N/m', 'N m/(rad s)')
-    """
+    """Return the unit of a quotient, as drives write it: "A s/rad" of "A" and "rad/s", "N m/(rad s)" of "rad s"."""
     over, stroke, under = below.partition("/")
     if stroke:
         return f"{above} {under}/{over}"

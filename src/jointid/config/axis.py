@@ -70,18 +70,6 @@ class Axis:
         logged = "torque" in self.columns or self.drive.traces is not None or self.source.torque == "logged"
         return self.source.torque == "from_controller" or (not logged and self.controller is not None)
 
-    def with_torque(self, record: Record) -> Record:
-        """Return a record of this axis with the computed torque, if it is not a logged one.
-
-        Raises:
-            RecordError: see `jointid.controller.compute_controller_torque`.
-        """
-        if not self.computes_torque or self.loop is None:
-            return record
-        from jointid.simulation.controller_torque import compute_controller_torque
-
-        return compute_controller_torque(record, self.loop)
-
     def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
         """Return the record of this axis from a table of columns; see `File.record`.
 
@@ -116,11 +104,7 @@ class Axis:
         return replace(like, column=name, unit=unit, optional=False, timing=None, tap=None, sample_time=None)
 
     def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
-        """Return the columns of the file that `File.write` makes, by their names.
-
-        Raises:
-            RecordError: see `jointid.records.writing.columns_to_write`.
-        """
+        """Return the columns of the file that `File.write` makes, by their names."""
         source, frame = self.source, Frame(self.drive, self.joint.kind, self.joint.transmission)
         return columns_to_write(record, self.columns, frame, source.time, source.time_unit, source.sample_time)
 

@@ -24,9 +24,6 @@ from jointid.models.controllers import CONTROLLER_UNITS
 Place: TypeAlias = tuple[int | str, ...]
 """Keys and indices that lead to a value."""
 
-CONTRADICTION = "contradiction"
-"""Code of a fault of values that are right by themselves."""
-
 _MOST = 10**9  # of what is counted
 _MOST_KEYS = 1000  # of a table, or tables of a list: each of more would be a sentence
 _WRONG: Any = object()  # stands for a value that has a fault
@@ -35,14 +32,9 @@ OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "r
 """Output units of a controller, by the motion of its side."""
 
 
-def fault_at(place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
-    """Return a fault whose sentence begins with its place."""
+def fault_at(place: Place, rest: str, code: str = "contradiction") -> Fault:
+    """Return a fault whose sentence begins with its place; without a code of values that are right by themselves."""
     return Fault(f"{messages.dot_path(place)}{rest}", place, code)
-
-
-def key_error(key: str, rest: str, code: str = CONTRADICTION) -> JointFileError:
-    """Return the error of a key, for whoever makes its table."""
-    return JointFileError(fault_at((key,), rest, code))
 
 
 def locate(error: JointidError, place: Place) -> JointFileError:
@@ -74,13 +66,7 @@ class Table:
 
 
 def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> dict[str, Setting]:
-    """Return the keys that are settings of classes; one of several is described once for each.
-
-    Args:
-        owners: the classes.
-        system: leaves out settings that are for other systems, see `Setting.systems`; all are meant without it.
-        without: names that are left out.
-    """
+    """Return the keys that are settings of classes, of one system if it is named; one of several is described once."""
     found: dict[str, list[Setting]] = {}
     for one in (one for owner in owners for one in settings_of(owner)):
         foreign = system and one.systems and system not in one.systems
@@ -128,11 +114,7 @@ class Reader:
         self.texts = dict[Place, tuple[str, str]]()
 
     def read_all(self, kind: Any, raw: Mapping[str, Any]) -> Any:
-        """Make an object of the tables of a file.
-
-        Args:
-            kind: a `Table`, or a dataclass whose settings are its keys.
-            raw: the tables as `tomllib` reads them.
+        """Make an object of a `Table`, or a dataclass whose settings are its keys, from tables as `tomllib` reads them.
 
         Raises:
             JointFileError: with one sentence for each fault.
@@ -296,11 +278,9 @@ def list_keys(owner: Table, place: str = "", kind: str = "") -> Iterator[FileKey
 
 @lru_cache(maxsize=256)
 def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
-    """List the units of a declaration; "N m s/rad" and others for controller units per rad/s.
+    """List the units of a declaration, "1/s", "m/s or rad/s", "controller units per m/s or rad/s", by how a side moves.
 
-    Args:
-        declared: of the setting: "1/s", "m/s or rad/s", "controller units per m/s or rad/s".
-        kind: how the side moves; None for both.
+    Without a kind they are those of both; of controller units per rad/s "N m s/rad" is one.
     """
     if declared.startswith(CONTROLLER_UNITS):
         kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)

@@ -33,8 +33,6 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
 
-Paths = Sequence[str | os.PathLike[str]]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class File:
@@ -177,8 +175,11 @@ class File:
         whole = None not in self.controllers and all(one.reference is not None for one in found)
         if driving or whole or self._simulates or any(axis.computes_torque for axis in self.axes):
             found = self._fed_forward(found)
-        if not driving:
-            found = tuple(axis.with_torque(one) for axis, one in zip(self.axes, found, strict=True))
+        if not driving and any(axis.computes_torque for axis in self.axes):
+            from jointid.simulation.controller_torque import compute_controller_torque as compute
+
+            pairs = zip(self.axes, found, strict=True)
+            found = tuple(compute(one, axis.loop) if axis.computes_torque and axis.loop else one for axis, one in pairs)
         return found[0] if self.robot is None else found
 
     def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
@@ -232,7 +233,9 @@ class File:
             **asked,
         )  # fmt: skip
 
-    def identify_together(self, paths: Paths = (), progress: Progress = ignore_progress) -> Estimate:
+    def identify_together(
+        self, paths: Sequence[str | os.PathLike[str]] = (), progress: Progress = ignore_progress
+    ) -> Estimate:
         """Identify from several records in one fit, of a joint each with the load that the file lists for it.
 
         Args:

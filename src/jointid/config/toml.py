@@ -136,11 +136,7 @@ def put(tables: Tables, path: list[str], value: Any) -> None:
 def edit(text: str, *changes: Change) -> str:
     """Return a text whose tables are changed; all else, comments too, stays as it is.
 
-    A text in which the changes have no place is written anew, without its comments.
-
-    Args:
-        text: TOML; it need not be a joint file that is complete.
-        changes: one after the other.
+    A text in which the changes have no place is written anew, without its comments. It need be no whole joint file.
 
     Raises:
         JointFileError: the text is no TOML.
@@ -163,11 +159,7 @@ def edit(text: str, *changes: Change) -> str:
 
 
 def replace_table(written: str) -> Change:
-    """Return a change by which one table is another one, or is added.
-
-    Args:
-        written: the table as TOML, its heading and its comments included.
-    """
+    """Return a change by which a table is written anew, or added, with its heading and its comments."""
     return lambda tables: tables.update(tomlkit.parse(written))
 
 

@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from jointid.common.messages import Message
-from jointid.common.text import in_words, join, number, round_to
+from jointid.common.text import in_words, join, number
 from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.estimation.result.robot import KNOWN
 from jointid.estimation.result.verdict import (
@@ -119,7 +119,7 @@ def _refuse(estimate: Estimate, asked: EstimatedParameter, words: str) -> Messag
     if not bounds:
         return _found(Found.NOT_DETERMINED, words, asked)
     least, mode, _ = min(bounds)
-    words += f": at least {number(round_to(least), 3)} {asked.unit}, mode above {number(mode, 2)} Hz"
+    words += f": at least {number(float(f'{least:.2e}'), 3)} {asked.unit}, mode above {number(mode, 2)} Hz"
     if len(bounds) < len(stated):
         shares = [share for _, _, share in bounds]
         words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"

@@ -167,6 +167,12 @@ def on_other_side(
 def cross(gear: Transmission, name: str, unit: str, torque_unit: str) -> tuple[str, str, float]:
     """Return name, unit and factor of a parameter on the other side, from those on the identified one.
 
+    The motor's ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load, with its ratio r::
+
+        tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
+
+    Stiffness and damping scale with r^2, a compliance with its inverse. A negative r exchanges the directions.
+
     Args:
         gear: a negative ratio exchanges the direction of a parameter.
         name: of the parameter.
