@@ -24,7 +24,7 @@ from jointid.campaigns.campaign import Case
 from jointid.campaigns.store import Found, Outcome, Row, Store
 from jointid.common.errors import JointidError, MethodError, RecordError, extra
 from jointid.common.files import digest
-from jointid.common.messages import Progress, Work, ignore_progress
+from jointid.common.messages import Progress, ignore_progress, pace
 from jointid.common.parallel import THREADS, begin_worker, cores, without_interrupts
 from jointid.common.text import pluralise
 from jointid.config import loads
@@ -190,12 +190,12 @@ def run_cases(
     made = dict.fromkeys(Outcome, 0)
     if not waiting:
         return made
-    work, rest = Work(progress, "cases", len(waiting), "cases"), iter(waiting)
+    reach, rest = pace(progress, "cases", len(waiting), "cases"), iter(waiting)
 
     def keep(row: Row) -> None:
         store.add(row)
         made[row.outcome] += 1
-        work.add()
+        reach(sum(made.values()))
 
     while affected := _run_together(rest, engine, carry, keep):
         progress(f"a worker died; what it may have died of is tried again: {pluralise(len(affected), 'case')}")

@@ -48,8 +48,8 @@ class Detail(str):
         return made
 
 
-class Work:
-    """Progress of a piece of work: a line of its pace each second.
+def pace(progress: Progress, what: str, total: float, unit: str) -> Callable[[float], None]:
+    """Return the function that reports how much of a piece of work is done, in a line each second.
 
     Args:
         progress: the listener.
@@ -57,30 +57,24 @@ class Work:
         total: infinite if unknown.
         unit: of the total, such as "draws" or "%".
     """
+    told = time.monotonic()
+    whole = "" if math.isinf(total) or unit == "%" else f" of {total:.0f}"
 
-    def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
-        self._progress, self._what, self.total, self._unit = progress, what, total, unit
-        self._done, self._told = 0.0, time.monotonic()
+    def reach(done: float) -> None:
+        nonlocal told
+        if time.monotonic() - told >= _OFTEN:
+            told = time.monotonic()
+            progress(Detail(f"{what}: {done:.0f}{whole} {unit}", pace=True))
 
-    def reach(self, done: float) -> None:
-        """Report the amount done."""
-        self._done, now = done, time.monotonic()
-        if now - self._told >= _OFTEN:
-            self._told = now
-            whole = "" if math.isinf(self.total) or self._unit == "%" else f" of {self.total:.0f}"
-            self._progress(Detail(f"{self._what}: {done:.0f}{whole} {self._unit}", pace=True))
-
-    def add(self) -> None:
-        """Report one more step."""
-        self.reach(self._done + 1)
+    return reach
 
 
 def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit: str) -> Iterator[T]:
-    """Yield steps and report progress; see `Work`."""
-    work = Work(progress, what, total, unit)
-    for step in steps:
+    """Yield steps and report progress; see `pace`."""
+    reach = pace(progress, what, total, unit)
+    for done, step in enumerate(steps, start=1):
         yield step
-        work.add()
+        reach(done)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Work
+from jointid.common.messages import Progress, pace
 from jointid.common.parallel import in_threads
 from jointid.planning.objective import Objective, Tried
 from jointid.planning.plans import Family, Plan, Series
@@ -72,7 +72,7 @@ def search(
         clock: source of time, s.
     """
     ends, rng = clock() + seconds, np.random.default_rng(seed)
-    work = Work(progress, "looking for the test that tells most", 100.0, "%")
+    reach = pace(progress, "looking for the test that tells most", 100.0, "%")
     best: Tried | None = None
     last = 0
     for count, tried in enumerate(_try_all(asked, rng), start=1):
@@ -83,8 +83,8 @@ def search(
         over = clock() > ends or count >= _MOST or count - last >= _STUCK
         if over and (count >= _FEWEST or math.isfinite(best.over)):
             break
-        work.reach(min(100.0 * (1 - (ends - clock()) / seconds), 99.0))
-    work.reach(100.0)
+        reach(min(100.0 * (1 - (ends - clock()) / seconds), 99.0))
+    reach(100.0)
 
 
 def _try_all(asked: Objective, rng: np.random.Generator) -> Iterator[Tried]:
