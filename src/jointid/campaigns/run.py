@@ -25,7 +25,7 @@ from jointid.campaigns.store import Found, Outcome, Row, Store
 from jointid.common.errors import JointidError, MethodError, RecordError, extra
 from jointid.common.files import digest
 from jointid.common.messages import Progress, ignore_progress, pace
-from jointid.common.parallel import THREADS, begin_worker, cores, without_interrupts
+from jointid.common.parallel import THREADS, begin_worker, threads, without_interrupts
 from jointid.common.text import pluralise
 from jointid.config import loads
 from jointid.estimation.result.answer import Trust
@@ -126,7 +126,7 @@ def local_processes(count: int = 0) -> Iterator[Workers]:
     Args:
         count: how many at most; one for each core when 0.
     """
-    before, count = set(multiprocessing.active_children()), count or cores()
+    before, count = set(multiprocessing.active_children()), count or threads()
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker)
     try:
         yield executor, lambda: count

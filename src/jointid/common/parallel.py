@@ -20,13 +20,9 @@ THREADS = "JOINTID_THREADS"
 
 
 def threads() -> int:
-    """Number of threads: one per usable core, or JOINTID_THREADS."""
-    said = os.environ.get(THREADS, "")
-    return max(int(said), 1) if said.isdecimal() else cores()
-
-
-def cores() -> int:
-    """Number of usable cores; at most 61 elsewhere than on Linux, as Windows waits for no more processes."""
+    """Number of threads, or of processes: JOINTID_THREADS, or one per usable core, of which Windows waits for 61."""
+    if (said := os.environ.get(THREADS, "")).isdecimal():
+        return max(int(said), 1)
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else min(os.cpu_count() or 1, 61)
 
 

@@ -84,11 +84,6 @@ class Transmission:
         """Kind of motion on the identified side."""
         return self.kind_of(self.side)
 
-    @property
-    def geared(self) -> bool:
-        """Whether motor and load move in the same kind, but by different amounts."""
-        return self.motor == self.load and abs(self.motor_per_load) != 1.0
-
     def kind_of(self, side: Side) -> units.Kind:
         """Return a side's kind of motion."""
         return self.load if side == "load" else self.motor

@@ -330,8 +330,8 @@ class Frame:
         stated, known = unit_of_column(channel, columns, kind), known_units(channel, kind)
         if stated not in known:
             raise units.UnitError(unit_fault("", stated, known).strip().removesuffix("."))
-        geared, of_load = self.transmission is not None and self.transmission.geared, channel == "load_position"
+        of_load, ratio = channel == "load_position", 1.0 if self.transmission is None else self.transmission.ratio
         try:
-            return self.drive.resolve_unit(units.unit(stated), kind, of_load=of_load, geared=geared)
+            return self.drive.resolve_unit(units.unit(stated), kind, of_load=of_load, geared=ratio not in (None, 1.0))
         except units.UnitError as error:
             raise units.UnitError(f'is in "{stated}", {error}') from None
