@@ -310,9 +310,7 @@ def build_answer(
     return replace(made, fit=fit, data=data, robot=robot, records=())
 
 
-def describe_record(
-    together: RecordsProblem, number: int, record: Record, solved: Solved, alone: Alone, alone_error: float = math.nan
-) -> RecordFit:
+def describe_record(together: RecordsProblem, number: int, record: Record, solved: Solved, alone: Alone) -> RecordFit:
     """Return one of several records, numbered from 0.
 
     Args:
@@ -321,7 +319,6 @@ def describe_record(
         record: itself.
         solved: the solution of all.
         alone: what it says by itself.
-        alone_error: the share of its filtered torque that this leaves.
     """
     assert record.torque is not None
     std = dict(zip(alone.values, map(float, alone.covariance.std), strict=True))
@@ -339,8 +336,6 @@ def describe_record(
         int(rows),
         math.nan if torques is None else relative_error(*torques, borders),
         math.sqrt(square / size) if size > 0 else 0.0,
-        alone_error,
-        resampled=record.resampled,
     )
 
 

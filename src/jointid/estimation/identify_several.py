@@ -170,10 +170,8 @@ def _judge(together: RecordsProblem, solved: Solved, records: Sequence[Record], 
         steps = [np.array([by.get(p.name.partition("@")[0], 0.0) for p in free]) for by in shifts]
         answer = influence.matrix[:, ends[k] - one.at.size : ends[k]] / sigma[k]
         moved += np.sqrt(sum((answer @ slopes @ step) ** 2 for step in steps))  # they may err alike, or against others
-        said, left = _step_alone(free, x[at], one.error[0], slopes, cells(*seen[k]), steps)
-        alone.append(said)
-        rest = float(np.linalg.norm(left) / np.linalg.norm(one.measured))
-        shares.append(describe_record(together, k, records[k], solved, said, rest))
+        alone.append(_step_alone(free, x[at], one.error[0], slopes, cells(*seen[k]), steps))
+        shares.append(describe_record(together, k, records[k], solved, alone[-1]))
     if np.any(moved):
         known = known.widened_by(moved)
     # The inertia that tells the gain is not compared.
@@ -193,8 +191,8 @@ def _step_alone(
     J: FloatArray,
     where: Cells,
     shifts: Sequence[FloatArray],
-) -> tuple[Alone, FloatArray]:
-    """Return what a record says alone, one step from the common x, (free,), and what that leaves of its torque.
+) -> Alone:
+    """Return what a record says alone, one step from the common x, (free,).
 
     Args:
         free: its parameters.
@@ -213,4 +211,4 @@ def _step_alone(
     std, held = np.maximum(found.covariance.std, _ROUNDING * np.abs(values)), find_active_bounds(free, values, left, J)
     told = [i for i, apart in enumerate(find_separable(J)) if apart and std[i] > 0 and free[i].name not in held]
     correlation = found.covariance.correlation[np.ix_(told, told)]
-    return Alone({free[i].name: float(values[i]) for i in told}, Covariance(std[told], correlation)), left
+    return Alone({free[i].name: float(values[i]) for i in told}, Covariance(std[told], correlation))

@@ -155,7 +155,6 @@ class Friction:
         adds: what it has beside its lines, in words; "" of lines alone. instead: what its lines are, where only lines
             are written.
         stepped: whether a simulation has more than lines over the speed.
-        softens: whether without it a spring is found that is much too soft.
         follows_time: whether it changes with the time since the first sample, which each window of a long log would
             begin anew.
     """
@@ -170,7 +169,6 @@ class Friction:
     adds: ClassVar[str]
     instead: ClassVar[str]
     stepped: ClassVar[bool]
-    softens: ClassVar[bool]
     follows_time: ClassVar[bool]
 
     def __init_subclass__(cls) -> None:
@@ -179,7 +177,7 @@ class Friction:
         cls.coefficients = _TWO_WAYS if cls.two_ways else _ONE_WAY
         cls.adds, cls.instead = ", and ".join(term.adds for term in terms), ", ".join(term.instead for term in terms)
         cls.stepped = any(term is not _STRIBECK for term in terms)
-        cls.softens, cls.follows_time = _WINDING in terms, _DRIFT in terms
+        cls.follows_time = _DRIFT in terms
 
     @property
     def offset_identifiable(self) -> bool:

@@ -1,25 +1,23 @@
 """The search for a flexible joint's stiffness: what is tried, in order.
 
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
-2. A grid of flexible joints, a simulation each, on a band as wide as the log (`starts.flexible_joint`); and starts at
-   antiresonances, which need no rigid joint (`starts.flexible_joint`).
-3. Rough descents from the best few, at frequencies apart, until two end together. Starts that are alike may all end in
-   one wrong valley, at a bound of the friction. If the residual there repeats with the motion, twice as many are tried.
+2. A grid of flexible joints, a simulation each, on a band as wide as the log (`starts.flexible_joint`).
+3. Rough descents from the best few, at frequencies apart, until two end together.
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
-   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one. From the
-   two divisions beside the end a Gauss-Newton step is taken, too.
+   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
-7. All of it again with other inertias, then from a rigid joint below a lower frequency, where the end explains little
-   of the torque.
+7. All of it again with other inertias, where the end explains little of the torque.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -35,7 +33,6 @@ from jointid.estimation.descent import (
     Solved,
     is_significant,
     least_squares,
-    or_moving,
     search_rigid_joint,
 )
 from jointid.estimation.methods.registry import Task
@@ -56,7 +53,8 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.position_dependent_error import repeatable
+
+Grid: TypeAlias = Callable[[ClosedLoopProblem, History], list[Candidate]]
 
 _ROUGH = 1e-3  # tolerance of the rough rigid joint: a start needs no more
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
@@ -64,13 +62,11 @@ _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
 _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
-_LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
-_LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
+_LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tried where no rigid joint is found
 NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
-_LITTLE = 0.3  # of the torque: an end that leaves so much may be a false minimum
-_REFINED = 6  # starts that are refined at most, until two of them end together; or twice as many, see above
+_LITTLE = 0.1  # of the torque: an end that leaves so much may be a false minimum
+_REFINED = 6  # starts that are refined at most, until two of them end together
 _GLANCED = 2  # of them in a first look
-_HELD = 1e-3  # of its start: so little of a number is left where its bound at 0 holds it
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
@@ -111,39 +107,38 @@ class StiffnessSearch:
         Raises:
             MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
         """
-        tell = self.history.progress
-        try:
-            rigid = rough_rigid_joint(self.task, self.cutoff, self.history)
-        except MethodError as error:
-            # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-            tell(Detail(error, "without a rigid joint to begin with"))
-            return self._without_rigid_joint()
-        try:
-            solved = self._from_rigid_joint(rigid)
-        except MethodError as error:
-            if self.frequency is not None:
-                raise
-            tell(Detail(error, "with other inertias than that joint's"))
-            solved = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
-        edge = rigid.problem.filtering.cutoff
-        assert edge is not None
-        if self.frequency is None and self._explains_little(solved):  # its inertia may be far off: noise moves the axis
-            tell("the search ended where the model explains little; beginning again with other inertias")
-            with contextlib.suppress(MethodError):
-                again = self._refine(explore_widely(self._on_band(math.inf), _of_joint(rigid), self.history))
-                solved = self._better_of(solved, again)
-        for lower in () if self.cutoff else _LOWER_AGAIN:
-            if not self._explains_little(solved):
-                break
-            # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
-            tell("the search ended where the model explains little; beginning again, below a lower frequency")
+        tell, moving = self.history.progress, None
+        rigid, solved = self._rigid(self.history)
+        if solved is not None and any(p.name == "initial_velocity" for p in solved.problem.free):
+            moving = solved.values
+        steps = np.diff(self.problem.experiment.inputs[:, REFERENCE])
+        if moving is None and abs(steps[0]) > _MOVES * np.max(np.abs(steps)):
+            with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
+                moving = first_state(self.problem, reconstructed_position(self.problem))
+        ends, failures = list[tuple[float, Solved]](), list[MethodError]()
+        grids: list[Grid] = [partial(explore, rigid=rigid, frequency=self.frequency)]
+        if self.frequency is None:
+            grids.append(partial(explore_widely, rigid=rigid))
+        for grid in grids:
             try:
-                rigid = rough_rigid_joint(self.task, edge / lower, self.history)
-            except MethodError as error:  # a short record shows too little there
-                tell(Detail(error, f"not below {edge / lower:.3g} Hz"))
+                found = self._or_moving(grid, moving)
+            except MethodError as error:
+                failures.append(error)
+                continue
+            left = self.history.count_evaluations(found.problem).residual(found.x)
+            ends.append((float(np.linalg.norm(left)) / found.problem.size, found))
+            if ends[-1][0] <= _LITTLE:
                 break
-            solved = self._better_of(solved, self._from_rigid_joint(rigid))
-        return solved
+            tell("the search ended where the model explains little")
+        if not ends:
+            raise failures[0]
+        share, best = min(ends, key=lambda end: end[0])
+        if solved is None and share > NOTHING:
+            raise MethodError(
+                "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
+                "reference, and the controller's gains and delay."
+            )
+        return best
 
     def glance(self, *names: str) -> Solved:
         """Return the best rough end of a few starts with more of the surroundings free, on the whole band of the log.
@@ -151,109 +146,73 @@ class StiffnessSearch:
         Raises:
             MethodError: the loop cannot be simulated at any start.
         """
-        values = None
-        with contextlib.suppress(MethodError):
-            values = _of_joint(rough_rigid_joint(self.task, self.cutoff, History(ignore_progress)))
+        values, _ = self._rigid(History(ignore_progress))
         wide = self._on_band(math.inf)
         ends = []
-        for candidate in explore(wide, values, self.frequency, self.history)[:_GLANCED]:
+        for candidate in explore(wide, self.history, values, self.frequency)[:_GLANCED]:
             on = self._on_band(candidate.frequency).freeing(*names)
             end = self.history.solve(on, GLANCE, on.vector(candidate.values))
             left = wide.freeing(*names).residual(end.x)
             ends.append(end._replace(solution=replace(end.solution, residual=left)))
         return min(ends, key=lambda end: end.norm)
 
-    def _explains_little(self, solved: Solved) -> bool:
-        return self._share_left(solved) > _LITTLE
+    def _rigid(self, history: History) -> tuple[dict[str, float], Solved | None]:
+        """Return the values of a rough rigid joint, and its end; of one that follows its reference where it has none.
 
-    def _better_of(self, first: Solved, second: Solved) -> Solved:
-        return min(first, second, key=self._share_left)
-
-    def _share_left(self, solved: Solved) -> float:
-        left = self.history.count_evaluations(solved.problem).residual(solved.x)
-        return float(np.linalg.norm(left)) / solved.problem.size
-
-    def _from_rigid_joint(self, rigid: Solved) -> Solved:
-        found = self._explore(rigid)
-        found = _or_moving(found, rigid, self.tolerance, self.history)
-        steps = np.diff(self.problem.experiment.inputs[:, REFERENCE])
-        if abs(steps[0]) > _MOVES * np.max(np.abs(steps)):  # an end at rest is not near
-            with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
-                first = first_state(self.problem, reconstructed_position(self.problem))
-                state = {p.name: replace(p, start=first[p.name]) for p in INITIAL_STATE}
-                moving = replace(self, problem=self.problem.replace_parameters(state))._explore(rigid)
-                if is_significant(found, moving, self.history):
-                    return moving
-        return found
-
-    def _explore(self, rigid: Solved) -> Solved:
-        return self._refine(explore(self._on_band(math.inf), _of_joint(rigid), self.frequency, self.history))
-
-    def _without_rigid_joint(self) -> Solved:
-        """Search from antiresonances; from the joint that would follow its reference if that fails.
-
-        Where noise moves the axis as much as its reference does, what the controller must have seen tells no joint at
-        all.
+        A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
         """
-        wide, history = self._on_band(math.inf), self.history
         try:
-            return self._refine(explore(wide, None, self.frequency, history))
+            solved = rough_rigid_joint(self.task, self.cutoff, history)
         except MethodError as error:
             history.progress(Detail(error, "starting from a joint that follows its reference"))
-        filtering = Filtering(cutoff=rigid_cutoff(self.task.record))
-        loop = _rigid_loop(self.task)
-        follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
-        try:
-            solved = self._refine(explore(wide, follows, self.frequency, history))
-        except MethodError:
-            solved = self._refine(explore_widely(wide, follows, history))
-        if solved.norm > NOTHING * solved.problem.size:
-            raise MethodError(
-                "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
-                "reference, and the controller's gains and delay."
-            )
-        return solved
+            loop, filtering = _rigid_loop(self.task), Filtering(cutoff=rigid_cutoff(self.task.record))
+            problem = torque_problem(self.task.record, loop, filtering, loop.joint.parameters)
+            values, end = regular_start(problem).values, None
+        else:
+            values, end = solved.values, solved
+        return {p.name: values[p.name] for p in _rigid_loop(self.task).joint.parameters}, end
+
+    def _or_moving(self, grid: Grid, state: Mapping[str, float] | None) -> Solved:
+        """Search with the motor at rest at the first sample, and moving where it may; an end at rest is not near."""
+        found = self._refine(grid(self._on_band(math.inf), self.history))
+        if state is None:
+            return found
+        started = {p.name: replace(p, start=state[p.name]) for p in INITIAL_STATE}
+        other = replace(self, problem=self.problem.replace_parameters(started))
+        moving = other._refine(grid(other._on_band(math.inf), self.history))
+        return moving if is_significant(found, moving, self.history) else found
 
     def _refine(self, candidates: Sequence[Candidate]) -> Solved:
         """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
-        wide, rough, history = self._on_band(math.inf), ROUGH, self.history
-        ends, together = list[tuple[float, float, FloatArray, bool]](), 0
-        for candidate in candidates[: 2 * _REFINED]:
+        wide, history = self._on_band(math.inf), self.history
+        ends, together = list[tuple[float, float, FloatArray]](), 0
+        for candidate in candidates[:_REFINED]:
             on = self._on_band(candidate.frequency)
-            start = on.vector(candidate.values)
-            x = history.solve(on, rough, start).x
+            x = history.solve(on, ROUGH, on.vector(candidate.values)).x
             history.tally.evaluations += 1
-            low = Bounds.of(on.free).lower
-            near = bool(np.any(x - low < _HELD * (start - low)))
-            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x, near))
-            cost, mode, x, held = min(ends, key=lambda end: end[0])
-            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, *_ in ends)
-            if (together > 1 or len(ends) >= _REFINED) and not (held and self._repeats(mode, x)):
+            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
+            cost, mode, x = min(ends, key=lambda end: end[0])
+            together = sum(_agree(end[:2], (cost, mode), wide.size) for end in ends)
+            if together > 1:
                 break
         on, tried = self._on_band(mode), len(ends)
         divided = divide_coulomb_friction(on, x, history) if together > 1 else None
         if divided is not None:
             x, together = divided, 1
-        found = history.solve(on, rough if together < 2 else least_squares(self.tolerance), x)
+        found = history.solve(on, ROUGH if together < 2 else least_squares(self.tolerance), x)
         # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
         followed = frequency_of(found.values) <= FASTEST / on.experiment.sample_time
         for _ in range(_BESIDE if together < 2 and followed else 0):
             beside, tried = _from_beside(found, history), tried + 1
             left, other = found.norm, float(np.linalg.norm(beside.residual))
             if other < (1 - _BETTER) * left - _REST * on.size:  # the way back led further down
-                found = history.solve(on, rough, beside.x)
+                found = history.solve(on, ROUGH, beside.x)
                 continue
             if _agree((other, frequency_of(on.values(beside.x))), (left, frequency_of(found.values)), on.size):
                 found, together = history.finish(found, self.tolerance), 2
             break
         message = f"{found.solution.message}; {together} of {tried} starts led there"
         return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
-
-    def _repeats(self, mode: float, x: FloatArray) -> bool:
-        """Test whether the residual of an end repeats with its motion."""
-        on = self._on_band(mode)
-        self.history.tally.evaluations += 2
-        return repeatable(on.residual(x), on.cells(on.simulate(x))).significant
 
     def _on_band(self, mode: float) -> ClosedLoopProblem:
         """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
@@ -265,7 +224,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, history: History) -> Sol
 
     Its cut-off, Hz, where None: 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
-    record, rigid = task.record, _rigid_loop(task)
+    record, rigid, found = task.record, _rigid_loop(task), None
 
     def search(edge: float) -> Solved:
         history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
@@ -275,22 +234,14 @@ def rough_rigid_joint(task: Task, cutoff: float | None, history: History) -> Sol
         return search_rigid_joint(problem, rigid_starts(problem, history.progress), _ROUGH, aside)
 
     edge = cutoff or rigid_cutoff(record)
-    found = None
-    for lower in () if cutoff else _LOWER:  # a mode below the cut-off may make the joint look like none at all
-        try:
+    for _ in () if cutoff else range(_LOWERED):  # a mode below the cut-off may make the joint look like none at all
+        with contextlib.suppress(MethodError):
             found = search(edge)
             break
-        except MethodError as error:
-            history.progress(Detail(error, f"no rigid joint was found below {edge:.3g} Hz"))
-            edge /= lower
+        edge /= _LOWER
     found = found or search(edge)
     slow = max(_RIGID_BELOW * crossover(found.problem.experiment.law, found.values["inertia"]), _least_cutoff(record))
     return search(slow) if cutoff is None and slow < 0.7 * edge else found
-
-
-def _of_joint(rigid: Solved) -> dict[str, float]:
-    """Return the values of a joint's own parameters."""
-    return {p.name: rigid.values[p.name] for p in rigid.problem.joint.parameters}
 
 
 def rigid_cutoff(record: Record) -> float:
@@ -374,12 +325,3 @@ def _from_beside(found: Solved, history: History) -> Solution:
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
     aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
     return solve(history.count_evaluations(problem), ROUGH, problem.vector(values | aside))
-
-
-def _or_moving(resting: Solved, rigid: Solved, tolerance: float, history: History) -> Solved:
-    """Descend with the motor moving as the rigid joint's does, if it does; see `or_moving`."""
-    if all(p.name != "initial_velocity" for p in rigid.problem.free):  # below its resonance the axis seemed to rest
-        return resting
-    values = resting.values | {p.name: rigid.values[p.name] for p in INITIAL_STATE}
-    moving = resting.problem.replace_parameters({p.name: replace(p, start=values[p.name]) for p in INITIAL_STATE})
-    return or_moving(resting, moving, values, tolerance, history)

@@ -275,8 +275,7 @@ class RecordFit:
             the inverse.
         rows: of its filtered torque.
         relative_error, filtered_error: norm of the error of the common model over that of the torque, raw with the
-            borders left out, and filtered; alone_error: the filtered one of the record by itself.
-        resampled: how its samples were brought to a uniform clock, None where they were logged so.
+            borders left out, and filtered.
     """
 
     name: str
@@ -288,8 +287,6 @@ class RecordFit:
     rows: int
     relative_error: float
     filtered_error: float
-    alone_error: float
-    resampled: Resampled | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,7 @@
 """Whether a record shows a joint's spring at all; where it does not, how soft the spring could be.
 
-A search always ends somewhere, and its end has a stiffness. That number is reported only when
-
-- the flexible joint explains the torque significantly better than a rigid one, by a test made for a compliance that
-  cannot be negative (`uncertainty.model_tests`), and by more than the error that repeats with the motion and remains;
-- motor and load move, inertias and stiffness are distinguished from 0, and the mode is oscillatory and within the
-  range of a log of this rate;
-- starts apart led to the same end;
-- where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid.
+A search always ends somewhere, and its end has a stiffness. What must hold before that number is reported is listed in
+docs/how-it-works.md.
 
 Otherwise the record says only how soft the spring may be, for each share of the load in the inertia, which is not known
 either. A joint is then written by its whole inertia, that share, the free-free frequency of its mode and that mode's
@@ -50,7 +44,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Influence, white
-from jointid.uncertainty.identifiability import Combination, Known, find_separable
+from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 
@@ -120,9 +114,9 @@ class Visibility:
             return replace(estimate, checks=replace(checks, verdicts=(*checks.verdicts, self.verdict)))
         assert isinstance(joint, FlexibleJoint) and checks.known is not None
         sums = [
-            Known(_sum_of(p, joint.unit(p)), self.rigid[p.name], std)
-            for p in joint.rigid.parameters
-            if (std := self.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
+            replace(one, value=self.rigid[one.combination.quantity], std=std)
+            for one in checks.known.physical
+            if (std := self.rigid_std.get(one.combination.quantity)) is not None
         ]
         parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
         for p in estimate.params.rows:
@@ -142,13 +136,6 @@ class Visibility:
             notes=(*checks.notes, *map(str, self.notes)),
         )
         return replace(estimate, params=replace(estimate.params, rows=tuple(rows)), checks=checks)
-
-
-def _sum_of(p: Parameter, unit: str) -> Combination:
-    """Return the sum of both sides that a rigid joint's parameter is."""
-    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
-    weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
-    return Combination(f"total {p.name}", formula, unit, weights, p.name)
 
 
 def visible(

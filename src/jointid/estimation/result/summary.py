@@ -60,8 +60,6 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         header = ("joint", *(f"{name}, %" for name in columns))
         yield Table(header, rows, "filtered torque that is left, of the record it was identified from")
     yield parameters_table(estimate, details=details)
-    if estimate.data.records:
-        yield _errors_of_records(estimate)
     if moved_by_loop(estimate, threshold=_SHOWN_SHIFT):
         yield Paragraph("loop: how much the value changes once loop and log are as the verdict says")
     known = [] if estimate.checks.known is None else [(one, one.combination) for one in estimate.checks.known.physical]
@@ -137,9 +135,10 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
         yield "read", ", ".join(data.channels)
     for k, record in enumerate(data.records, 1):
         more = f", {number(record.added_inertia)} added to the load" if record.added_inertia else ""
-        yield f"record {k}", f"{record.name}{more}; read: {', '.join(record.channels)}"
-    every = (data.resampled, *(record.resampled for record in data.records))
-    yield from (("resampled", str(one)) for one in every if one is not None)
+        error = f"{100 * record.filtered_error:.4f} % filtered ({record.rows} rows)"
+        yield f"record {k}", f"{record.name}{more}; {error}; read: {', '.join(record.channels)}"
+    if data.resampled is not None:
+        yield "resampled", str(data.resampled)
     if settings.joint.transmission is not None:
         yield "transmission", str(settings.joint.transmission)
 
@@ -230,16 +229,3 @@ def remarks(estimate: Estimate) -> dict[str, str]:
         if i != j and {one, other} <= symbols.keys():
             found.setdefault(one, []).append(f"only with {symbols[other]}")
     return {name: ", ".join(said) for name, said in found.items()}
-
-
-def _errors_of_records(estimate: Estimate) -> Table:
-    """Return the errors that the common parameters leave of each record."""
-
-    def share(error: float) -> str:
-        return f"{100 * error:.4f}" if math.isfinite(error) else "-"  # in windows no raw torque is kept
-
-    rows = tuple(
-        (str(k), share(one.relative_error), share(one.filtered_error), share(one.alone_error), str(one.rows))
-        for k, one in enumerate(estimate.data.records, 1)
-    )
-    return Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), rows)

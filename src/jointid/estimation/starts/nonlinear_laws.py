@@ -7,7 +7,8 @@ every start of the laws is followed a little, and the best to the end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import ChainMap
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
@@ -19,12 +20,10 @@ from jointid.common.errors import MethodError
 from jointid.common.text import join, pluralise
 from jointid.estimation.descent import ROUGH, History, Solved
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import PARTS, Friction, MotionSize
+from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.springs import LinearSpring
 from jointid.simulation.closed_loop import Simulation
-
-_STIFFER = 2.5  # times the stiffness found with lines, which is too soft where friction winds up
 
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
@@ -73,7 +72,10 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     history.progress(f"looking for a {name_laws(joint)}, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, ROUGH, problem.vector(start)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
-    return history.finish(best, tolerance).with_starts(found.solution.starts)
+    end = history.finish(best, tolerance)
+    if not end.solution.converged:  # along a flat valley a second descent has its damping anew
+        end = history.finish(end, tolerance)
+    return end.with_starts(found.solution.starts)
 
 
 class JointMotion(NamedTuple):
@@ -117,51 +119,27 @@ def law_starts(
         motion: of it.
         given: starts that are stated.
     """
-    begins: list[Mapping[str, float]] = [values]
-    if joint.friction.softens and isinstance(joint, FlexibleJoint):
-        begins.append({**values, "stiffness": _STIFFER * values["stiffness"]})
-    still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
-    return [{**still, **begin, **start, **given} for begin in begins for start in _starts(joint, linear, begin, motion)]
-
-
-def _starts(joint: Joint, found: Joint, values: Mapping[str, float], motion: JointMotion) -> Iterator[dict[str, float]]:
-    """Yield each start of the spring with each start of the friction."""
     springs: list[dict[str, float]] = [{}]
-    if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:
-        assert motion.load is not None
+    frictions: list[dict[str, float]] = [{}]
+    sides = {"": motion.motor}
+    if isinstance(joint, FlexibleJoint):
+        assert motion.load is not None and isinstance(linear, FlexibleJoint)
+        sides = {"motor_": motion.motor, "load_": motion.load}
         windup = float(np.max(np.abs(motion.motor[0] - motion.load[0])))
-        if not (values["stiffness"] > 0.0 and windup > 0.0):
+        if joint.spring != linear.spring and not (values["stiffness"] > 0.0 and windup > 0.0):
             raise MethodError(
                 f"A {joint.spring.name} spring is searched from a linear one, and the record shows none; identify "
                 'the joint with spring = "linear", or as rigid.'
             )
-        springs = list(joint.spring.starts(values, windup))
-    frictions: list[dict[str, float]] = [{}]
-    if joint.friction != found.friction:
-        moving = {"": motion.motor}
-        if isinstance(joint, FlexibleJoint):
-            assert motion.load is not None
-            moving = {"motor_": motion.motor, "load_": motion.load}
-        by_side = [
-            joint.friction.starts(_motion_size(motion.duration, *side, joint.friction, values, prefix), prefix)
-            for prefix, side in moving.items()
-        ]
-        frictions = [
-            {name: value for side in both for name, value in side.items()} for both in zip(*by_side, strict=True)
-        ]
-    for spring, friction in product(springs, frictions):
-        yield spring | friction
-
-
-def _motion_size(
-    duration: float,
-    position: FloatArray,
-    velocity: FloatArray,
-    law: Friction,
-    values: Mapping[str, float],
-    prefix: str,
-) -> MotionSize:
-    """Return how one side moves, and the lines of its friction."""
-    viscous, coulomb = (sum(by * values[name] for name, by in law.mean(part, prefix).items()) for part in PARTS)
-    speed = float(np.max(np.abs(velocity)))
-    return MotionSize(speed, float(np.ptp(position)), duration, viscous, coulomb)
+        springs = list(joint.spring.starts(values, windup)) if joint.spring != linear.spring else springs
+    if joint.friction != linear.friction:
+        by_side = []
+        for prefix, (position, velocity) in sides.items():
+            lines = (joint.friction.mean(part, prefix) for part in PARTS)
+            viscous, coulomb = (sum(by * values[name] for name, by in line.items()) for line in lines)
+            speed, travel = float(np.max(np.abs(velocity))), float(np.ptp(position))
+            size = MotionSize(speed, travel, motion.duration, viscous, coulomb)
+            by_side.append(joint.friction.starts(size, prefix))
+        frictions = [dict(ChainMap(*both)) for both in zip(*by_side, strict=True)]
+    still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
+    return [{**still, **values, **spring, **own, **given} for spring, own in product(springs, frictions)]

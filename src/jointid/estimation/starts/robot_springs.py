@@ -49,7 +49,6 @@ class StartOfSprings:
         problem: of the flexible robot. names: of its joints.
         split: (parameters,) all but the springs.
         rotors, links: (n,) inertias of the rotors, and of the links about the joints.
-        costs: (n,) norms of the joints' weighted errors on stiff springs.
     """
 
     problem: RobotProblem[Any]
@@ -57,7 +56,6 @@ class StartOfSprings:
     split: FloatArray
     rotors: FloatArray
     links: FloatArray
-    costs: FloatArray
 
     @classmethod
     def of(cls, problem: RobotProblem[Any], rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
@@ -86,13 +84,10 @@ class StartOfSprings:
 
         def split(spread: float) -> tuple[StartOfSprings, bool]:
             values, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
-            costs = np.full(about.size, np.inf)
-            start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
-            run = problem.run(problem.parameters.to_search_variables(start.all_at(start.stiff)), keep=False)
-            if run.outcome is not Outcome.FINISHED:
-                return start, False
-            error = problem.error(run)
-            return replace(start, costs=problem.norms(error * problem.weights(error.size))), True
+            start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about))
+            stiff = problem.parameters.to_search_variables(start.all_at(start.stiff))
+            run = problem.run(stiff, keep=False)
+            return start, run.outcome is Outcome.FINISHED
 
         for first in range(0, len(_SPREADS), threads()):
             for start, runs in in_threads(split, _SPREADS[first : first + threads()]):
@@ -133,23 +128,17 @@ class StartOfSprings:
         """Return a frequency for each flexible joint: of a row that with which its own torque is explained best.
 
         All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
-        what it does to its own, and a run for each joint and frequency would take as many times as long. Where a stiff
-        joint would explain its torque better than any of the row, its mode may be above them all: whether it starts
-        at the best or at the highest is decided by the torques of all joints.
+        what it does to its own, and a run for each joint and frequency would take as many times as long.
         """
         row = frequency_row(self.problem.sample_time)
 
-        def costs(values: FloatArray) -> FloatArray:
-            return self.problem.norms(self.problem.residual(self.problem.parameters.to_search_variables(values)))
+        def costs(frequency: float) -> FloatArray:
+            values = self.problem.parameters.to_search_variables(self.all_at(frequency))
+            return self.problem.norms(self.problem.residual(values))
 
         flexible = np.flatnonzero(self.problem.parameters.base.flexible)
-        own = np.array(in_threads(costs, [self.all_at(f) for f in row]))[:, flexible]
-        lowest = np.argmin(own, axis=0)
-        higher = np.where(np.min(own, axis=0) < self.costs[flexible], lowest, len(row) - 1)
-        ways = [{self.names[i]: row[k] for i, k in zip(flexible, way, strict=True)} for way in (lowest, higher)]
-        ways = ways[:1] if ways[0] == ways[1] else ways
-        whole = [float(np.linalg.norm(one)) for one in in_threads(costs, [self.values(way) for way in ways])]
-        best = ways[int(np.argmin(whole))]
+        lowest = np.argmin(in_threads(costs, row), axis=0)
+        best = {self.names[i]: row[lowest[i]] for i in flexible}
         for name, f in best.items():
             progress(f"{name}: its mode is searched from {f:.3g} Hz")
         return best
