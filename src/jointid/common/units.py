@@ -159,11 +159,6 @@ def parse_unit(text: str) -> Unit:
 
     Raises:
         UnitError: a unit in it is not known, or it cannot be read; the message is the rest of a sentence.
-
-    Example:
-        >>> from jointid.common.units import parse_unit
-        >>> round(parse_unit("(m/min)/mm").factor, 4), dict(parse_unit("N m s/rad").powers)
-        (16.6667, {'kg': 1, 'm': 2, 's': -1, 'rad': -1})
     """
     if "," in text:
         raise UnitError('write the number with a point, as "0.8 A s/rad"')
