@@ -12,7 +12,7 @@ from scipy.io import loadmat
 
 import jointid as ji
 from jointid.config import File
-from jointid.diagnostics.diagnose_axes import diagnose_robot
+from jointid.diagnostics.diagnosis import diagnose_robot
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.robots.consistent import mass_matrix_at
 from tests.estimates import errors_of_bodies

@@ -14,9 +14,11 @@ from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.find_causes import find_failure_causes
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
+from jointid.models.friction import StribeckFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record, Timing
@@ -185,6 +187,28 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
     found = diagnose(Record(**short, name="short"), loop)  # type: ignore[arg-type]
     assert not found.healthy
+
+
+def test_positions_alone_are_diagnosed_and_said_to_be_what_was_compared() -> None:
+    law = Cascade(position_gain=100.0, velocity_gain=2000.0)
+    loop, slow = ClosedLoop(RigidJoint("prismatic"), law), ClosedLoop(RigidJoint("prismatic", StribeckFriction()), law)
+    reference = trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, rest=0.1, duration=6.0)
+    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    record = simulated_record(
+        slow, reference, truth | {"stribeck_force": 15.0, "stribeck_speed": 0.03}, sample_time=1e-3
+    )
+    found = diagnose(record.without("torque"), loop)
+    (axis,) = found.axes
+    assert axis.signal == "torque computed from the position"
+    assert f"filtered {axis.signal}" in str(found)
+
+
+def test_a_reference_that_never_moves_is_no_misfit_to_be_explained() -> None:
+    record, loop = without_mistake(axis("rigid"))
+    assert record.reference is not None
+    still = record.with_channels({"reference": replace(record.reference, values=0.0 * record.reference.values)})
+    assert find_failure_causes(still, loop) is None
+    assert [one.code for one in diagnose(still, loop).symptoms] == ["motion_poor"]
 
 
 @pytest.mark.slow

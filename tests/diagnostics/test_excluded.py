@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.diagnose_axes import diagnose_joint
 from jointid.diagnostics.find_causes import list_hypotheses
 from jointid.diagnostics.model_free import compare_law, excludes
-from jointid.diagnostics.variants import has_unstated_delay
-from jointid.estimation.identify import fit
-from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -68,38 +64,6 @@ def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
     late = np.interp(record.torque.time - 2e-4, record.torque.time, record.torque.values)
     assert not excludes(record.with_channels({"torque": replace(record.torque, values=late)}), loop, LAW, late=2e-4)
     assert not excludes(record.without("motor_position"), loop, LAW, late=5e-4)
-
-
-@pytest.mark.slow
-def test_a_delay_within_a_sample_that_nobody_stated_is_identified() -> None:
-    joint = RigidJoint("prismatic", SymmetricFriction())
-    record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
-    estimate = ji.identify(record, ClosedLoop(joint, LAW))
-    assert estimate["delay"].stderr is not None
-    assert estimate["delay"].value == pytest.approx(4e-4, abs=2 * estimate["delay"].stderr)
-    rows = {row.name: row for row in estimate.params.rows}
-    assert all(abs(rows[name].value - value) < 3 * rows[name].deviation for name, value in PLAIN.items())
-    assert any("no delay is declared: it is identified with the joint" in one for one in estimate.checks.warnings)
-    loop = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
-    assert loop.status is Status.PASSED
-
-
-@pytest.mark.slow
-def test_a_delay_is_unstated_only_where_none_is_declared_nor_denied() -> None:
-    joint = RigidJoint("prismatic", SymmetricFriction())
-    record = logged(joint, PLAIN, replace(LAW, delay=4e-4))
-
-    def unstated(law: Cascade) -> bool:
-        found = fit(record, ClosedLoop(joint, law))
-        assert found.problem is not None
-        assert found.x is not None
-        (axis,) = diagnose_joint(found, record, (found.problem, found.x))[0].axes
-        assert axis.faults.findings[0].test.name == "delay"
-        return has_unstated_delay(axis.faults, axis.law, found.problem)
-
-    assert unstated(LAW)
-    assert not unstated(replace(LAW, undeclared="none"))
-    assert not unstated(replace(LAW, delay=2e-4))
 
 
 def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:

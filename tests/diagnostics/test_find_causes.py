@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,14 @@ from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, REFERENCE_SCALE, TORQUE_SCALE
-from jointid.diagnostics.faults.numbers import TORQUE_FILTER, VELOCITY_FILTER, number_fault
+from jointid.diagnostics.faults.numbers import TORQUE_FILTER, number_fault
 from jointid.diagnostics.faults.record import FLEXIBLE
 from jointid.diagnostics.find_causes import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_unexplained_share
 from jointid.diagnostics.samples import find_plain_cause
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.verdict import Reason, Status, Subject
-from jointid.models.controllers import Cascade, FirstOrder, with_numbers
+from jointid.models.controllers import Cascade, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
@@ -232,37 +231,6 @@ def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() 
     weaker = replace(DRIVE, position_gain=0.3 * DRIVE.position_gain, derivative_gain=0.3 * DRIVE.derivative_gain)
     causes = find_causes(record, ClosedLoop(RigidJoint("revolute"), weaker), free=("delay",))
     assert [one.fault for one in causes.explanations] == [LAW_GAIN, REFERENCE_SCALE]
-
-
-@pytest.mark.parametrize(
-    ("runs", "fault", "value"),
-    [
-        ({}, None, None),
-        ({"position_gain": 72.0}, number_fault("position_gain"), 72.0),
-        ({"derivative_gain": 4.0 * np.pi / 180}, number_fault("derivative_gain"), 4.0 * np.pi / 180),
-        ({"velocity_filter": FirstOrder(5e-3)}, VELOCITY_FILTER, 5e-3),
-        ({"gain": 9.0}, TORQUE_SCALE, 9.0),
-    ],
-)
-def test_motor_position_shows_a_number_of_the_law(runs: dict[str, Any], fault: Any, value: float | None) -> None:
-    """The torque of the law for that position is compared, beside a delay that is not known, and without the joint."""
-    record = late_drive(law=replace(DRIVE, **{name: one for name, one in runs.items() if name != "gain"}))
-    assert record.torque is not None
-    late = runs.get("gain", 1.0) * np.roll(record.torque.values, 1)
-    record = replace(record, torque=replace(record.torque, values=late))
-    found = searching.find_law_causes(record, ClosedLoop(RigidJoint("revolute"), DRIVE))
-    told = () if found is None else found.explanations
-    assert [one.fault for one in told] == ([] if fault is None else [fault])
-    assert [one.value for one in told] == ([] if value is None else [pytest.approx(value, rel=0.05)])
-
-
-def test_number_that_the_position_shows_is_the_verdict_where_no_simulation_shows_it() -> None:
-    part: Any = SimpleNamespace(setup=SimpleNamespace(loops=[ClosedLoop(RigidJoint("revolute"), DRIVE)]))
-    record = late_drive(law=replace(DRIVE, position_gain=72.0))
-    wrong, held = (SimpleNamespace(axes=[SimpleNamespace(name="elbow", law_holds=one)]) for one in (False, True))
-    (shown,) = identifying._numbers_by_position(part, [record], wrong)  # type: ignore[arg-type]
-    assert shown.values["causes"][0]["cause"] == "position_gain"
-    assert identifying._numbers_by_position(part, [record], held) == []  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

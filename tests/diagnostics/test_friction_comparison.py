@@ -18,7 +18,7 @@ from jointid.simulation.loop_input import prepare
 from tests.plants import RISES, prismatic, rigid, slow
 
 compare_frictions = partial(
-    compare_laws, among="frictions", filtering=None, parameters=None, didim=None, progress=ignore_progress
+    compare_laws, kind="friction", filtering=None, parameters=None, didim=None, progress=ignore_progress
 )
 
 

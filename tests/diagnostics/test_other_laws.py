@@ -134,7 +134,7 @@ def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_on
     gains: tuple[float, float], chosen: int | None
 ) -> None:
     laws = [
-        LawTest(refit=None, test=FaultTest(fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9), gain=gain)  # type: ignore[arg-type]
+        LawTest(None, None, None, FaultTest(fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9), gain)  # type: ignore[arg-type]
         for fault, gain in zip((LATE, AVERAGED), gains, strict=True)
     ]
     found = choose_law(laws)

@@ -21,7 +21,7 @@ from studies.mechanics import spoiled
 from tests.plants import Case, gapped_axis, prismatic, with_spring
 
 compare_springs = partial(
-    compare_laws, among="springs", filtering=None, parameters=None, didim=None, progress=ignore_progress
+    compare_laws, kind="spring", filtering=None, parameters=None, didim=None, progress=ignore_progress
 )
 
 

@@ -27,7 +27,7 @@ from tests.plants import Case, gapped_axis, prismatic, with_spring
 def predicted(record: Record, case: Case) -> PredictedResidual:
     loop = with_spring(case.loop, LinearSpring())
     estimate = identify(record, loop, ji.DIDIM(frequency=case.mode))
-    found = predict_residual(*rebuild_problem(estimate, record, ""))
+    found = predict_residual(*rebuild_problem(estimate, record))
     assert found is not None
     return found
 
@@ -68,7 +68,7 @@ def test_it_is_said_where_loop_and_log_pass(of_a_gap: PredictedResidual, monkeyp
     assert fit.problem is not None
     assert fit.x is not None
     state = SearchState(fit.problem, fit.x)
-    monkeypatch.setattr("jointid.diagnostics.diagnose_axes.search_faults", lambda *_, **__: (nothing_found, state))
+    monkeypatch.setattr("jointid.diagnostics.diagnosis.search_faults", lambda *_, **__: (nothing_found, state))
     monkeypatch.setattr(identifying, "predict_residual", lambda *_: of_a_gap)
     monkeypatch.setattr(identifying, "explain_misfit", lambda *_: None)
     checked = assemble(fit, identifying.run_checks(fit))

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
-from jointid.diagnostics.axis_laws import WHOLE
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
@@ -22,7 +21,7 @@ from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.in_time import find_part
 from jointid.diagnostics.score import score
 from jointid.diagnostics.suspects import COMPLIANCE
-from jointid.diagnostics.variants import OTHER_LAWS
+from jointid.diagnostics.variants import OTHER_LAWS, WHOLE
 from jointid.uncertainty.position_dependent_error import cells
 
 _MOST = 3  # faults of one axis

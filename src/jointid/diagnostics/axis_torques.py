@@ -10,7 +10,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import cast
 
 import numpy as np
@@ -18,10 +17,10 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.axis_laws import list_reference_laws
 from jointid.diagnostics.faults.fault import FaultSignature
 from jointid.diagnostics.seen import Seen
 from jointid.diagnostics.suspects import list_signatures
+from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, read_as
 from jointid.estimation.result.estimate import Estimate
@@ -49,7 +48,7 @@ class AxisTorques:
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
         seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
-        position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s; in all rows, seen or not.
+        position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s.
         own: (n, rows, free) columns of the free parameters.
         friction: (n, rows) torque of the motors' friction without offsets, where the predicted torque is a sum of these
             columns; else None.
@@ -128,33 +127,27 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     part, filtering = estimate.require_robot(), estimate.settings.filtering
     if estimate.settings.method == "idim":
         return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
-    solved = estimate.solved if isinstance(estimate, Estimate) else None
-    return _by_simulation(part, records, solved or solve_again(part, records, filtering))
+    return _by_simulation(part, records, estimate.solved or solve_again(part, records, filtering))
 
 
 def _by_inverse_model(part: IdentifiedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, inverse = part.model, inverse_of_robot(part.model, part.parameters)
-    motion = inverse.measure(records, filtering)
+    motion, coupling = inverse.measure(records, filtering), robot.coupling.T
     rows = inverse.rows([motion])
-    coupling = robot.coupling.T
-    q, v, a = (one @ coupling for one in (motion.q, motion.v, motion.a))
-    seen = motion.whole_rows
 
     def thin(columns: FloatArray) -> FloatArray:
         return motion.decimate_columns(columns).reshape(len(robot), -1, columns.shape[2])
 
-    everywhere = replace(motion, moving=np.ones_like(motion.moving))
-    path = everywhere.decimate_columns(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
-    measured = rows.by_equation(rows.Y)
     of_friction = ~part.parameters.inertial & np.array([not name.endswith(".offset") for name in part.names])
     friction = rows.by_equation(rows.W @ np.where(of_friction, part.values, 0.0))
     found = _torques(
-        robot.names, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ part.values)),
-        seen, path, (q, v, a), motion.torque, thin,
-        rows.W.reshape(len(robot), -1, rows.W.shape[1]), friction=friction, raw=motion.raw,
+        robot.names, motion.filtering, motion.sample_time,
+        (rows.by_equation(rows.Y), rows.by_equation(rows.W @ part.values)), motion.whole_rows,
+        [one @ coupling for one in (motion.q, motion.v, motion.a)], motion.torque, thin,
+        rows.W.reshape(len(robot), -1, rows.W.shape[1]), motion.raw,
     )  # fmt: skip
     bends = np.moveaxis(thin(_bend(part, motion)), 2, 0)
-    return replace(found, springs=bends.reshape(len(robot), len(ROTORS), *bends.shape[1:]))
+    return replace(found, friction=friction, springs=bends.reshape(len(robot), len(ROTORS), *bends.shape[1:]))
 
 
 def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
@@ -194,27 +187,22 @@ def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: Sol
     measured = problem.by_joint(problem.decimate(problem.measured))
     predicted = measured - problem.by_joint(solved.problem.error(solved.run))
 
-    def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
-        rows = of.decimate_each(list(np.moveaxis(columns, 1, 0)))
+    def thin(columns: FloatArray) -> FloatArray:
+        rows = problem.decimate_each(list(np.moveaxis(columns, 1, 0)))
         return rows.reshape(len(robot), -1, columns.shape[2])
 
+    laws: list[list[FaultSignature]] = [[] for _ in robot.names]
     if isinstance(problem, RobotLoopProblem):
         assert isinstance(solved.run, RobotRun)
-        moved = simulation_of(solved.run).motion
-        motion = moved.position, moved.velocity, moved.acceleration
-        q, v, a = (one[:, numbers.rotors] for one in motion)
-        seen, whole, raw = np.ones(measured.shape, dtype=np.bool_), thin, None
+        moved, seen, raw = simulation_of(solved.run).motion, np.ones(measured.shape, dtype=np.bool_), None
+        motion = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
         laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
     else:
-        coupling = robot.coupling.T
-        q, v, a = (one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a))
-        seen, everywhere = problem.motion.whole_rows, np.ones_like(problem.motion.moving)
-        whole = partial(thin, of=replace(problem, motion=replace(problem.motion, moving=everywhere)))
-        raw, laws = problem.motion.raw, [[] for _ in robot.names]
+        measured_motion, seen, raw = problem.motion, problem.motion.whole_rows, problem.motion.raw
+        motion = [one @ robot.coupling.T for one in (measured_motion.q, measured_motion.v, measured_motion.a)]
     found = _torques(
-        robot.names, problem.filtering, problem.sample_time, (measured, predicted), seen,
-        whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
-        solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1]), raw=raw,
+        robot.names, problem.filtering, problem.sample_time, (measured, predicted), seen, motion, problem.measured,
+        thin, solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1]), raw,
     )  # fmt: skip
     return replace(found, shapes=tuple((*own, *more) for own, more in zip(found.shapes, laws, strict=True)))
 
@@ -225,19 +213,15 @@ def _torques(
     sample_time: float,
     torques: tuple[FloatArray, FloatArray],
     seen: NDArray[np.bool_],
-    path: FloatArray,
-    motion: tuple[FloatArray, FloatArray, FloatArray],
+    motion: Sequence[FloatArray],
     torque: FloatArray,
     thin: Callable[[FloatArray], FloatArray],
     own: FloatArray,
-    *,
-    friction: FloatArray | None = None,
-    raw: FloatArray | None = None,
+    raw: FloatArray | None,
 ) -> AxisTorques:
     """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
 
-    The path is positions and velocities of the rows, (n, rows, 2); `raw` the positions, (samples, n), if these were
-    measured.
+    `thin` filters columns, (samples, n, columns); `raw` is the positions, (samples, n), if these were measured.
     """
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
@@ -247,17 +231,17 @@ def _torques(
         others = {name: (v[:, i], a[:, i]) for i, name in enumerate(axes) if i != k}
         limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
         made = torque[:, k]
-        seen = Seen(q[:, k], v[:, k], a[:, k], made, made, made, sample_time, np.negative, limit, others)
-        return list(list_signatures(seen))
+        return list(
+            list_signatures(Seen(q[:, k], v[:, k], a[:, k], made, made, made, sample_time, np.negative, limit, others))
+        )
 
     found = in_threads(list_faults, range(len(axes)))
     columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))
     shapes = tuple(
         tuple(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)) for k, all_of in enumerate(found)
     )
-    step = sample_time * filtering.decimation
-    measured, predicted = torques
+    (measured, predicted), path, step = torques, thin(np.stack([q, v], axis=2)), sample_time * filtering.decimation
     return AxisTorques(
         tuple(axes), np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
-        seen, path[:, :, 0], path[:, :, 1], own, friction, shapes, along_measured_motion=raw is not None,
+        seen, path[:, :, 0], path[:, :, 1], own, None, shapes, along_measured_motion=raw is not None,
     )  # fmt: skip

@@ -35,9 +35,8 @@ from jointid.diagnostics.variants import (
     LawTest,
     Proof,
     choose_law,
-    choose_undecided,
     find_other_law,
-    list_undecided,
+    find_undecided,
     test_laws,
 )
 from jointid.estimation.descent import descend, least_squares
@@ -96,8 +95,8 @@ def search_faults(
         if stated is not None:
             alike = [one for one in laws if one is not stated and one.possible and one.as_likely([stated])]
             findings.append(find_other_law(found, stated, alike))
-            named = (*state.named, *(one.refit.law.fault.name for one in (stated, *alike)))
-            state = replace(state, problem=stated.refit.problem, x=stated.refit.x, named=named)
+            named = (*state.named, *(one.law.fault.name for one in (stated, *alike)))
+            state = replace(state, problem=stated.problem, x=stated.x, named=named)
         elif found.significant:
             after = _accept_fault(found)
             findings.append(_make_finding(found, after))
@@ -107,7 +106,6 @@ def search_faults(
     part = find_part_of_loop(state.problem, state.x)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, ended, state = [], None, SearchState(problem, np.asarray(x, dtype=np.float64))
-    open_ones = [] if ended is None else [find_other_law(ended, one) for one in list_undecided(laws)]
     joint, of_loop = problem.loop.joint, not any(one.test.fault.of_model for one in findings)
     check = AxisFaults(
         tuple(findings),
@@ -116,7 +114,7 @@ def search_faults(
         symbols={p.name: p.symbol for p in joint.parameters},
         units=_list_units(joint),
         side=None if joint.transmission is None else joint.transmission.side,
-        undecided=choose_undecided(open_ones),
+        undecided=None if ended is None else find_undecided(ended, laws),
         laws=list_laws(joint),
         excluded=() if findings or ended is None else ended.excluded,
         lacking={} if findings or ended is None else _measure_lacking(ended),

@@ -87,8 +87,8 @@ class EstimateComparison(Documented):
         changes = []
         for row in self.changed:
             change = row.difference or 0.0
-            percent = f" ({100 * change / abs(row.before):+.1f} %)" if row.before else ""
             size = f"{number(abs(change), 3)} ± {number(2 * (row.std or 0.0), 2)} {row.unit}"
+            percent = f" ({100 * change / abs(row.before):+.1f} %)" if row.before else ""
             sense = "rose" if change > 0 else "fell"
             changes.append(f"{row.symbol} {sense} by {size}{percent}, p = {number(row.p_value, 2)}")
         return f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}."
@@ -96,22 +96,17 @@ class EstimateComparison(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
-        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
-        errors = " and ".join("-" if one is None else f"{100 * one:.2f} %" for one in self.errors)
         rows, short = [], [row.name.partition(" with ")[0] for row in self.rows]
         for row, name in zip(self.rows, short, strict=True):
-            mark = "changed" if row in self.changed else row.reason
-            spread = None if row.std is None else 2 * row.std
+            mark, spread = "changed" if row in self.changed else row.reason, None if row.std is None else 2 * row.std
             values = number(row.before), number(row.after), number(row.difference, 3), number(spread, 2)
             shown = in_words(name if short.count(name) == 1 else row.name)
             rows.append((shown, *values, row.unit, number(row.p_value, 2), mark, row.symbol))
+        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
-        blocks = (
-            Facts((*zip("AB", self.records, strict=True), ("torque error", errors))),
-            table,
-            Listing(self.notes),
-        )
-        return Document(self.sentence, blocks)
+        errors = " and ".join("-" if one is None else f"{100 * one:.2f} %" for one in self.errors)
+        facts = Facts((*zip("AB", self.records, strict=True), ("torque error", errors)))
+        return Document(self.sentence, (facts, table, Listing(self.notes)))
 
 
 def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = LEVEL) -> EstimateComparison:
@@ -154,15 +149,15 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
             )
     prints = [_fingerprints(one) for one in both]
     same = not prints[0].isdisjoint(prints[1])
-    sums = [*map(_sums, both)]
-    pairs = [*_pair(*map(_quantities, both)), *(_pair(*sums) if all(sums) else [])]  # several records look for none
+    sums = [_sums(one) for one in both]
+    parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
+    rows = [_compare(*pair, same) for part in parts for pair in _pair(*part)]
     notes = ["A record of one is also of the other, and they share its errors: differences are not tested."] * same
     if not all(prints):
         notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
     records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
     errors = tuple(read(float | None, one["fit"]["relative_error"]) for one in both)
-    rows = _adjust_p_values([_compare(one, other, same) for one, other in pairs])
-    return EstimateComparison(records, errors, same, rows, level, tuple(notes))
+    return EstimateComparison(records, errors, same, _adjust_p_values(rows), level, tuple(notes))
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
@@ -211,36 +206,33 @@ def _sums(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
 def _pair(
     before: Sequence[EstimatedParameter], after: Sequence[EstimatedParameter]
 ) -> list[tuple[EstimatedParameter, EstimatedParameter]]:
-    """Return each quantity of either estimate with its counterpart, which may lack a value.
-
-    Raises:
-        MethodError: one has another unit than its counterpart.
-    """
+    """Return each quantity of either estimate with its counterpart, which may lack a value."""
     here, there = ({q.name: q for q in group} for group in (before, after))
-    for name in here.keys() & there.keys():
-        if here[name].unit != there[name].unit:
-            raise MethodError(
-                f"{name} is in {here[name].unit} in A and in {there[name].unit} in B; identify both with one file."
-            )
-    every = here | {name: q for name, q in there.items() if name not in here}
-    lacking = {name: replace(q, value=None, stderr=None) for name, q in every.items()}
-    return [(here.get(name, without), there.get(name, without)) for name, without in lacking.items()]
+    lacking = {name: replace(q, value=None, stderr=None) for name, q in ({**there, **here}).items()}
+    return [(here.get(name, lacking[name]), there.get(name, lacking[name])) for name in dict.fromkeys((*here, *there))]
 
 
 def _compare(before: EstimatedParameter, after: EstimatedParameter, same: bool) -> QuantityChange:
-    found = QuantityChange(before.name, before.symbol, before.unit, before.value, after.value, None, None)
-    both = (("A", before), ("B", after))
-    if before.value is None or after.value is None:
-        return replace(found, reason=f"not identified in {join([name for name, q in both if q.value is None])}")
-    difference = after.value - before.value
-    found = replace(found, difference=difference)
-    fixed = [name for name, q in both if not q.free or q.stderr is None]
-    if before.stderr is None or after.stderr is None or fixed:
-        return replace(found, reason=f"fixed in {join(fixed)}")
-    std = math.hypot(before.stderr, after.stderr)
-    if same or not std > 0:
-        return replace(found, reason="same record: not tested" if same else "standard deviation 0: not tested")
-    return replace(found, std=std, p_value=math.erfc(abs(difference) / std / math.sqrt(2)))
+    """Return the change of a quantity, whose p-value is not adjusted.
+
+    Raises:
+        MethodError: its unit is another one.
+    """
+    name, both, difference, std, p_value, reason = before.name, (before, after), None, None, None, ""
+    if before.unit != after.unit:
+        raise MethodError(f"{name} is in {before.unit} in A and in {after.unit} in B; identify both with one file.")
+    lost = [which for which, q in zip("AB", both, strict=True) if q.value is None]
+    kept = [which for which, q in zip("AB", both, strict=True) if not q.free or q.stderr is None]
+    spread = math.hypot(before.stderr or 0.0, after.stderr or 0.0)
+    if before.value is not None and after.value is not None:
+        difference = after.value - before.value
+    if lost or kept:
+        reason = f"not identified in {join(lost)}" if lost else f"fixed in {join(kept)}"
+    elif same or not spread > 0:
+        reason = "same record: not tested" if same else "standard deviation 0: not tested"
+    elif difference is not None:
+        std, p_value = spread, math.erfc(abs(difference) / spread / math.sqrt(2))
+    return QuantityChange(name, before.symbol, before.unit, before.value, after.value, difference, std, p_value, reason)
 
 
 def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ...]:

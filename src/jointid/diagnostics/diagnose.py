@@ -19,8 +19,7 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
-from jointid.diagnostics.diagnose_axes import diagnose_joint, diagnose_robot
-from jointid.diagnostics.diagnosis import DIFFERS, Diagnosis, Symptom
+from jointid.diagnostics.diagnosis import DIFFERS, Diagnosis, Symptom, diagnose_joint, diagnose_robot
 from jointid.diagnostics.find_causes import find_failure_causes
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
@@ -102,8 +101,7 @@ def diagnose(
         return _diagnose_estimate(model, record, controllers)
     axes = _list_axes(record, model)
     _, first, loop = axes[0]
-    gear = getattr(getattr(model, "joint", model), "transmission", None)
-    symptoms = [Symptom("remark", _clause(one), spoils=False) for one in first.remarks]
+    symptoms = [Symptom("remark", one, spoils=False) for one in first.remarks]
     if first.resampled is not None and (first.resampled.rms > 0.1 or first.resampled.gaps > 0):
         symptoms.append(Symptom("clock_uneven", f"the clock is uneven: resampled {first.resampled}"))
     symptoms += [replace(one, axis=axis) for axis, own, law in axes for one in _examine(own, law)]
@@ -121,14 +119,16 @@ def diagnose(
                 with contextlib.suppress(JointidError):  # the diagnosis that was made stands
                     found = _diagnose_estimate(estimate, record, controllers)
     if laws and isinstance(record, Record) and loop is not None:
-        known = filtering, parameters, method if isinstance(method, DIDIM) else None, progress
-        kinds: tuple[Literal["springs", "frictions"], ...] = ("springs", "frictions")
+        settings = method if isinstance(method, DIDIM) else None
+        kinds: tuple[Literal["spring", "friction"], ...] = ("spring", "friction")
         try:
-            compared += [compare_laws(record, loop, kind, *known) for kind in kinds[loop.joint.model == "rigid" :]]
+            for kind in kinds[loop.joint.model == "rigid" :]:
+                compared.append(compare_laws(record, loop, kind, filtering, parameters, settings, progress))
         except JointidError as error:
-            symptoms.append(Symptom("laws_not_compared", _clause(str(error)), spoils=False))
+            symptoms.append(Symptom("laws_not_compared", str(error), spoils=False))
     channels, period = ", ".join(first.channels).replace("_", " "), min(one.sample_time for _, one in first.items())
     logged = f"{channels}, {first.duration:.6g} s, a sample every {1e3 * period:.6g} ms."
+    gear = getattr(getattr(model, "joint", model), "transmission", None)
     return replace(
         found, name=first.name, symptoms=tuple(symptoms), logged=logged, laws=tuple(compared), transmission=gear
     )
@@ -136,34 +136,28 @@ def diagnose(
 
 def unreadable(error: FaultsError, record: str) -> Diagnosis:
     """Return the diagnosis of a file from which no record could be made."""
-    return Diagnosis(record, symptoms=tuple(Symptom(_UNREADABLE, _clause(one)) for one in error.faults))
+    return Diagnosis(record, symptoms=tuple(Symptom(_UNREADABLE, one) for one in error.faults))
 
 
 def _diagnose_estimate(
-    estimate: Estimate,
-    record: Record | Sequence[Record],
-    controllers: Sequence[Controller | None],
+    estimate: Estimate, record: Record | Sequence[Record], controllers: Sequence[Controller | None]
 ) -> Diagnosis:
     """Return the diagnosis of an estimate on the record that it is from; see `diagnose`."""
     if isinstance(record, Record) is not (estimate.robot is None):
         raise MethodError(
             "The estimate of a joint is diagnosed on its own record, one of a robot on those of its joints."
         )
-    if not isinstance(record, Record):
-        if windows_of(record, estimate.require_robot().setup, None):
-            raise MethodError(IN_WINDOWS)
-        try:
-            return diagnose_robot(estimate, record, controllers)
-        except np.linalg.LinAlgError:
-            raise MethodError(
-                "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
-            ) from None
-    if estimate.settings.loop is None:
-        raise MethodError("Only DIDIM simulates the loop that is checked; identify with it and the controller.")
-    estimate.require_values()
-    another = f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque."
-    record = take_identified_torque(estimate, record)
-    return diagnose_joint(estimate, record, rebuild_problem(estimate, record, another))[0]
+    if isinstance(record, Record):
+        solved = rebuild_problem(estimate, record)
+        return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)[0]
+    if windows_of(record, estimate.require_robot().setup, None):
+        raise MethodError(IN_WINDOWS)
+    try:
+        return diagnose_robot(estimate, record, controllers)
+    except np.linalg.LinAlgError:
+        raise MethodError(
+            "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
+        ) from None
 
 
 def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
@@ -172,35 +166,35 @@ def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedL
     Raises:
         MethodError: it is another model, or there are not as many records as joints.
     """
+    names: Sequence[str] = ("",)
+    loops = [model if isinstance(model, ClosedLoop) else None]
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        robot = model if isinstance(model, Robot) else model.robot
-        if not isinstance(record, Sequence) or len(record) != len(robot):
-            raise MethodError(f"A robot of {len(robot)} joints is examined with as many records: give one a joint.")
-        loops = model.loops if isinstance(model, RobotLoop) else [None] * len(robot)
-        return list(zip(robot.names, record, loops, strict=True))
-    if not (isinstance(record, Record) and isinstance(model, ClosedLoop | DriveSide | Joint)):
-        raise MethodError("A record is examined with the ClosedLoop or DriveSide of its joint, or with the joint.")
-    return [("", record, model if isinstance(model, ClosedLoop) else None)]
+        names = (model if isinstance(model, Robot) else model.robot).names
+        loops = list(model.loops) if isinstance(model, RobotLoop) else [None] * len(names)
+    records = [record] if isinstance(record, Record) else list(record) if isinstance(record, Sequence) else []
+    if len(records) != len(names):
+        raise MethodError(f"{len(names)} joints are examined with a record of each; received {len(records)}.")
+    return list(zip(names, records, loops, strict=True))
 
 
 def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
     """Yield what is wrong with the channels, the torque, its limit, the motion and the controller of a joint."""
-    torque = record.torque
-    missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
+    torque, needed = record.torque, ("torque", *(() if loop is None else loop.channels))
+    missing = [name for name in dict.fromkeys(needed) if getattr(record, name) is None]
+    if loop is not None and record.motor_position is not None and missing == ["torque"]:
+        return  # which the controller makes of the position
     if missing:
-        names = join(list(dict.fromkeys(missing)))
-        yield Symptom(_UNREADABLE, f"the record has no {names}, without which this joint is not identified; log it")
+        yield Symptom(_UNREADABLE, f"the record has no {join(missing)}, without which this joint is not identified")
     if torque is None:
         return
-    still = [Symptom(_POOR_MOTION, _clause(one)) for one in still_faults(record)]
-    yield from still
-    if still:
+    if still := [*still_faults(record)]:
+        yield from (Symptom(_POOR_MOTION, one) for one in still)
         return
     coarse = find_record_warnings(replace(record, remarks=()), ("torque",))
-    yield from (Symptom("torque_coarse", _clause(one)) for one in coarse)
+    yield from (Symptom("torque_coarse", one) for one in coarse)
     limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
     if math.isfinite(limit):
-        yield from (Symptom("at_limit", _clause(one)) for one in limit_faults(record, limit))
+        yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))
     if record.reference is not None:
         plain = find_plain_cause(record) or (None if loop is None else find_standstill(record, loop))
         if plain is not None:
@@ -215,7 +209,7 @@ def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progr
     """Return the cause of a failed identification; its error if none is found."""
     causes = find_failure_causes(record, loop, progress=progress)
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
-        return Symptom("not_identified", _clause(str(error)))
+        return Symptom("not_identified", str(error))
     named = causes.explanations
     return Symptom(named[0].fault.name if named else str(causes.message.code), causes.message.words)
 
@@ -236,7 +230,3 @@ def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
         if not error <= POOR_FIT:
             left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the model"
             yield Symptom(DIFFERS, left, axis)
-
-
-def _clause(sentence: str) -> str:
-    return sentence.removesuffix(".")

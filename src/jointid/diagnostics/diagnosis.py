@@ -8,28 +8,51 @@ model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
+import numpy as np
+
+from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.messages import Message
+from jointid.common.parallel import in_threads
 from jointid.common.text import join, number, sentence
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
+from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
+from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.law_comparison import LawComparison
-from jointid.diagnostics.model_free import Agreement, LawOnPosition
-from jointid.diagnostics.robot_causes import RobotCause
+from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
+from jointid.diagnostics.robot_causes import RobotCause, find_copied_reference, find_robot_cause, find_wrong_sign
+from jointid.diagnostics.search_state import LoopTests, SearchState
+from jointid.diagnostics.variants import OTHER_LAWS
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason
-from jointid.uncertainty.residual_tests import Whiteness
+from jointid.models.controllers import Controller
+from jointid.models.controllers.servo_base import require_one_each
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.robots.robot import Link
+from jointid.records.record import Record
+from jointid.simulation.controller_torque import SOURCE
+from jointid.simulation.robots import RobotLoop
+from jointid.uncertainty.position_dependent_error import Repeatable, cells, repeatable
+from jointid.uncertainty.residual_tests import Whiteness, whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
 _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
 _MOST_TESTS = 20  # rows of a table
-
+_NEARLY_ALL = 0.8  # of the squares of all axes that are not explained
 
 DIFFERS = "joint_differs"
 _VAGUE = (Agreement.DIFFERS, DIFFERS, str(Reason.NO_CAUSE_FOUND))
 """Symptoms of unknown cause."""
+
+Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
+"""The closed-loop problem of a joint, and its solution, (free,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +72,7 @@ class Symptom:
     spoils: bool = True
 
     def __str__(self) -> str:
-        return f"{self.axis and f'{self.axis}: '}{self.said}"
+        return f"{self.axis and f'{self.axis}: '}{self.said.removesuffix('.')}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +88,7 @@ class AxisDiagnosis:
         faults: that were tested, and those found.
         repeats: whether what is left repeats with the axis' motion; None where that was not tested.
         caused: whether a cause explains what is left that is none of this axis alone.
+        signal: what was compared: "torque", or one that is computed from the position.
     """
 
     in_json = "explained as_declared law_holds"
@@ -75,6 +99,7 @@ class AxisDiagnosis:
     faults: AxisFaults
     repeats: bool | None = None
     caused: bool = False
+    signal: str = "torque"
 
     @property
     def explained(self) -> bool:
@@ -84,14 +109,9 @@ class AxisDiagnosis:
         return self.whiteness.p_value > _SURE or (self.repeats is False and not self.faults.findings)
 
     @property
-    def coloured(self) -> bool:
-        """True if what is left is little, or does not repeat with the motion, but surely no white noise."""
-        return self.explained and self.whiteness is not None and self.whiteness.p_value <= _SURE
-
-    @property
     def is_small(self) -> bool:
         """True if what is left is little, and is not surely coloured."""
-        return self.left < _LEFT and not self.coloured
+        return self.left < _LEFT and (self.whiteness is None or self.whiteness.p_value > _SURE)
 
     @property
     def law_holds(self) -> bool | None:
@@ -101,37 +121,24 @@ class AxisDiagnosis:
     @property
     def as_declared(self) -> bool | None:
         """False if loop or log has a fault, or the controller does not hold; None if neither was tested."""
-        counts = (one for one in self.faults.findings if self.faults.of_loop or not one.test.fault.of_model)
-        if any(counts) or self.law_holds is False or self.faults.part is not None:
+        faulty = any(self.faults.of_loop or not one.test.fault.of_model for one in self.faults.findings)
+        if faulty or self.law_holds is False or self.faults.part is not None:
             return False
         return True if self.law_holds or self.faults.of_loop else None
 
     @property
-    def subject(self) -> str:
-        """Begin of a sentence on the axis; empty of a joint alone."""
-        return f"{self.name}: " if self.name else ""
-
-    @property
     def sentences(self) -> tuple[str, ...]:
         """Faults of the axis, each with its remedy, begun with the axis' name."""
-        found = list[str]()
-        if self.faults.findings or self.faults.undecided is not None or self.faults.part is not None:
-            found += self.faults.sentences
-        elif not self.caused:
-            found.append(self._describe_rest())
-        return tuple(f"{self.subject}{sentence(one)}" for one in found if one)
+        found = self.faults.sentences
+        if not self.faults.findings and self.faults.undecided is None and self.faults.part is None:
+            found = () if self.caused or self.explained else (self._describe_rest(),)
+        return tuple(_of_axis(self, sentence(one)) for one in found)
 
     def _describe_rest(self) -> str:
-        """Return what is left that is no white noise; "" where it is."""
-        if self.explained and not self.coloured:
-            return ""
-        said = f"the model leaves {100 * self.left:.3g} % of the torque, and that is no white noise"
-        if not self.explained:
-            return (
-                f"{said}. None of the faults explains it: check geometry, gears and couplings of the model, and do not "
-                "rely on this joint's intervals"
-            )
-        return said if self.left < _LEFT else f"{said}, but it does not repeat with the motion, like coloured noise"
+        return (
+            f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. None of the "
+            "faults explains it: check geometry, gears and couplings of the model"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,58 +187,34 @@ class Diagnosis(Documented):
     @property
     def finds_nothing(self) -> bool:
         """True if record, loop, log and joint have no fault, and nothing of the torque is left unexplained."""
-        faulty = any(axis.faults.findings for axis in self.axes) or self.parts
+        faulty = any(axis.faults.findings or axis.faults.part is not None for axis in self.axes)
         return self.healthy and self.explained and self.as_declared is not False and not faulty
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
-        """Return the faults found of models, or of loops and logs, each with its axis."""
-        return tuple(
-            _of_axis(axis, reason)
-            for axis in self.axes
-            for finding, reason in zip(axis.faults.findings, axis.faults.reasons, strict=False)
-            if finding.test.fault.of_model is of_model
-        )
-
-    @property
-    def parts(self) -> tuple[Message, ...]:
-        """Return the parts of the time in which axes do not follow the model."""
-        return tuple(_of_axis(axis, axis.faults.part.reason) for axis in self.axes if axis.faults.part is not None)
-
-    @property
-    def undecided(self) -> tuple[Message, ...]:
-        """Other controller laws that matter and are not excluded, by axis."""
-        open_ones = [axis for axis in self.axes if axis.faults.undecided is not None]
-        return tuple(_of_axis(axis, axis.faults.reasons[-1]) for axis in open_ones)
-
-    @property
-    def untested(self) -> tuple[str, ...]:
-        """Names of the axes whose controllers cannot be tested, if others can."""
-        found = tuple(one.name for one in self.axes if one.law_holds is None)
-        return found if len(found) < len(self.axes) else ()
+        """Return what was found of models, or of loops, logs and parts of the time, each with its axis."""
+        found = list[Message]()
+        for axis in self.axes:
+            faults, part = axis.faults, axis.faults.part
+            found += [] if part is None or of_model else [_say_of(axis, part.reason)]
+            named = zip(faults.findings, faults.reasons, strict=False)
+            found += [_say_of(axis, reason) for one, reason in named if one.test.fault.of_model is of_model]
+        return tuple(found)
 
     def describe_laws(self, holds: bool | None) -> str:
         """Return the clause on the controllers that make the logged torques, do not, or (None) cannot be tested."""
         names = [one.name for one in self.axes if one.law_holds is holds]
-        if not names or (holds is None and not self.untested):
-            return ""
         of = f" of {join(names)}" if any(names) else ""
-        which = f"the {'declared ' * (holds is not None)}controller{of}"
-        if holds is None:
-            return f"{which} was not checked, which needs a declared controller, a motor position and a reference"
-        return f"{which} {'makes' if holds else 'does not make'} the logged torque of the logged position"
+        if not names or holds is None:
+            untested = f"the controller{of} was not checked, which needs its law, a motor position and a reference"
+            return untested if 0 < len(names) < len(self.axes) else ""
+        return f"the declared controller{of} {'makes' if holds else 'does not make'} the logged torque of the position"
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """Faults of all axes, each with its remedy."""
-        found = []
-        if self.cause is not None:
-            found += [
-                sentence(str(self.cause)),
-                "Correct this first, and identify again: other faults of single joints are named only then.",
-            ]
-        found += [sentence(wrong)] if (wrong := self.describe_laws(holds=False)) else []
-        found += [one for axis in self.axes for one in axis.sentences]
-        return tuple(found)
+        first = f"{self.cause}. Correct this first, and identify again: single joints are judged only then"
+        found = [*([] if self.cause is None else [first]), *filter(None, [self.describe_laws(holds=False)])]
+        return (*map(sentence, found), *(one for axis in self.axes for one in axis.sentences))
 
     @property
     def sentence(self) -> str:
@@ -242,10 +225,10 @@ class Diagnosis(Documented):
         if self.logged:
             none = f"Nothing is wrong with {'' if self.axes else 'the record '}{self.name}."
             return f"Nothing that is wrong with {self.name} spoils its answer: {first[0]}." if first else none
-        if not self.finds_nothing:
+        if self.sentences:
             return self.sentences[0]
-        left = 100 * max(one.left for one in self.axes)
-        return f"The model leaves {left:.2g} % of the torque at most, and nothing is found that is not as declared."
+        left = max(self.axes, key=lambda one: one.left)
+        return f"The model leaves {100 * left.left:.2g} % of the {left.signal} at most, and no fault is found."
 
     def to_document(self, *, details: bool = False) -> Document:
         """Return the symptoms, a table of the axes, what to do, and the comparisons of laws.
@@ -253,14 +236,10 @@ class Diagnosis(Documented):
         Args:
             details: whether all tests are listed.
         """
+        said = tuple(sentence(str(one)) for one in self.symptoms)
         blocks: list[Block] = [Paragraph(self.logged)] if self.logged else []
-        blocks += (
-            [Heading("What is wrong"), Listing(tuple(sentence(str(one)) for one in self.symptoms))]
-            if self.symptoms[1:]
-            else []
-        )
-        if self.transmission is not None:
-            blocks.append(Facts((("transmission", str(self.transmission)),)))
+        blocks += [Heading("What is wrong"), Listing(said)] if said[1:] else []
+        blocks += [] if self.transmission is None else [Facts((("transmission", str(self.transmission)),))]
         if self.axes:
             blocks.append(self._table())
             blocks += [Heading("What to do"), Listing(self.sentences)] if self.sentences else []
@@ -277,23 +256,128 @@ class Diagnosis(Documented):
             white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
             law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
             rows.append((one.name or "joint", f"{100 * one.left:.3g}", white, *law))
-        return Table(header, tuple(rows), "residual of each joint's filtered torque", (0, 2))
+        return Table(header, tuple(rows), f"residual of each joint's filtered {self.axes[0].signal}", (0, 2))
 
     def _tests(self, details: bool) -> tuple[Table, ...]:
         """Return the table of the tests, or of the significant ones where there are many."""
         tests = [(one, test) for one in self.axes for test in one.faults.tests]
         if not details and len(tests) > _MOST_TESTS:
             tests = [(one, test) for one, test in tests if test.p_value <= one.faults.level]
-        rows = tuple(
-            (
-                one.name or "joint", s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}",
-                number(s.p_value, 2),
-            )
-            for one, s in tests
-        )  # fmt: skip
+        rows = []
+        for one, s in tests:
+            numbers = f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
+            rows.append((one.name or "joint", s.label, *numbers))
         header = ("joint", "fault", "more than declared", "2 sigma", "statistic", "p")
-        return (Table(header, rows, "faults, each as if nothing else were wrong", (0, 1)),) if rows else ()
+        return (Table(header, tuple(rows), "faults, each as if nothing else were wrong", (0, 1)),) if rows else ()
 
 
-def _of_axis(axis: AxisDiagnosis, reason: Message) -> Message:
-    return replace(reason, words=f"{axis.subject}{reason}", clause=f"{axis.subject}{reason.brief}")
+def _of_axis(axis: AxisDiagnosis, words: str) -> str:
+    return f"{axis.name}: {words}" if axis.name else words
+
+
+def _say_of(axis: AxisDiagnosis, reason: Message) -> Message:
+    return replace(reason, words=_of_axis(axis, str(reason)), clause=_of_axis(axis, reason.brief))
+
+
+# Diagnosis of an estimate
+
+
+def diagnose_joint(
+    estimate: Estimate, record: Record, solved: Solved, tests: LoopTests | None = None
+) -> tuple[Diagnosis, SearchState]:
+    """Diagnose the estimate of a joint by DIDIM.
+
+    Args:
+        estimate: by DIDIM, of this record.
+        record: that it was identified from.
+        solved: its problem; the parameters identified beside the joint are not tested.
+        tests: settings of the tests.
+
+    Returns:
+        The diagnosis, and the problem with the faults that were found corrected.
+    """
+    problem, x = solved
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
+    law = compare_law(record, problem.loop)
+    faults, state = search_faults(problem, x, tests, std, record, law)
+    torques, residuals = torques_of_loop(problem, x), estimate.fit.residuals
+    repeats = None if residuals is None else residuals.repeatable
+    axis = _diagnose_axis(estimate, torques, 0, law, faults, repeats)
+    return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
+
+
+def diagnose_robot(
+    estimate: Estimate, records: Sequence[Record], controllers: Sequence[Controller | None] = ()
+) -> Diagnosis:
+    """Diagnose the estimate of a robot by any method.
+
+    Args:
+        estimate: of these records.
+        records: of each joint.
+        controllers: of each joint as declared, None where one is not known; those of the estimate's loop if none are
+            given.
+    """
+    part = estimate.require_robot()
+    robot, torques = part.model, torques_of_robot(estimate, records)
+    loop = part.setup if isinstance(part.setup, RobotLoop) else None
+    controllers = controllers or (() if loop is None else loop.controllers)
+    require_one_each(controllers, len(robot))
+    laws = in_threads(_compare_law, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
+    units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
+    joints = zip(robot.links, robot.joints, strict=True)
+    own = [list_laws(FlexibleJoint(link.kind, joint.law), linear=True) for link, joint in joints]
+    faults, explained = find_axis_faults(torques, units, LoopTests().level, own)
+    repeats = [_repeats(torques, k) if _is_seen_through_law(record) else None for k, record in enumerate(records)]
+    each = enumerate(zip(laws, faults, repeats, strict=True))
+    axes = tuple(_diagnose_axis(estimate, torques, k, *found) for k, found in each)
+    large = sum(not one.is_small for one in axes)
+    cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
+    # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
+    if cause is None and estimate.settings.method == "idim" and large:
+        cause = find_robot_cause(robot, records, estimate.settings.filtering)
+    # What acts all the time explains a part of it only where it explains nearly everything.
+    local = any(one.part is not None for one in faults)
+    if cause is not None and cause.explained > (max(explained, _NEARLY_ALL * large) if local else explained):
+        return Diagnosis(robot.name, estimate.settings.method, tuple(map(_wait_for_cause, axes)), torques, cause)
+    return Diagnosis(robot.name, estimate.settings.method, axes, torques)
+
+
+def _compare_law(axis: tuple[Link, Record, Controller | None]) -> LawOnPosition | None:
+    link, record, law = axis
+    return None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
+
+
+def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
+    """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
+    laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
+    return replace(axis, faults=replace(axis.faults, findings=laws), caused=True)
+
+
+def _is_seen_through_law(record: Record) -> bool:
+    """Test whether a torque is computed from the controller, at some frequencies at least: its noise is coloured."""
+    return record.torque is not None and record.torque.source.endswith(SOURCE)
+
+
+def _repeats(torques: AxisTorques, axis: int) -> Repeatable:
+    """Test whether the residual of an axis repeats with its motion."""
+    inside = torques.seen[axis]
+    where = cells(torques.position[axis][inside], torques.velocity[axis][inside])
+    return repeatable(torques.error[axis][inside], where)
+
+
+def _diagnose_axis(
+    estimate: Estimate,
+    torques: AxisTorques,
+    axis: int,
+    law: LawOnPosition | None,
+    faults: AxisFaults,
+    repeats: Repeatable | None,
+) -> AxisDiagnosis:
+    """Return the diagnosis of one axis."""
+    inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
+    white = whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff)
+    known = repeats is not None and repeats.p_value is not None  # else too little was visited twice
+    return AxisDiagnosis(
+        torques.names[axis], float(np.linalg.norm(torques.error[axis])) / whole, white, law, faults,
+        repeats.significant if known and repeats is not None else None, signal=estimate.signal,
+    )  # fmt: skip

@@ -37,11 +37,9 @@ from jointid.diagnostics.hypothesis_fits import (
 )
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import (
-    explain_on_position,
     find_broken_part,
     find_plain_cause,
     find_standstill,
-    find_torque_scale,
 )
 from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.identify import WINDOW, windows_of
@@ -51,6 +49,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.records.checks import still_faults
 from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -158,7 +157,7 @@ def find_causes(
     if not np.any(record.torque.values):
         raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
     declared = math.inf if estimate is None else estimate.fit.filtered_error
-    plain = find_plain_cause(record) or find_standstill(record, loop) or find_torque_scale(record, loop)
+    plain = find_plain_cause(record) or find_standstill(record, loop)
     if plain is not None:
         return Causes(declared, plain=plain)
     asked = Filtering() if estimate is None else estimate.settings.filtering
@@ -184,15 +183,7 @@ def find_causes(
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     more = best and best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS)
-    if (best is None or more) and (by_position := find_law_causes(record, loop)) is not None:
-        return by_position
     return Causes(declared, () if more else explaining, best if more else None, left, missed=tuple(missed))
-
-
-def find_law_causes(record: Record, loop: ClosedLoop) -> Causes | None:
-    """Return the number of the law that the motor position shows to be another one; None where it shows none."""
-    left, told = explain_on_position(record, loop)
-    return Causes(left, told[:_NAMED]) if told else None
 
 
 def list_hypotheses(
@@ -369,7 +360,7 @@ def find_failure_causes(
 
     None without a loop, or where the search fails.
     """
-    if loop is None or any(getattr(record, name) is None for name in loop.channels):
+    if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
         return None
     try:
         # As much of it as the memory holds.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -16,21 +15,16 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.considered import widen_for_faults, widen_for_rest, widen_for_undeclared
-from jointid.diagnostics.diagnose_axes import Solved, diagnose_joint, diagnose_robot
-from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.faults.numbers import DELAY
-from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause, find_law_causes
+from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
+from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause
 from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
 from jointid.diagnostics.unmodelled_motion import predict_residual
-from jointid.diagnostics.variants import has_unstated_delay
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
-from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.several_records import SeveralRecords
-from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import CheckResults, Widening, assemble, judged
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, skip_test
@@ -133,17 +127,16 @@ def identify(
             "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
             "leave windows out."
         )
-    fit_one = partial(fit_records, filtering=filtering, parameters=parameters, progress=progress)
-    said = ""
+    asked = streamed if windows is None or windows is False else windows
+    fit = fit_records(
+        record, model, method, filtering=filtering, parameters=parameters, several=shared, windows=asked,
+        progress=progress,
+    )  # fmt: skip
+    checked = fit
     if streamed is not None:
         said = f"the record is long, and is identified in windows of {streamed:.3g} s, of which one is checked"
         progress(said)
-    asked = streamed if windows is None or windows is False else windows
-    fit = fit_one(record, model, method, several=shared, windows=asked)
-    checked = fit
-    if streamed is not None:
-        fit = fit.warn(said)
-        checked = fit.window or fit
+        fit, checked = fit.warn(said), fit.window or fit
     of_joint = checked.record is not None and checked.problem is not None
     if not (fit.robot is not None or of_joint) or fit.data.records:
         return assemble(fit)
@@ -151,31 +144,7 @@ def identify(
         return assemble(fit, _left_out("not checked: the checks were left out"))
     if unchecked is not None:
         unchecked(assemble(fit, _left_out("not checked yet")))
-    found = run_checks(checked, progress)
-    if (freed := _free_unstated_delay(fit, method, found)) is not None:
-        progress("the torque acts within a sample after its log: the delay is identified, too")
-        with contextlib.suppress(*_OF_RECORD):  # the first estimate stands
-            wider = fit_one(record, model, freed).warn(*filter(None, (said, _DELAY_SAID)))
-            fit, found = wider, run_checks(wider, progress)
-    return assemble(fit, found)
-
-
-def _free_unstated_delay(fit: Estimate, method: Method | None, found: CheckResults) -> Method | None:
-    """Return the method with an unstated delay of the torque free, where it leaves a doubt; None elsewhere."""
-    settings = DIDIM() if method is None else method
-    if not isinstance(found.diagnosis, Diagnosis) or fit.problem is None or not isinstance(settings, DIDIM):
-        return None
-    (axis,) = found.diagnosis.axes
-    doubted = assemble(fit, found).answer.trust.code is not Trust.RELIABLE
-    if not (doubted and has_unstated_delay(axis.faults, axis.law, fit.problem)):
-        return None
-    return replace(settings, free=(*settings.free, DELAY.name), near=True)
-
-
-_DELAY_SAID = (
-    "the torque acts within a sample after its log, and no delay is declared: it is identified with the joint. Declare "
-    'it, or set undeclared = "none" in [controller]'
-)
+    return assemble(fit, run_checks(checked, progress))
 
 
 def _left_out(why: str) -> CheckResults:
@@ -213,7 +182,7 @@ def _fail(*reasons: Message) -> Verdict:
 def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
     problem, x = solved
-    gross = causes = found = state = rest = by_position = None
+    gross = causes = found = state = rest = None
     with contextlib.suppress(*_OF_RECORD):
         local = find_part_of_loop(problem, x) is not None
         gross = find_gross_cause(assemble(fit), record, progress, local=local)
@@ -229,27 +198,27 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
             verdict = check_without_joint(record, problem.loop_at(x))
     except _OF_RECORD as error:
         verdict = skip_test(Subject.LOOP, f"not checked: {error}")
-    with contextlib.suppress(*_OF_RECORD):
-        if state is not None and isinstance(state.problem.joint, FlexibleJoint):
-            rest = predict_residual(state.problem, state.x)
+    if found is not None and found.axes[0].faults.part is not None:
+        return CheckResults((verdict,), diagnosis=found)
     findings = () if found is None else found.axes[0].faults.findings
     faults = None if found is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
-    if found is not None and found.parts:
-        return CheckResults((verdict,), diagnosis=found)
     with contextlib.suppress(*_OF_RECORD):
         causes = explain_misfit(assemble(fit), record, faults, progress, left, gross)
     if causes is not None:
         return CheckResults((_fail(causes.message),), diagnosis=found)
+    law = None if found is None else found.axes[0].law
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
-    if all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike)):
-        with contextlib.suppress(*_OF_RECORD):
-            by_position = find_law_causes(record, problem.loop)
-    if by_position is not None:
-        verdict = _fail(by_position.message, *(verdict.reasons if verdict.status is Status.FAILED else ()))
+    if law is not None and all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike)):
+        agreed = judge_law(law, record)
+        if agreed.code in (Agreement.DIFFERS, Agreement.SCALED):
+            verdict = _fail(agreed, *(verdict.reasons if verdict.status is Status.FAILED else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         verdict = _fail(short)
     wider, verdicts = [] if found is None else _widen(fit, found), [verdict]
+    with contextlib.suppress(*_OF_RECORD):
+        if state is not None and isinstance(state.problem.joint, FlexibleJoint):
+            rest = predict_residual(state.problem, state.x)
     if state is not None and rest is not None and rest.follows:
         before = next((one for one in judged(fit).checks.verdicts if one.subject is Subject.REPEATABLE), None)
         kept = before.reasons if before is not None and before.status is Status.FAILED else ()
@@ -273,8 +242,8 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
     law = compare_law(record, loop)
     if law is None:
         return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    judged = judge_law(law, record)
-    return Verdict(Subject.LOOP, Status.of(judged.code is Agreement.HOLDS), (judged,))
+    agreed = judge_law(law, record)
+    return Verdict(Subject.LOOP, Status.of(agreed.code is Agreement.HOLDS), (agreed,))
 
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> CheckResults:
@@ -294,36 +263,18 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     reasons = (*rest, *found.name_faults(of_model=True)) if rest else (noise,)
     residual = Verdict(Subject.REPEATABLE, Status.of(not rest), reasons)
 
-    failed = [*found.parts, *found.name_faults(of_model=False)]
+    failed = [*found.name_faults(of_model=False)]
     lost = list(filter(None, map(find_lost_samples, fit.records)))
-    tested = part.has_controllers or failed or lost
+    tested, unseen = part.has_controllers or failed or lost, found.describe_laws(holds=None)
     if wrong := found.describe_laws(holds=False):
-        said = "; ".join(filter(None, (wrong, found.describe_laws(holds=None))))
-        failed.append(Message(Reason.LOOP_NOT_AS_DECLARED, said))
-        failed += _numbers_by_position(part, fit.records, found)
+        failed.append(Message(Reason.LOOP_NOT_AS_DECLARED, "; ".join(filter(None, (wrong, unseen)))))
     none = "no motor position and reference of a declared controller were logged"
     if any(record.computed for record in fit.records):
         none = "the torque is that of the declared controllers"
-    loop = skip_test(Subject.LOOP, found.describe_laws(holds=None) or none, found.untested)
+    loop = skip_test(Subject.LOOP, unseen or none, [one.name for one in found.axes if unseen and one.law_holds is None])
     if failed or lost:
         loop = _fail(*(lost[:1] or failed))
     elif all(joint.law_holds for joint in found.axes):
         said = found.describe_laws(holds=True)
         loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
-    if found.undecided and loop.status is not Status.FAILED:
-        loop = Verdict(Subject.LOOP, Status.UNKNOWN, (*found.undecided, *loop.reasons))
     return CheckResults((residual, loop) if tested else (residual,), tuple(_widen(fit, found)), found)
-
-
-def _numbers_by_position(part: IdentifiedRobot, records: Sequence[Record], found: Diagnosis) -> list[Message]:
-    """Return the numbers of refuted laws that the motor positions show to differ."""
-    told = []
-    for axis, record, loop in zip(found.axes, records, getattr(part.setup, "loops", ()), strict=False):
-        causes = None
-        if axis.law_holds is False:
-            with contextlib.suppress(*_OF_RECORD):  # the verdict stands
-                causes = find_law_causes(record, loop)
-        if causes is not None:
-            said = causes.message
-            told.append(replace(said, words=f"{axis.name}: {said}", clause=f"{axis.name}: {said.brief}"))
-    return told

@@ -7,16 +7,16 @@ estimate and its record.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Listing, common_facts
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, follow, ignore_progress
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parallel import in_threads
+from jointid.common.text import join
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
@@ -68,67 +68,49 @@ def intervals(
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
             "motor_viscous + load_viscous". None means the stiffness, or the inertia of a rigid joint; where that is
             fixed, the first free parameter.
-        progress: called with each quantity.
+        progress: called once.
 
     Raises:
         MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
             another one.
     """
-    if estimate.settings.method != "didim" or estimate.settings.loop is None:
-        raise MethodError(
-            f"Profiles are of DIDIM, whose criterion can be followed; this estimate is by "
-            f"{estimate.settings.method.upper()}."
-        )
-    estimate.require_values()
-    record = take_identified_torque(estimate, record)
-    record.require(("torque",), "A profile")
-    other = (
-        f"This record is not the one the estimate came from ({estimate.data.record}); give that one, or identify this."
-    )
-    problem, x = rebuild_problem(estimate, record, other)
+    problem, x = rebuild_problem(estimate, record)
     residual, J = problem.linearise(x)
     names = [p.name for p in problem.free]
-    where = problem.cells(problem.simulate(x))
-    spread = uncertainty(Influence(J, residual), where).covariance
-    if quantities is None:
-        quantities = ("stiffness",) if "stiffness" in names else names[:1]
-    if "compliance" in quantities and "stiffness" not in names:
+    spread = uncertainty(Influence(J, residual), problem.cells(problem.simulate(x))).covariance
+    asked = list(quantities) if quantities is not None else ["stiffness"] if "stiffness" in names else names[:1]
+    if "compliance" in asked and "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
-    wanted = {name: _parse_combination(problem, name) for name in quantities if name != "compliance"}
+    wanted = [None if name == "compliance" else _parse_combination(problem, name) for name in asked]
 
-    def profile_of(quantity: str) -> ProfileInterval:
-        if quantity == "compliance":
+    def follow(one: Combination | None) -> ProfileInterval:
+        if one is None:
             return profile_compliance(problem, x, spread, problem.joint.unit)
-        return profile(problem, x, wanted[quantity], spread)
+        return profile(problem, x, one, spread)
 
-    profiles = []
-    # Side by side: a simulation does not hold the interpreter's lock.
-    with ThreadPoolExecutor(max(min(len(quantities), os.cpu_count() or 1), 1)) as pool:
-        found = pool.map(profile_of, quantities)
-        for _ in follow(quantities, progress, "profiling", len(quantities), "quantities"):
-            profiles.append(next(found))
-    return Intervals(tuple(profiles), estimate.settings.joint.transmission)
+    if asked:
+        progress(f"profiling {join(asked)}")
+    return Intervals(tuple(in_threads(follow, wanted)), estimate.settings.joint.transmission)
 
 
-def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[ClosedLoopProblem, FloatArray]:
-    """Return the closed-loop problem that an estimate solved, and its free parameters, 0 for those not identifiable.
-
-    Args:
-        estimate: of a simulated loop.
-        record: it came from.
-        another: said where the record is another one.
+def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
+    """Return the closed-loop problem that an estimate solved, and its free parameters.
 
     Raises:
-        MethodError: the record is another one.
+        MethodError: the estimate is not by DIDIM or lacks a value, or the record is another one.
     """
-    assert estimate.settings.loop is not None
+    loop = estimate.settings.loop
+    if loop is None:
+        method = estimate.settings.method.upper()
+        raise MethodError(f"Only DIDIM simulates a loop that can be followed; received an estimate by {method}.")
+    estimate.require_values()
     record = take_identified_torque(estimate, record)
+    record.require(("torque",), "The estimate")
     if record.torque is not None and fingerprint(record.torque.values) != estimate.data.fingerprint:
-        raise MethodError(another if estimate.data.windows is None else IN_WINDOWS)
+        other = f"The estimate is from {estimate.data.record}, and {record.name} has another torque: give its record."
+        raise MethodError(other if estimate.data.windows is None else IN_WINDOWS)
     values = {p.name: p.value or 0.0 for p in estimate.params.rows}
-    problem = torque_problem(
-        record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.joint.parameters
-    )
+    problem = torque_problem(record, loop, estimate.settings.filtering, estimate.settings.joint.parameters)
     problem = problem.freeing(*(name for name in values if name not in problem.units))
     problem = problem.keeping({p.name: values[p.name] for p in estimate.params.rows if not p.free})
     return problem, problem.vector(values)
@@ -153,8 +135,7 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
             "or a sum or difference of parameters in one unit."
         )
     signed = [("- " if weight < 0 else "+ ") + free[name].symbol for name, weight in weights.items()]
-    formula = " ".join(signed).removeprefix("+ ")
-    return Combination(quantity, formula, units.pop(), weights)
+    return Combination(quantity, " ".join(signed).removeprefix("+ "), units.pop(), weights)
 
 
 def weights_of(quantity: str) -> dict[str, float]:

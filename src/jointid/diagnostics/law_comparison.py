@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Detail, Message, Progress, follow, ignore_progress
+from jointid.common.messages import Detail, Message, Progress, follow
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter
 from jointid.common.text import interval, join, number
@@ -32,9 +32,10 @@ from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL, adjust_parameters
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.springs import fit_rigid
 from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
@@ -46,12 +47,17 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 PARTS, TIMES = 24, 3
 """Parts of a record, at most, and fits, each without every third of them."""
 
+RIGID = "none"
+"""Name of the spring of a rigid joint, which is judged beside the laws."""
+
 _FEWEST = 8 * PARTS  # rows of a record that can be cut
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
 _MORE = 0.002  # of the error that is left: a law that takes less of it where it is fitted adds nothing elsewhere
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
-_ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended
+_HELD_OUT = least_squares(1e-5, 20)  # of the fits without a part, which begin where the whole record's ended
+_SIMPLE: Mapping[str, Spring | Friction] = {"spring": LinearSpring(), "friction": SymmetricFriction()}
+"""The law that is always identified, and by whose mode the others are."""
 
 
 class LawCode(StrEnum):
@@ -77,6 +83,7 @@ class JudgedLaw:
         worse, error: logarithm of its squared error over that of the best law, mean over the parts and standard error.
         refusal: why it was not identified, in a sentence; "" if it was.
         words: its parameters with their intervals, in a sentence.
+        squares: (parts,) squared error in each part while that was held out.
     """
 
     name: str
@@ -89,6 +96,7 @@ class JudgedLaw:
     error: float = 0.0
     refusal: str = ""
     words: str = ""
+    squares: FloatArray | None = None
 
     @property
     def predicts_as_well(self) -> bool:
@@ -123,20 +131,21 @@ class LawComparison(Documented):
     @property
     def answer(self) -> Message:
         """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
-        found, values = self.shown, {self.kind: self.shown.name, "declared": self.declared}
-        simple = next(one for one in self.laws if one.name == _SIMPLE[self.kind].name)
-        beside = "" if found is simple else f", a {simple.name} one {_format_share(simple.kept)}"
-        left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted{beside}"
+        found, simple = self.shown, _SIMPLE[self.kind].name
+        beside = [f"a {simple} one {_format_share(one.kept)}" for one in self.laws if found.name != simple == one.name]
+        left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted"
+        left = ", ".join((left, *beside))
         if found.name == RIGID:
-            words = f'The record shows no spring: a rigid joint {left}; declare the joint with model = "rigid", or '
-            return Message(LawCode.NO_SPRING, f"{words}identify how soft the spring may be", values)
-        words = f"The record shows {found.name} {self.kind}, {found.words}: it {left}"
+            code, words = LawCode.NO_SPRING, f'no spring: a rigid joint {left}; declare the joint with model = "rigid"'
+        elif found.name == self.declared:
+            code, words = LawCode.AS_DECLARED, f"{found.name} {self.kind}, {found.words}: it {left}"
+        else:
+            code = LawCode(f"another_{self.kind}")
+            words = f"{found.name} {self.kind}, {found.words}: it {left}; declare the joint with "
+            words += f'{self.kind} = "{found.name}" to identify it'
         if lost := [one.name for one in self.laws if one.refusal]:
             words += f"; {join(lost)} could not be identified"
-        if found.name == self.declared:
-            return Message(LawCode.AS_DECLARED, words, values)
-        words += f'; declare the joint with {self.kind} = "{found.name}" to identify it'
-        return Message(LawCode(f"another_{self.kind}"), words, values)
+        return Message(code, f"The record shows {words}", {self.kind: found.name, "declared": self.declared})
 
     @property
     def sentence(self) -> str:
@@ -148,9 +157,8 @@ class LawComparison(Documented):
         del details
         rows = []
         for one in self.laws:
-            rating = "as good" if one.predicts_as_well else "worse"
-            if one.refusal or one is self.shown:
-                rating = "not identified" if one.refusal else "shown"
+            rating = "not identified" if one.refusal else "as good" if one.predicts_as_well else "worse"
+            rating = "shown" if one is self.shown else rating
             errors = _format_share(one.fitted), _format_share(one.kept)
             rows.append((one.name, str(one.parameters), *errors, rating, one.words or one.refusal))
         header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
@@ -159,31 +167,8 @@ class LawComparison(Documented):
         return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
 
 
-RIGID = "none"
-"""Name of the spring of a rigid joint, which is judged beside the laws."""
-
-
 def _format_share(share: float | None) -> str:
     return "-" if share is None else f"{number(100 * share, 3)} %"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """A problem restricted to the rows, (rows,), that are true in `seen`."""
-
-    problem: ClosedLoopProblem
-    seen: NDArray[np.bool_]
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self.problem.residual(x)[self.seen]
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error, slopes = self.problem.linearise(x)
-        return error[self.seen], slopes[self.seen]
 
 
 def cut(problem: ClosedLoopProblem) -> NDArray[np.intp] | None:
@@ -216,177 +201,152 @@ def mean_logarithm(squares: FloatArray, others: FloatArray) -> tuple[float, floa
     return float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size)
 
 
-def parts_of(problem: ClosedLoopProblem, laws: str) -> NDArray[np.intp]:
-    """Return the part of each row, (rows,), for a comparison of `laws`; raise a `MethodError` for too few rows."""
-    parts = cut(problem)
-    if parts is None:
-        raise MethodError(
-            f"A record is cut into {PARTS} parts to compare {laws}, which takes {_FEWEST} rows or more; received "
-            f"{problem.filter(problem.measured).size}: give a longer record, or a higher cut-off."
-        )
-    return parts
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A problem restricted to the rows, (rows,), that are true in `seen`."""
+
+    problem: ClosedLoopProblem
+    seen: NDArray[np.bool_]
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return self.problem.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return self.problem.residual(x)[self.seen]
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        error, slopes = self.problem.linearise(x)
+        return error[self.seen], slopes[self.seen]
 
 
-def judge(
-    solved: Solved,
-    law: Spring | Friction | None,
-    parts: NDArray[np.intp],
-    simple: tuple[JudgedLaw, FloatArray] | None = None,
-) -> tuple[JudgedLaw, FloatArray]:
-    """Return an identified law with its squared error in each part, (parts,), while that was held out.
+def predict_held_out(problem: ClosedLoopProblem, x: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
+    """Return the error of a solved problem, (rows,), each part by a fit without it.
+
+    Args:
+        problem: that was solved.
+        x: its solution.
+        parts: (rows,) see `cut`.
+    """
+    values = problem.values(x)
+    started = problem.keeping({name: values[name] for name in INITIAL if name in values})  # only the first shows it
+
+    def predict(time: int) -> FloatArray:
+        kept = parts % TIMES == time
+        end = solve(_Part(started, ~kept), _HELD_OUT, started.vector(values))
+        return np.where(kept, started.residual(end.x), 0.0)
+
+    return np.asarray(np.sum(in_threads(predict, range(TIMES)), axis=0))
+
+
+def judge(solved: Solved, law: Spring | Friction | None, simple: JudgedLaw | None) -> JudgedLaw:
+    """Return an identified law with its squared error in the parts that were held out.
 
     A smooth law that fits no better than the simple one takes over its predictions: fits of smooth laws take ten times
     as long.
 
     Args:
-        solved: solution with the law.
+        solved: the joint with the law.
         law: of it; None for a rigid joint.
-        parts: (rows,) see `parts_of`.
-        simple: the linear law, judged, and its squared errors.
+        simple: the linear law, judged.
+
+    Raises:
+        MethodError: there are too few rows.
     """
-    problem, x = solved.problem, solved.solution.x
+    problem, x = solved.problem, solved.x
     error, slopes = problem.linearise(x)
-    known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x)))
-    shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
-    std = {
-        p.name: float(sigma)
-        for p, sigma, stated in zip(problem.free, known.covariance.std, shown, strict=True)
-        if stated
-    }
-    of_law, values, units, size = _parameters(problem.joint, law), problem.values(x), problem.units, problem.size
-    said = {}
-    for p in of_law:
-        fixed = f"{number(values[p.name], 4)} {units[p.name]}" if p.name in values and p not in problem.free else ""
-        told = f"{interval(values[p.name], 2 * std[p.name])} {units[p.name]}" if p.name in std else fixed
-        said[p.name] = told or "(not identifiable)"
-    words = "" if law is None else ", ".join(f"{p.symbol} {said[p.name]}" for p in of_law)
+    known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x))).covariance.std
+    reached = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
+    std = {p.name: float(one) for p, one, seen in zip(problem.free, known, reached, strict=True) if seen}
+    values, names, said = problem.values(x), [p.name for p in _parameters(problem.joint, law)], dict[str, str]()
+    for p in (p for p in problem.parameters if p.name in names):
+        size = interval(values[p.name], 2 * std[p.name]) if p.name in std else number(values[p.name], 4)
+        said[p.name] = f"{size} {problem.units[p.name]}" if p.name in std or not p.free else "(not identifiable)"
+    symbols = {p.name: p.symbol for p in problem.parameters}
+    words = law.describe(said) if isinstance(law, Spring) else ", ".join(f"{symbols[n]} {said[n]}" for n in names)
     found = JudgedLaw(
-        RIGID if law is None else law.name,
-        len(of_law),
-        {p.name: values[p.name] for p in of_law},
-        {p.name: std[p.name] for p in of_law if p.name in std},
-        float(np.linalg.norm(error)) / size,
-        None,
-        words=law.describe(said) if isinstance(law, Spring) else words,
-    )
-    if simple is not None and problem.joint.stepped:
-        least = simple[0].fitted
-        if least is not None and float(np.linalg.norm(error)) / size > (1.0 - _MORE) * least:
-            return replace(found, kept=simple[0].kept), simple[1]
-    initial = {name: values[name] for name in INITIAL if name in values}
-    started = problem.keeping(initial)  # only the first part shows it
-    solver = least_squares(_ROUGHLY, _EVALUATIONS)
-
-    def predict(time: int) -> FloatArray:
-        kept = parts % TIMES == time
-        end = solve(_Part(started, ~kept), solver, started.vector(values))
-        return np.where(kept, started.residual(end.x), 0.0)
-
-    apart = np.sum(in_threads(predict, range(TIMES)), axis=0)
-    found = replace(found, kept=float(np.linalg.norm(apart)) / size)
-    return found, squares_of(apart, parts, (_NOTHING * size) ** 2 / PARTS)
+        RIGID if law is None else law.name, len(names), {name: values[name] for name in names},
+        {name: std[name] for name in names if name in std}, problem.filtered_error(error), None, words=words,
+    )  # fmt: skip
+    if simple is not None and problem.joint.stepped and (found.fitted or 0.0) > (1.0 - _MORE) * (simple.fitted or 0.0):
+        return replace(found, kept=simple.kept, squares=simple.squares)
+    parts = cut(problem)
+    if parts is None:
+        raise MethodError(f"Laws are compared over {_FEWEST} filtered rows: record longer, or raise the cutoff.")
+    apart = predict_held_out(problem, x, parts)
+    least = (_NOTHING * problem.size) ** 2 / PARTS
+    return replace(found, kept=problem.filtered_error(apart), squares=squares_of(apart, parts, least))
 
 
-def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:
+def rank(found: Sequence[JudgedLaw]) -> tuple[JudgedLaw, ...]:
     """Return laws with `worse` and `error` relative to the best one."""
-    known = [squares for _, squares in found if squares is not None]
-    best = min(known, key=lambda one: float(np.mean(np.log(one))))
-    stated = []
-    for law, squares in found:
-        worse, error = (0.0, 0.0) if squares is None else mean_logarithm(squares, best)
-        stated.append(replace(law, worse=worse, error=error))
-    return tuple(stated)
+    best = min((one.squares for one in found if one.squares is not None), key=lambda one: float(np.mean(np.log(one))))
+    apart = [(0.0, 0.0) if one.squares is None else mean_logarithm(one.squares, best) for one in found]
+    return tuple(replace(one, worse=worse, error=error) for one, (worse, error) in zip(found, apart, strict=True))
 
 
 def compare_laws(
     record: Record,
     loop: ClosedLoop,
-    among: Literal["springs", "frictions"],
+    kind: Literal["spring", "friction"],
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,
     didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
-    """Identify a joint with every law of its spring or friction."""
-    settings, joint = didim or DIDIM(), loop.joint
-    kind: Literal["spring", "friction"] = "spring" if among == "springs" else "friction"
-    if kind == "spring" and not isinstance(joint, FlexibleJoint):
-        raise MethodError(
-            'Only a flexible joint has a spring; received a rigid one: declare it with model = "flexible".'
-        )
-    settings.require_settings_of(joint.model)
+    """Identify a joint with every law of its spring or friction.
+
+    Raises:
+        MethodError: the joint has no such law, gravity follows the position, or the simplest law is not identified.
+    """
+    joint, settings, given = loop.joint, didim or DIDIM(), dict(parameters or {})
+    if kind == "spring" and joint.model == "rigid":
+        raise MethodError('A rigid joint has no spring: declare it with model = "flexible" to compare springs.')
     if joint.gravity is not None and joint.gravity.varies:
-        raise MethodError(
-            f"{among.capitalize()} are not compared beside gravity that follows the position, with which {among} in "
-            "pieces are not simulated; expected a constant load or none."
-        )
+        raise MethodError(f"A {kind} in pieces is not simulated beside gravity that follows the position; fix that.")
+    settings.require_settings_of(joint.model)
     check_record(record)
-    given, simple = dict(parameters or {}), _SIMPLE[kind]
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
-    made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
-    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
-    band, found = filtering or Filtering(), list[tuple[JudgedLaw, FloatArray | None]]()
-    line: tuple[JudgedLaw, FloatArray] | None = None
+    simple = _SIMPLE[kind]
 
     def identify(law: Spring | Friction, band: Filtering) -> Solved:
-        """Identify the joint with a law."""
-        other = _with_law(loop, kind, law)
-        wanted = adjust_parameters(other.joint.parameters, _of_law(given, joint, other.joint))
+        changed: dict[str, Any] = {kind: law}
+        other = replace(joint, **changed)
+        wanted = adjust_parameters(other.parameters, _of_law(given, joint, other))
         history = History(lambda message: progress(Detail(message)))
-        end = settings.solve(Task(record, other.joint, other, wanted, band, history.progress), history)
-        if settings.free:
-            end = free_more(end, settings.free, settings.stopping_tolerance(other.joint.model), history)
-        return end
+        end = settings.solve(Task(record, other, replace(loop, joint=other), wanted, band, history.progress), history)
+        tolerance = settings.stopping_tolerance(joint.model)
+        return free_more(end, settings.free, tolerance, history) if settings.free else end
 
-    solved = identify(simple, band)
-    parts, band = parts_of(solved.problem, among), solved.problem.filtering
-    if isinstance(solved.problem.joint, FlexibleJoint):
-        settings = replace(settings, frequency=solved.problem.joint.frequencies(solved.values)["free_free"])
-    # A rigid joint is judged beside the laws of a spring.
-    tried = [None, *laws] if kind == "spring" else [*laws]
-    for law in follow(tried, progress, f"comparing {among}", len(tried), among):  # the bar says how far it is
+    first = identify(simple, filtering or Filtering())
+    if joint.model == "flexible":
+        settings = replace(settings, frequency=FlexibleJoint.frequencies(first.values)["free_free"])
+    line = judge(first, simple, None)
+
+    def judge_law(law: Spring | Friction | None) -> JudgedLaw:
         try:
             if law is None:
-                end = _lump(solved, record, loop, settings.stopping_tolerance("rigid"))
-            else:
-                end = solved if law == simple else identify(law, band)
-            fitted, squares = judge(end, law, parts, line)
-            line = (fitted, squares) if law == simple else line
-            found.append((fitted, squares))
+                return judge(Solved(*fit_rigid(first.problem, first.values)), law, line)
+            return line if law == simple else judge(identify(law, first.problem.filtering), law, line)
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
-            if law == simple:
-                raise MethodError(f"The joint cannot be judged with {simple.name} {kind}: {why}") from error
-            name = RIGID if law is None else law.name
-            found.append((JudgedLaw(name, len(_parameters(joint, law)), {}, {}, None, None, refusal=why), None))
-    return LawComparison(kind, record.name, rank(found), getattr(joint, kind).name, joint.transmission)
+            name, size = RIGID if law is None else law.name, len(_parameters(joint, law))
+            return JudgedLaw(name, size, {}, {}, None, None, refusal=why)
 
-
-_SIMPLE: Mapping[str, Spring | Friction] = {"spring": LinearSpring(), "friction": SymmetricFriction()}
-"""The law that is always identified, and by whose mode the others are."""
-
-
-def _lump(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float) -> Solved:
-    """Solve for a rigid joint in the same band, from the lumped parameters of a flexible one."""
-    flexible, problem, values = loop.joint, solved.problem, solved.values
-    assert isinstance(flexible, FlexibleJoint)
-    own, beside = flexible.rigid.parameters, problem.parameters[len(problem.joint.parameters) :]
-    lumped = values | {p.name: of_whole(p, values) for p in own}
-    rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, own, beside)
-    return History(ignore_progress).solve(rigid, least_squares(tolerance), rigid.vector(lumped))
-
-
-def _with_law(loop: ClosedLoop, kind: str, law: Spring | Friction) -> ClosedLoop:
-    """Return a loop whose joint has another spring or friction."""
-    joint: Any = replace(loop.joint, **{kind: law})  # type: ignore[arg-type]
-    return replace(loop, joint=joint)
+    made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
+    laws: list[Spring | Friction | None] = [None] if kind == "spring" else []
+    laws += sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
+    bar = follow(laws, progress, f"comparing {kind}s", len(laws), "laws")
+    return LawComparison(
+        kind, record.name, rank([judge_law(law) for law in bar]), getattr(joint, kind).name, joint.transmission
+    )
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:
     """Return the parameters of a law, of friction on both sides of a joint or of its one inertia."""
     if law is None or isinstance(law, Spring):
         return () if law is None else law.parameters
-    sides = (("motor_", "1"), ("load_", "2")) if isinstance(joint, FlexibleJoint) else (("", ""),)
+    sides = (("motor_", "1"), ("load_", "2")) if joint.model == "flexible" else (("", ""),)
     return tuple(p for side in sides for p in law.parameters(*side))
 
 
@@ -398,6 +358,7 @@ def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> di
     meant = {p.name for p in joint.parameters}
     if declared.friction.offset_identifiable != joint.friction.offset_identifiable:
         meant -= {"offset"}
-    if isinstance(declared, FlexibleJoint) and isinstance(joint, FlexibleJoint) and declared.spring != joint.spring:
-        meant -= {p.name for p in (*declared.spring.parameters, *joint.spring.parameters)} - {"damping"}
+    springs = [getattr(one, "spring", None) for one in (declared, joint)]
+    if springs[0] != springs[1]:
+        meant -= {p.name for spring in springs if spring is not None for p in spring.parameters} - {"damping"}
     return {name: change for name, change in given.items() if name in meant}

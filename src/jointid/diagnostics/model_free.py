@@ -13,7 +13,7 @@ law, delay and the gain of the log are tested before a joint is identified. Wher
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -23,14 +23,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
-from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED, Controller
-from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.robots.robot import Robot
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.records.signals.filtering import find_noise_limit, lowpass, lowpass_below_noise
+from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import Influence
@@ -39,19 +37,15 @@ MEMORY = 0.3
 """Seconds that a loop remembers."""
 SHORTEST = 2.0
 """Seconds of a record: a shorter one, less its borders, has fewer than two samples for each number of the responses."""
-_WELL_SEEN = 0.1  # of a log's rate, below which a position between two samples is known
 _STANDS = 1e-9  # of the greatest velocity
 _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered signal are nearly the same
 _LATEST = 8  # samples: the largest delay, either way, of the torque
 _PARTS = 4  # of a sample: the steps of the delay
 _BORDER = 20  # samples at each end that are not compared
 _BETTER = 0.8  # of the residual: a delay must reduce it to this
-_LONGEST = 0.012  # s, of a delay
 _LAGS = 8  # samples of reference and position in a free law
-OF_LAW = 0.03
-"""Share of a torque that a controller which holds leaves along the logged position, at most."""
-BEYOND_NOISE = 2.0
-"""Times what any law leaves: the declared one is not what the drive runs."""
+_OF_LAW = 0.03  # of a torque: what a controller which holds leaves along the logged position, at most
+_BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what the drive runs
 _GAIN = 0.03  # off 1
 _LEAVES = 0.1  # of the torque: more is not what rounding leaves
 _MORE_THAN_NOISE = 1.25  # times what any law leaves of it
@@ -117,7 +111,7 @@ class LawOnPosition:
     def holds(self) -> bool:
         """Whether the declared law makes the logged torque."""
         in_time = self.late == 0.0 and abs(self.gain - 1.0) < _GAIN
-        return in_time and self.left < max(OF_LAW, BEYOND_NOISE * self.noise)
+        return in_time and self.left < max(_OF_LAW, _BEYOND_NOISE * self.noise)
 
 
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
@@ -132,13 +126,13 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     logged, made, see = followed
     assert record.torque is not None
     columns, inside = np.column_stack([made, np.ones(logged.size)]), slice(_BORDER, logged.size - _BORDER)
-    target, noise = logged[inside], _regress_on_past(record, logged, see)
 
     def at(late: float) -> tuple[float, FloatArray]:
         """Return what is left of the torque, and the weights, with the law so many samples later."""
         whole = math.floor(late)
-        first, last, share = _BORDER - whole, logged.size - _BORDER - whole, late - whole
-        return _regress(target, (1 - share) * columns[first:last] + share * columns[first - 1 : last - 1])
+        first, last, share = inside.start - whole, inside.stop - whole, late - whole
+        delayed = (1 - share) * columns[first:last] + share * columns[first - 1 : last - 1]
+        return _regress(logged[inside], delayed)
 
     left, weights = at(0.0)
     near = min(range(-_LATEST, _LATEST + 1), key=lambda late: at(late)[0])
@@ -146,7 +140,8 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     late = float(min(shifts, key=lambda late: at(late)[0]))
     in_time, scaled = at(late)
     if in_time > _BETTER * left:
-        return LawOnPosition(left, float(weights[0]), 0.0, left, noise)
+        late, in_time, scaled = 0.0, left, weights
+    noise = _regress_on_past(record, logged, see)
     return LawOnPosition(left, float(scaled[0]), late * record.torque.sample_time, in_time, noise)
 
 
@@ -167,42 +162,26 @@ def judge_law(law: LawOnPosition, record: Record) -> Message:
         record: that it was compared with.
     """
     assert record.torque is not None
-    left = f"{number(100 * law.left, 2)} %"
+    code, words = Agreement.HOLDS, "the declared law makes the torque of the motor's position"
     if abs(law.late) > _LATE * record.torque.sample_time and law.left_in_time < 2 * _LEAVES:
-        way = "later" if law.late > 0 else "earlier"
-        return Message(
-            Agreement.LATE,
+        code, way = Agreement.LATE, "later" if law.late > 0 else "earlier"
+        words = (
             f"the torque is {number(1e3 * abs(law.late), 2)} ms {way} than the declared law makes it of the motor's "
-            f"position ({left} of the torque is left as declared, {number(100 * law.left_in_time, 2)} % with that): "
-            "check the delay, and which instant a logged value stands for (timing)",
         )
-    if law.left > max(_LEAVES, _MORE_THAN_NOISE * law.noise):
-        return Message(
+        words += "position: check the delay, and which instant a logged value stands for (timing)"
+    elif law.left > max(_LEAVES, _MORE_THAN_NOISE * law.noise):
+        code, words = (
             Agreement.DIFFERS,
-            f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
-            "channel's sign or clock are not as declared; jointid learn-controller learns the law from this record",
+            "the declared law does not make the torque of the motor's position: its gains, ",
         )
-    if abs(law.gain - 1) > max(_GAIN, law.left):
-        return Message(
-            Agreement.SCALED,
-            f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
-            f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared",
+        words += (
+            "the torque's unit, or a channel's sign or clock are not as declared; jointid learn-controller learns it"
         )
-    return Message(Agreement.HOLDS, f"the declared law makes all but {left} of the torque of the motor's position")
-
-
-def compare_robot_laws(
-    robot: Robot, records: Sequence[Record], controllers: Sequence[Controller | None]
-) -> list[LawOnPosition | None]:
-    """Compare each declared controller of a robot with its joint's logged torque; see `compare_law`."""
-    if not controllers:
-        return [None] * len(robot)
-
-    def compare(k: int) -> LawOnPosition | None:
-        law = controllers[k]
-        return None if law is None else compare_law(records[k], ClosedLoop(RigidJoint(robot.links[k].kind), law))
-
-    return in_threads(compare, range(len(robot)))
+    elif abs(law.gain - 1) > max(_GAIN, law.left):
+        code, what = Agreement.SCALED, "sign" if law.gain < 0 else "unit or gain"
+        words = f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
+        words += f"torque's {what}, or the law's last gain, is not as declared"
+    return Message(code, f"{words} ({number(100 * law.left, 2)} % of the torque is left as declared)")
 
 
 def excludes(
@@ -228,11 +207,10 @@ def excludes(
     own, other = _follow(record, loop), _follow(record, replace(loop, controller=controller))
     if own is None or other is None or record.torque is None:
         return False
-    at = np.arange(min(len(own[1]), len(other[1])))
+    (logged, made, _), at = own, np.arange(min(len(own[1]), len(other[1])))
     later = (1.0 + gain) * np.interp(at - late / record.torque.sample_time, at, other[1][: at.size, 0])
-    columns = np.column_stack([later - own[1][: at.size, 0], own[1][: at.size, 1:], np.ones(at.size)])
-    columns, left = columns[_BORDER:-_BORDER], (own[0] - own[1][:, 0])[: at.size][_BORDER:-_BORDER]
-    sizes = column_norms(columns)
+    columns = np.column_stack([later - made[: at.size, 0], made[: at.size, 1:], np.ones(at.size)])[_BORDER:-_BORDER]
+    left, sizes = (logged - made[:, 0])[: at.size][_BORDER:-_BORDER], column_norms(columns)
     if np.ptp(columns[:, 0]) == 0.0:
         return False
     weights = np.linalg.lstsq(columns / sizes, left, rcond=None)[0]
@@ -260,56 +238,6 @@ def _follow(
     if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(torque.values) == 0 or np.ptp(made[:, 0]) == 0:
         return None
     return see(torque.values[:count]), see(made[:count]), see
-
-
-@dataclass(frozen=True, slots=True)
-class LawChange:
-    """Change of a law along a logged position, in its best size, beside a free delay of the torque.
-
-    Attributes:
-        size: of the change, 1 as given; of a scale less 1. std: its deviation.
-        left: residual share of the torque about its mean.
-    """
-
-    size: float
-    std: float
-    left: float
-
-
-def fit_law_changes(record: Record, loop: ClosedLoop, others: Sequence[Controller]) -> tuple[LawChange, ...]:
-    """Return changes of a law, one by one: none, the scale of its torque, and each other law.
-
-    Torques are compared far below the rate of the log, where the position between two samples is known. There is
-    nothing without a motor position.
-    """
-    followed = [_follow(record, replace(loop, controller=one)) for one in (loop.controller, *others)]
-    each, torque = [one for one in followed if one is not None], record.torque
-    if torque is None or len(each) < len(followed):
-        return ()
-    see = partial(lowpass, cutoff=_WELL_SEEN / torque.sample_time, sample_time=torque.sample_time)
-    count, last = min(len(made) for _, made, _ in each), math.ceil(_LONGEST / torque.sample_time)
-    if count < 2 * (last + _BORDER):
-        return ()
-    first, at, inside = each[0][1][:count], np.arange(count), slice(last + _BORDER, count - _BORDER)
-    other = [made[:count, 0] - first[:, 0] for _, made, _ in each[1:]]
-    signals = see(np.column_stack([first[:, 0], *other, first[:, 1:]]))
-    logged = see(each[0][0][:count])[inside]
-    logged -= logged.mean()
-    changes, around = 1 + len(other), [*range(1 + len(other), signals.shape[1])]
-    best = [LawChange(0.0, math.inf, math.inf)] * (1 + changes)
-    for late in np.arange(-_PARTS, _PARTS * last + 1) / _PARTS:
-        moved = np.column_stack([np.interp(at - late, at, one)[inside] for one in signals.T])
-        moved -= moved.mean(axis=0)
-        target = logged - moved[:, 0]
-        for k in range(1 + changes):
-            columns = moved[:, [*([k - 1] if k else []), *around]]
-            weights = np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0]
-            error = target - columns @ weights
-            left = float(np.linalg.norm(error) / np.linalg.norm(logged))
-            if left < best[k].left:
-                std = float(Influence(columns, error).robust().std[0]) if k else math.inf
-                best[k] = LawChange(float(weights[0]) if k else 0.0, std, left)
-    return tuple(best)
 
 
 def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArray], FloatArray]) -> float:

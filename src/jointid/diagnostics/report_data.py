@@ -17,10 +17,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Progress, follow, ignore_progress
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.intervals import Intervals, intervals
+from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
@@ -37,51 +37,25 @@ _STEP = 1e-6  # of a parameter, or of its deviation where it is 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spectra:
-    """One-sided amplitude spectral densities, averaged over windows (Welch 1967).
-
-    Attributes:
-        frequency: (lines,) Hz, 0 left out.
-        measured, predicted, error: (lines,) in the signal's unit per square root of Hz.
-    """
-
-    frequency: FloatArray
-    measured: FloatArray
-    predicted: FloatArray
-    error: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """One response with its band.
-
-    Attributes:
-        side: "motor" or "load".
-        magnitude: (lines,) of the velocity per torque.
-        low, high: (lines,) 2 standard deviations about it.
-        phase: (lines,) degrees.
-    """
-
-    side: str
-    magnitude: FloatArray
-    low: FloatArray
-    high: FloatArray
-    phase: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponse:
     """Frequency response of an identified joint.
 
     Attributes:
         frequency: (lines,) Hz.
-        curves: of the motor, and for a flexible joint of the load.
+        sides: whose velocity it is: of the motor, and for a flexible joint of the load.
+        magnitude: (sides, lines) of the velocity per torque.
+        low, high: (sides, lines) 2 standard deviations about it.
+        phase: (sides, lines) degrees.
         unit: of the magnitude.
         modes: Hz by name, of a flexible joint; see `FlexibleJoint.frequencies`.
     """
 
     frequency: FloatArray
-    curves: tuple[Curve, ...]
+    sides: tuple[str, ...]
+    magnitude: FloatArray
+    low: FloatArray
+    high: FloatArray
+    phase: FloatArray
     unit: str
     modes: Mapping[str, float]
 
@@ -122,26 +96,30 @@ def collect_report_data(
     """Collect the results that a report on an estimate presents; see `Report.of`."""
     flexible = any(p.name == "stiffness" and p.free for p in estimate.params.rows)
     asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
-    parts: dict[str, Callable[[], Any]] = {
-        "validation": lambda: validate(estimate, record),
-        "response": lambda: compute_response(estimate),
-        "profiles": lambda: intervals(estimate, record, asked, progress=progress),
-    }
-    found, absent = dict.fromkeys(parts), dict[str, str]()
-    for name, compute in follow(parts.items(), progress, "collecting the report", len(parts), "parts"):
+    found, absent = dict[str, Any](), dict[str, str]()
+
+    def keep(name: str, compute: Callable[[], Any]) -> None:
+        progress(f"collecting the report: {name}")
         try:
             found[name] = compute()
         except JointidError as error:
             absent[name] = str(error)
-    check, followed = estimate.checks.diagnosis, found.pop("profiles") or Intervals(())
+
+    keep("validation", lambda: validate(estimate, record))
+    keep("response", lambda: compute_response(estimate))
+    keep("profiles", lambda: intervals(estimate, record, asked, progress=progress).profiles)
+    check = estimate.checks.diagnosis
     return ReportData(
         estimate, check if isinstance(check, Diagnosis) else None, **found, channels=dict(record.items()),
-        profiles=followed.profiles, checks=tuple(checks), absent=absent,
+        checks=tuple(checks), absent=absent,
     )  # fmt: skip
 
 
-def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:
-    """Return the spectra of a measured and a predicted signal, and of their difference.
+def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> tuple[FloatArray, ...]:
+    """Return frequencies, Hz, and the spectra there of a measured and a predicted signal, and of their difference.
+
+    These are one-sided amplitude spectral densities, averaged over windows (Welch 1967), (lines,) in the signal's unit
+    per square root of Hz.
 
     Args:
         measured: (samples,).
@@ -160,12 +138,9 @@ def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: f
         )
     wanted = min(max(measured.size // _PARTS, _SHORTEST), _LONGEST)
     window = 1 << (wanted.bit_length() - 1)
-    densities = []
-    for signal in (measured, predicted, measured - predicted):
-        frequency, power = welch(signal, 1.0 / sample_time, nperseg=window, detrend="constant")
-        densities.append(np.sqrt(power[1:]))
-    measured_, predicted_, error = densities
-    return Spectra(frequency[1:], measured_, predicted_, error)
+    signals = np.stack([measured, predicted, measured - predicted])
+    frequency, power = welch(signals, 1.0 / sample_time, nperseg=window, detrend="constant")
+    return frequency[1:], *np.sqrt(power[:, 1:])  # 0 left out
 
 
 def compute_response(estimate: Estimate) -> FrequencyResponse:
@@ -174,35 +149,29 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     Raises:
         MethodError: a parameter of the joint is not identifiable.
     """
-    joint, values = estimate.settings.joint, estimate.values
+    joint, values, modes = estimate.settings.joint, estimate.values, estimate.frequencies
     missing = [p.symbol for p in joint.parameters if p.name not in values]
     if missing:
         raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is not identifiable.")
-    flexible = joint.model == "flexible"
-    modes = estimate.frequencies
     highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
+    sides = ("motor", "load")[: 2 if joint.model == "flexible" else 1]
+    outputs = OUTPUTS[1 : 2 * len(sides) : 2]  # the velocities
+
+    def respond(values: Mapping[str, float]) -> ComplexArray:
+        return np.stack([frequency_response(joint, values, frequency, output) for output in outputs])
+
     free = [p for p in estimate.params.rows if p.free and p.of_joint and p.stderr is not None and p.name in values]
     std = np.array([p.stderr for p in free], dtype=np.float64)
     covariance = np.outer(std, std) * estimate.params.correlation_of([p.name for p in free])
-    outputs = OUTPUTS[1 : len(OUTPUTS) if flexible else 2 : 2]  # the velocities of the motor and of a flexible load
-
-    def respond(values: Mapping[str, float]) -> list[ComplexArray]:
-        return [frequency_response(joint, values, frequency, output) for output in outputs]
-
-    at = respond(values)
-    slopes = []
-    for p in free:
+    at, slopes = respond(values), np.zeros((len(free), len(sides), frequency.size))
+    for k, p in enumerate(free):
         step = _STEP * (abs(p.value or 0.0) or p.stderr or 1.0)
-        moved = respond(values | {p.name: values[p.name] + step})
-        slopes.append([np.log(after / before).real / step for after, before in zip(moved, at, strict=True)])
-    curves = []
-    for i, (side, H) in enumerate(zip(("motor", "load"), at, strict=False)):
-        J = np.array([slope[i] for slope in slopes]).reshape(len(free), frequency.size)
-        spread = np.sqrt(np.maximum(np.einsum("pf,pq,qf->f", J, covariance, J), 0.0))
-        size, factor = np.abs(H), np.exp(np.minimum(2 * spread, 50.0))
-        curves.append(Curve(side, size, size / factor, size * factor, np.degrees(np.unwrap(np.angle(H)))))
+        slopes[k] = np.log(respond(values | {p.name: values[p.name] + step}) / at).real / step
+    spread = np.sqrt(np.maximum(np.einsum("psf,pq,qsf->sf", slopes, covariance, slopes), 0.0))
+    size, factor = np.abs(at), np.exp(np.minimum(2 * spread, 50.0))
+    phase = np.degrees(np.unwrap(np.angle(at), axis=1))
     torque_unit = f"({own})" if " " in (own := estimate.data.torque_unit) else own
     unit = f"({POSITION_UNIT[joint.kind]}/s)/{torque_unit}"
-    return FrequencyResponse(frequency, tuple(curves), unit, modes)
+    return FrequencyResponse(frequency, sides, size, size / factor, size * factor, phase, unit, modes)

@@ -8,8 +8,6 @@ mass: a record with this torque is of an axis at rest.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -17,13 +15,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import join, number
-from jointid.diagnostics.faults.fault import Explanation
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.loop_gain import TORQUE_SCALE, say_times
-from jointid.diagnostics.faults.numbers import VELOCITY_FILTER, number_fault
-from jointid.diagnostics.model_free import OF_LAW, SHORTEST, compare_law, fit_law_changes
+from jointid.diagnostics.model_free import SHORTEST
 from jointid.estimation.result.verdict import Reason
-from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record
@@ -34,11 +28,6 @@ _IMMOVABLE = 1e20  # kg or kg m2
 _FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them
 _AS_AT_REST = 0.15  # of the torque's scatter: so little is left where it is that of an axis at rest
 _SAME_SIZE = 0.25  # so near to 1 is then its size
-_GAINS = ("position_gain", "velocity_gain", "derivative_gain")
-_FILTERS = (1e-3, 2e-3, 4e-3, 8e-3)  # s
-_EXPLAINED, _MOST_LEFT, _ALIKE = 0.7, 0.15, 1.1  # of what the law leaves; of the torque; times the least
-_SURE, _FAR_OFF = 4.0, 0.1  # deviations; of a number: a position between two samples pretends less
-_BY_LAW, _OFF = 0.1, 1.5  # of the torque; times: a factor that the law and the position show
 _LEAST = 1.0  # s of motion: a shorter record is not relied on
 _FEWEST_STEPS = 10  # of a motion
 _ROUGH = 0.15  # of a step: by so much the next one may differ
@@ -220,9 +209,8 @@ def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:
     if record.injected is not None:  # that moves the joint, too
         return None
     said = _see_motor_rest(record) or _see_torque_at_rest(record, loop)
-    if said is None:
+    if said is None or record.reference is None:
         return None
-    assert record.reference is not None
     asked = f"{number(float(np.ptp(record.reference.values)), 2)} {record.reference.unit}"
     clause = f"the axis hardly moves: {said} where {asked} are asked; record a larger or faster motion"
     return Message(Reason.HARDLY_MOVES, clause, {}, clause)
@@ -263,54 +251,3 @@ def _see_torque_at_rest(record: Record, loop: ClosedLoop) -> str | None:
     if left >= _AS_AT_REST or abs(share[0] - 1.0) >= _SAME_SIZE:
         return None
     return f"with the motor at rest the controller would make all of this torque but {number(100 * left, 2)} %,"
-
-
-def find_torque_scale(record: Record, loop: ClosedLoop) -> Message | None:
-    """Return the factor of a torque beside that of the law for the motor's position; None near 1, or without both.
-
-    The mechanics have no part in it, and a signal that is added to the torque keeps its own scale.
-    """
-    law = compare_law(record, loop)
-    if law is None or law.left_in_time > _BY_LAW or not law.gain > 0 or max(law.gain, 1 / law.gain) < _OFF:
-        return None
-    size = "large" if law.gain > 1 else "small"
-    clause = f"the torque is {say_times(law.gain)} too {size} for the declared law and the logged motor position"
-    words = f"{clause}: check its unit, its torque constant and its side of the gear, and the gains of the law"
-    cause = {"cause": TORQUE_SCALE.name, "value": law.gain, "error": law.left_in_time}
-    return Message(Reason.CAUSE_FOUND, words, {"causes": [cause], "declared_error": None}, clause)
-
-
-def explain_on_position(record: Record, loop: ClosedLoop) -> tuple[float, tuple[Explanation, ...]]:
-    """Compare the logged torque with that of the law along the motor position.
-
-    Return the residual of the declared law, and the changes that leave far less. The mechanics have no part in it.
-    Small changes may be those of a position that is unknown between two samples.
-    """
-    law: Any = loop.controller
-    declared = fit_law_changes(record, loop, ())
-    if not declared or declared[0].left < OF_LAW:
-        return 0.0, ()
-    gains = {name: value for name, value in numbers_of(law).items() if name in _GAINS and value}
-    times = _FILTERS if getattr(law, "velocity_filter", None) == (1.0,) else ()
-    others = [with_numbers(law, {name: 2.0 * value}) for name, value in gains.items()]
-    others += [replace(law, velocity_filter=FirstOrder(time)) for time in times]
-    fits = fit_law_changes(record, loop, others)
-    if not fits:  # the record does not show another law
-        return declared[0].left, ()
-    none, scale, *changes = fits
-    found = [(TORQUE_SCALE, 1.0 + scale.size, scale)]
-    found += [(number_fault(name), v * (1 + c.size), c) for (name, v), c in zip(gains.items(), changes, strict=False)]
-    filters = [(time, one) for time, one in zip(times, changes[len(gains) :], strict=True) if one.size > 0.0]
-    if filters:  # that of a time whose size is as given
-        time, one = min(filters, key=lambda pair: pair[1].left)
-        found.append((VELOCITY_FILTER, time * one.size, one))
-    least = min(one.left for _, _, one in found)
-    if least > min(_EXPLAINED * none.left, _MOST_LEFT):
-        return none.left, ()
-    said = (
-        Explanation(cause, words, number, one.left)
-        for fault, value, one in sorted(found, key=lambda each: each[2].left)
-        if one.left < _ALIKE * least and value > 0 and abs(one.size) > max(_SURE * one.std, _FAR_OFF)
-        for cause, words, number in fault.explain(value, loop)
-    )
-    return none.left, tuple(said)

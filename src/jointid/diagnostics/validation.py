@@ -1,6 +1,8 @@
 """Validation as the paper does it: the direct test on the same record, the cross test on another one.
 
-The torque of each axis is predicted (`record_prediction`) and compared with the measured one, ``||Y - Ys|| / ||Y||``.
+The joint or robot is simulated, or its inverse model evaluated, and the torque of each axis compared with the measured
+one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is estimated anew: the state at its first sample, and the
+zero of a load encoder.
 
 What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
 record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
@@ -10,34 +12,45 @@ compared with its nominal masses, rotors and springs, with friction fitted to th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Facts, Paragraph, Table, common_facts
-from jointid.common.errors import MethodError
+from jointid.common.document import Document, Documented, Facts, Table, common_facts
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.record_prediction import predict_joint, predict_robot
-from jointid.estimation.problems.inverse_model import read_as
-from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
+from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
+from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
+from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, inverse_of_joint, read_as, through_window
+from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_verdict
+from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
+from jointid.records.signals.filtering import differentiate
+from jointid.simulation.closed_loop import require_success
 from jointid.simulation.controller_torque import compute_controller_torque
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.prescribed import PARTS, DriveSide
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Solution, solve
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
 _ALIKE = 0.02  # of an error: two models whose errors differ by less are as good as each other
+_SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
+_OTHER_LAW = "the controller is not that of the identification, which is right only if its gains were changed"
 
 
 class Prediction(StrEnum):
@@ -161,74 +174,50 @@ class Validation(Documented):
         """Whether the estimate predicts every axis of the record within its noise, and the remedy if not."""
         own, worst = self.test == "direct", min(self.axes, key=lambda axis: list(Prediction).index(axis.prediction))
         code = Prediction.OWN_RECORD if own else worst.prediction
-        bad = code not in (Prediction.OWN_RECORD, Prediction.PREDICTED)
-        there = [axis for axis in self.axes if axis.prediction is code or not bad]
+        there = [a for a in self.axes if own or a.prediction is code]
         left, least = _rms([a.filtered_error for a in there]), _rms_of_all([a.attainable_error for a in there])
-        who = "robot" if worst.name else "joint"
-        of = f" of {join([axis.name for axis in there])}" if bad and worst.name else ""
+        of = f" of {join([axis.name for axis in there])}" if len(there) < len(self.axes) else ""
         share = f"it leaves {_format_share(left)} of the filtered torque{of}"
         share += "" if least is None else f", and one identified from it {_format_share(least)}"
         part = "controller, " * (self.method == "didim")
-        said = {
-            Prediction.OWN_RECORD: f"was identified from {self.record}: {share}; validate it on another record",
-            Prediction.PREDICTED: f"predicts {self.record}: {share}",
-            Prediction.NOT_COMPARED: f"predicts {self.record} as well as is said: {share}; how little a {who} can "
-            "leave there could not be found",
-            Prediction.NOT_AS_DECLARED: f"does not predict {self.record}: {share}; {part}channels or scales are not as "
-            "declared there: identify it from this record, too, and see what is said of the fit",
-            Prediction.ANOTHER_JOINT: f"does not predict {self.record} within its noise: {share}; its {part}load or "
-            "friction differs there: identify it from this record, too, and compare both estimates",
+        anew = "there: identify it from this record, too, and compare both estimates"
+        how, then = {
+            Prediction.OWN_RECORD: ("was identified from", "validate it on another record"),
+            Prediction.PREDICTED: ("predicts", ""),
+            Prediction.NOT_COMPARED: ("predicts", "how little may be left there could not be found"),
+            Prediction.NOT_AS_DECLARED: ("does not predict", f"{part}channels or scales are not as declared {anew}"),
+            Prediction.ANOTHER_JOINT: ("does not predict", f"its {part}load or friction differs {anew}"),
         }[code]
-        return Message(code, f"The {who} {said}", {"filtered_error": left, "attainable_error": least})
+        words = f"The {'robot' if worst.name else 'joint'} {how} {self.record}: {share}"
+        values = {"filtered_error": left, "attainable_error": least}
+        return Message(code, "; ".join(filter(None, (words, then))), values)
 
     @property
     def sentence(self) -> str:
         """The answer as a sentence."""
         return f"{self.answer}."
 
-    @property
-    def comparison(self) -> Paragraph | None:
-        """The estimate beside the nominal robot, in words; None without one."""
-        mine, nominal = self.filtered_error, self.nominal_error
-        if nominal is None:
-            return None
-        said, useful = f"The estimate leaves {_format_share(mine)} of this record", mine < (1.0 + _ALIKE) * nominal
-        if math.isfinite(nominal):
-            said += f", the nominal model {_format_share(nominal)}{'.' if useful else ': do not use it in its place.'}"
-        else:
-            said += "; the nominal model is unstable under these controllers: give each joint's rotor_inertia."
-        return Paragraph(said, tone="good" if useful else "bad")
-
     def to_document(self, *, details: bool = False) -> Document:
         """Return the answer and the errors as a document; there are no further details."""
         del details
-        first, what = self.axes[0], "robot" if self.axes[0].name else "joint"
-        how = {
-            "didim": "simulated from the reference",
-            "drive_side": "simulated along the motor position",
-        }.get(self.method, "computed from the measured position")
-        test = f"{self.test} test on {self.record}, of the {what} identified from {self.identified_from}"
+        first, nominal = self.axes[0], self.nominal_error
+        how = {"didim": "simulated from the reference", "drive_side": "simulated along the motor position"}.get(
+            self.method, "computed from the measured position"
+        )
+        test = f"{self.test} test on {self.record}, of what was identified from {self.identified_from}; torque {how}"
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
         error = f"{100 * self.relative_error:.4f} % raw ({left_out}), {100 * self.filtered_error:.4f} % filtered"
-        facts = (
-            ("test", f"{test}; torque {how}"), *common_facts(self.resampled, first.transmission),
-            ("torque error", error), *(("warning", warning) for warning in self.warnings),
-        )  # fmt: skip
-        blocks: list[Block] = [] if self.comparison is None else [self.comparison]
-        blocks.append(Facts(facts))
-        if first.name:
-            rows = tuple(
-                (
-                    one.name,
-                    *map(
-                        _format_cell, (one.relative_error, one.filtered_error, one.attainable_error, one.nominal_error)
-                    ),
-                )
-                for one in self.axes
-            )
-            header = ("joint", "raw, %", "filtered, %", "attainable, %", "nominal, %")
-            blocks.append(Table(header, rows, "Error of the prediction, as a share of the measured signal"))
-        return Document(self.sentence, tuple(blocks))
+        facts = [("test", test), *common_facts(self.resampled, first.transmission), ("torque error", error)]
+        if nominal is not None:
+            useful = "" if self.filtered_error < (1.0 + _ALIKE) * nominal else ": keep it in the place of the estimate"
+            facts.append(("nominal model", f"{_format_share(nominal)} filtered{useful}"))
+        facts += (("warning", warning) for warning in self.warnings)
+        header, rows = ("joint", "raw, %", "filtered, %", "attainable, %", "nominal, %"), list[tuple[str, ...]]()
+        for one in self.axes:
+            shares = one.relative_error, one.filtered_error, one.attainable_error, one.nominal_error
+            rows.append((one.name, *map(_format_cell, shares)))
+        table = Table(header, tuple(rows), "Error of the prediction, as a share of the measured signal")
+        return Document(self.sentence, (Facts(tuple(facts)), *([table] if first.name else [])))
 
 
 def _format_cell(share: float | None) -> str:
@@ -238,7 +227,7 @@ def _format_cell(share: float | None) -> str:
 
 
 def _format_share(share: float) -> str:
-    return f"{number(100 * share, 3)} %"
+    return f"{number(100 * share, 3)} %" if math.isfinite(share) else "runs away,"
 
 
 def _rms(shares: Sequence[float] | FloatArray) -> float:
@@ -263,74 +252,65 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         RecordError: a channel is missing, or the record contradicts its description.
         MethodError: the joint or robot cannot be simulated on this record.
     """
-    settings, source, prints = estimate.settings, estimate.data.record, estimate.data.fingerprints
-    if estimate.robot is not None:
-        if not (isinstance(record, Sequence) and all(isinstance(one, Record) for one in record)):
-            raise MethodError("The estimate of a robot is validated on one log: give a record of each joint, in order.")
-        robot, setup = estimate.robot.model, getattr(estimate.robot, "setup", None)
-        if len(record) != len(robot):
-            raise MethodError(
-                f"A robot of {len(robot)} joints is validated with as many records; received {len(record)}: give one "
-                "of each joint, in order."
-            )
-        given = _with_torques(record, getattr(setup, "loops", [None] * len(robot)))
-        records = read_as(given, settings.timing)
-        found = predict_robot(estimate, records)
-        gear: Transmission | None = None
-        axes = [(robot.names[k], robot.torque_unit(k), robot.position_unit(k), gear) for k in range(len(robot))]
+    records = _take_records(estimate, record)
+    found, joints = predict_records(estimate, records), len(records)
+    if estimate.robot is None:
+        joint = estimate.settings.joint
+        axes = [("", "" if records[0].torque is None else records[0].torque.unit, POSITION_UNIT[joint.kind])]
+        gear: Transmission | None = joint.transmission
     else:
-        if isinstance(record, Sequence):
-            raise MethodError("The estimate of a joint is validated on one record; validate it on each alone.")
-        (record,) = _with_torques([record], [settings.loop])
-        record.require(("torque",), "Validation")
-        check_record(record)
-        records, joint = read_as([record], settings.timing), settings.joint
-        found = predict_joint(estimate, records[0])
-        length = POSITION_UNIT[joint.kind]
-        assert record.torque is not None
-        axes = [("", record.torque.unit, length, joint.transmission)]
+        robot, gear = estimate.robot.model, None
+        axes = [(robot.names[k], robot.torque_unit(k), robot.position_unit(k)) for k in range(joints)]
     torques = [one.torque.values for one in records if one.torque is not None]
-    own = fingerprint(np.concatenate(torques)) in prints
-    anew, nominal = None if own else found.with_free(), None
-    if not own and found.nominal_errors is not None:
-        nominal = found.nominal_errors() if estimate.require_robot().model.has_masses else None
+    own = fingerprint(np.concatenate(torques)) in estimate.data.fingerprints
     size = np.linalg.norm(found.whole, axis=1)
-    rows, compared = found.error.shape[1] // found.equations, np.zeros(found.measured.shape)
+    anew = None if own else found.with_free()
+    attainable = [None] * joints if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
+    nominal = [None] * joints
+    if not own and found.nominal_errors is not None and estimate.require_robot().model.has_masses:
+        nominal = found.nominal_errors().tolist()
+    compared = np.zeros(found.measured.shape)
     compared[found.borders[0] : len(compared) - found.borders[1]] = 1.0
     compared *= 1.0 if found.compared is None else found.compared
-    made = list[ValidatedAxis]()
-    for k, (name, unit, length, gear) in enumerate(axes):
-        measured, predicted = found.measured[:, k], found.predicted[:, k]
-        made.append(
-            ValidatedAxis(
-                name, unit, length, measured, predicted, compared[:, k],
-                relative_error(compared[:, k] * measured, compared[:, k] * predicted, found.borders),
-                float(np.linalg.norm(found.error[k]) / size[k]), _autocorrelate(found.error[k, :rows]), rows,
-                Motion(*(one[:, k] for one in found.motion)), gear,
-                *(
-                    None if one is None else float(one[k])
-                    for one in (None if anew is None else np.linalg.norm(anew, axis=1) / size, nominal)
-                ),
-            )
-        )  # fmt: skip
-    first = records[0]
-    warnings = found.warnings
-    if not estimate.fit.converged:
-        warnings += ("the search for the estimate did not settle: do not rely on it",)
+    shown, told = compared * found.measured, compared * found.predicted
+    made = tuple(
+        ValidatedAxis(
+            *axis, found.measured[:, k], found.predicted[:, k], compared[:, k],
+            relative_error(shown[:, k], told[:, k], found.borders),
+            float(np.linalg.norm(found.error[k]) / size[k]), _autocorrelate(found.error[k]), found.error.shape[1],
+            Motion(*(one[:, k] for one in found.motion)), gear, attainable[k], nominal[k],
+        )
+        for k, axis in enumerate(axes)
+    )  # fmt: skip
+    unsettled = "the search for the estimate did not settle: do not rely on it"
+    warnings = (*found.warnings, *([] if estimate.fit.converged else [unsettled]))
     warnings += (scale_verdict(()).said,) if any(one.computed for one in records) else ()
     return Validation(
-        "direct" if own else "cross", settings.method, first.name, source,
-        found.sample_time, found.borders, tuple(made), warnings, first.resampled,
+        "direct" if own else "cross", estimate.settings.method, records[0].name, estimate.data.record,
+        found.sample_time, found.borders, made, warnings, records[0].resampled,
     )  # fmt: skip
 
 
-def _with_torques(records: Sequence[Record], loops: Sequence[ClosedLoop | None]) -> list[Record]:
-    """Add the controllers' torques to records without a logged torque."""
-    return [
-        one if one.torque is not None or one.motor_position is None or loop is None
-        else compute_controller_torque(one, loop)
-        for one, loop in zip(records, loops, strict=True)
-    ]  # fmt: skip
+def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequence[Record]:
+    """Return a record of each axis with the timing of the identification; a torque that lacks is computed.
+
+    Raises:
+        MethodError: there are not as many as axes.
+        RecordError: a record contradicts its description.
+    """
+    loops: Sequence[ClosedLoop | None] = [estimate.settings.loop]
+    if estimate.robot is not None:
+        loops = getattr(getattr(estimate.robot, "setup", None), "loops", [None] * len(estimate.robot.model))
+    given = [*record] if isinstance(record, Sequence) else [record]
+    if len(given) != len(loops) or not all(isinstance(one, Record) for one in given):
+        raise MethodError(f"Validation takes a record of each of {len(loops)} joints, in order; received {len(given)}.")
+    for k, (one, loop) in enumerate(zip(given, loops, strict=True)):
+        if one.torque is None and one.motor_position is not None and loop is not None:
+            given[k] = compute_controller_torque(one, loop)
+        if estimate.robot is None:
+            given[k].require(("torque",), "Validation")
+            check_record(given[k])
+    return read_as(given, estimate.settings.timing)
 
 
 def _autocorrelate(error: FloatArray) -> FloatArray:
@@ -338,3 +318,185 @@ def _autocorrelate(error: FloatArray) -> FloatArray:
     power = float(centred @ centred) or 1.0
     lags = range(min(_LAGS, centred.size - 1) + 1)
     return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in lags])
+
+
+# The prediction
+
+
+class Predicted(NamedTuple):
+    """A record beside its prediction: raw signals (samples, n), filtered ones (n, rows).
+
+    The rows of a flexible joint's inverse model are those of two equations, one after the other.
+
+    Attributes:
+        motion: positions, velocities and accelerations of the motors, (samples, n).
+        with_free: returns the error, (n, rows), that the model with free parameters leaves; None if that fails.
+        compared: (samples, n) 0 where a motor's rest or reversal is left out; all ones when None.
+        nominal_errors: returns the errors, (n,), of the nominal robot; None of a joint.
+    """
+
+    sample_time: float
+    borders: tuple[int, int]
+    measured: FloatArray
+    predicted: FloatArray
+    error: FloatArray
+    whole: FloatArray
+    motion: Sequence[FloatArray]
+    with_free: Callable[[], FloatArray | None]
+    compared: FloatArray | None = None
+    nominal_errors: Callable[[], FloatArray] | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def predict_records(estimate: Estimate, records: Sequence[Record]) -> Predicted:
+    """Predict the record of a joint, or those of a robot's joints.
+
+    Raises:
+        RecordError: a channel is missing.
+        MethodError: a value is refused, or the joint or robot cannot be simulated along these records.
+    """
+    if estimate.robot is not None and estimate.settings.method != "idim":
+        return _simulate_robot(estimate, records)
+    if estimate.settings.loop is not None:
+        return _simulate_loop(estimate, estimate.settings.loop, records[0])
+    if estimate.settings.method == "drive_side":
+        return _simulate_along_motion(estimate, records[0])
+    return _evaluate_inverse_model(estimate, records)
+
+
+def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> Predicted:
+    settings, part = estimate.settings, estimate.robot
+    if part is None:
+        known = estimate.require_values()
+        inverse = inverse_of_joint(settings.joint, settings.delay, zeros=settings.joint.model == "flexible")
+        values = np.array([known.get(name, 0.0) for name in inverse.names])
+    else:
+        from jointid.estimation.robots.regression import inverse_of_robot
+
+        inverse, values = inverse_of_robot(part.model, part.parameters), part.values.copy()
+    motion, axes = inverse.measure(records, settings.filtering), inverse.driven
+    raw = inverse.columns_along(motion)
+    rows = inverse.rows([motion], [raw])
+    own = np.array([name == ENCODER_OFFSET.name for name in inverse.names])  # counted from elsewhere in each record
+    values[own] += np.linalg.lstsq(rows.W[:, own], rows.Y - rows.W @ values, rcond=None)[0]
+    whole, error = (one.reshape(axes, -1) for one in (rows.Y, rows.Y - rows.W @ values))
+    moved = motion.q, motion.v, motion.a
+    return Predicted(
+        motion.sample_time, motion.filtering.borders, motion.torque[:, :axes],
+        through_window(raw[:, :axes], motion.filtering) @ values, error, whole,
+        [one[:, :1] if part is None else one @ part.model.coupling.T for one in moved],
+        lambda: _fit_columns(rows.W, whole), None if part is None else motion.moving,
+        None if part is None else lambda: rows.relative_errors(part.nominal),
+    )  # fmt: skip
+
+
+def _fit_columns(columns: FloatArray, whole: FloatArray) -> FloatArray:
+    """Return what a weighted fit of columns leaves of (n, rows); weights come from a first fit."""
+    left = whole
+    for _ in range(min(len(whole), 2)):
+        weights = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])
+        fitted = np.linalg.lstsq(columns * weights[:, np.newaxis], whole.ravel() * weights, rcond=None)[0]
+        left = whole - (columns @ fitted).reshape(whole.shape)
+    return left
+
+
+def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> Predicted:
+    assert record.torque is not None
+    record.require(loop.channels, "Validation")
+    known, experiment = estimate.require_values(), prepare(loop, record)
+    measured = record.torque.values[: experiment.samples]
+    around = with_torque(INITIAL_STATE, experiment, measured)
+    free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, estimate.settings.filtering, loop, experiment)
+    problem = free.keeping({p.name: known[p.name] for p in loop.joint.parameters})
+    x, _ = fit_initial_state(problem)
+    run, motor = require_success(problem.simulate(x)), {"initial_velocity": problem.values(x)["initial_velocity"]}
+    motion = [run.motor_position, run.motor_velocity, run.motor.acceleration]
+    same = estimate.controller_sha256 in ("", law_fingerprint(loop))
+    found = _predict_by(problem, free.keeping(motor), x, run.torque, motion)
+    return found._replace(warnings=() if same else (_OTHER_LAW,))
+
+
+def _simulate_along_motion(estimate: Estimate, record: Record) -> Predicted:
+    """Predict the torque along the motor's motion, with the log's own delay."""
+    joint, filtering, values = estimate.settings.joint, estimate.settings.filtering, estimate.require_values()
+    delay = LOG_DELAY.fix(-estimate.settings.delay)
+    free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, delay)
+    problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
+    x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
+    predicted, _, finished = problem.simulate(x, ())
+    if not finished:
+        raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
+    position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
+    motion = [position, velocity, differentiate(velocity, problem.sample_time)]
+    found = _predict_by(problem, free, x, predicted, [one[: problem.measured.size] for one in motion])
+    return found._replace(compared=problem.weights[:, np.newaxis])
+
+
+def _predict_by(
+    problem: ClosedLoopProblem | DriveSideProblem,
+    free: ClosedLoopProblem | DriveSideProblem,
+    x: FloatArray,
+    predicted: FloatArray,
+    motion: Sequence[FloatArray],
+) -> Predicted:
+    """Return the prediction of a problem whose joint is known, beside the same problem with a `free` one."""
+    measured = problem.measured
+    error, whole = problem.filter(np.column_stack([measured - predicted, measured])).T
+
+    def fit_anew() -> FloatArray | None:
+        found = _search(free, free.vector(problem.values(x)))
+        return None if found is None else found.residual[np.newaxis]
+
+    return Predicted(
+        problem.sample_time, problem.filtering.borders, measured[:, np.newaxis], predicted[:, np.newaxis],
+        error[np.newaxis], whole[np.newaxis], [one[:, np.newaxis] for one in motion], fit_anew,
+    )  # fmt: skip
+
+
+def _search(problem: Any, start: FloatArray) -> Solution | None:
+    """Return the solution of a search; None if it fails."""
+    try:
+        with np.errstate(all="ignore"):  # a loop that runs away
+            return solve(problem, _SEARCH, start)
+    except (JointidError, np.linalg.LinAlgError):
+        return None
+
+
+def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
+    from jointid.estimation.robots.numbers import robot_parameters
+    from jointid.estimation.robots.simulated import errors_of, nominal_numbers, problem_of
+    from jointid.simulation.robots import motion_at
+
+    part = estimate.require_robot()
+    robot, numbers = part.model, part.numbers()
+    problem: Any = problem_of(part.setup, records, robot_parameters(robot), estimate.settings.filtering)
+    run = problem.run_of(numbers)
+    if run is None:
+        what = "references" if part.has_controllers else "motor positions"
+        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
+    if part.has_controllers:
+        moved = motion_at(run, problem.experiment.clock.log_index)
+        path = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
+    else:
+        path = [one @ robot.coupling.T for one in (problem.motion.q, problem.motion.v, problem.motion.a)]
+    error = problem.error(run)
+
+    def fit_anew() -> FloatArray | None:
+        parameters = problem.parameters
+        base = replace(parameters.base, log=numbers.log)
+        free, left = replace(problem, parameters=replace(parameters, base=base)), error
+        x = parameters.to_search_variables(parameters.group(run.numbers))
+        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
+            free = free.reweight(left, 0)
+            found = _search(free, x)
+            if found is None:
+                return None
+            x, left = found.x, found.residual / free.weights(error.size)
+        return np.asarray(problem.by_joint(left))
+
+    return Predicted(
+        problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
+        problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
+        None if part.has_controllers else problem.motion.moving,
+        nominal_errors=lambda: errors_of(problem, nominal_numbers(robot, numbers)),
+    )  # fmt: skip

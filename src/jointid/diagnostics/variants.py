@@ -9,7 +9,8 @@ the identified joint is another one. A drive that is faster than its reference h
 cubics. It may also see its reference late, or average it over a time, which makes it later by half of that; so the time
 follows from the delay that fits.
 
-Each law is screened first: one simulation under it at the same joint shows what it changes. Two laws are distinguished
+Each law is screened first: one simulation under it at the same joint, or of all joints of a robot, shows what it
+changes. Two laws are distinguished
 by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again under the other law, and the
 residual is regressed on the change of the fit. The coefficient is 0 under the declared law and 1 under the other one. A
 record may exclude neither. So all laws that it allows are compared, and the likeliest is chosen; of equals the
@@ -26,32 +27,32 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
-from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Measure
+from jointid.diagnostics.faults.findings import Finding, OtherLaw
+from jointid.diagnostics.faults.numbers import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
 from jointid.diagnostics.faults.words import state_periods
-from jointid.diagnostics.model_free import LawOnPosition, excludes
+from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_numbers, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.resampling import default_interpolation
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop
 
 TIMES_FASTER = (2, 4, 8)
 """Than the log: at these rates a drive may run whose period is not declared."""
 _UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
 _SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
 _SOLVED = 1e-6  # far below a deviation
-_WAYS: tuple[Interpolation, ...] = ("hold", "linear", "cubic")
 _SCREENED = 4  # samples of the log: of a mean that shows whether the reference is late
-_PASSES = 3  # in which the time of a delay or a mean is found
-_NEARLY = 0.5  # periods
 _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
 _EXCLUDED = 2.0  # deviations: a law so far away is excluded
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
@@ -59,156 +60,119 @@ _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no s
 _REACH = 2.0  # times what half of the log's period changes any faster drive changes
 _MATTERS = 1.5  # deviations: a law that moves no parameter so far by one step is not searched for
 _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
-
-
-# What may be other
-
+_OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
 PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sample",
                        "an integral that takes in the present sample")  # fmt: skip
 MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions")
 PERIOD = Fault("period", "period of the controller", "the period of the controller")
+
+
+def say_way(way: Interpolation) -> str:
+    """Return the clause on what a drive does between the samples of its reference."""
+    return f"the reference is {_DONE[way]} between its samples"
+
+
 INTERPOLATIONS: dict[Interpolation, Fault] = {
     way: Fault(f"{name}_reference", f"reference {_DONE[way]} between its samples")
-    for way, name in zip(_WAYS, ("held", "linear", "cubic"), strict=True)
+    for way, name in zip(_DONE, ("held", "linear", "cubic"), strict=True)
 }
 AVERAGED = Fault("averaged_reference", "reference averaged by the drive", "an averaged reference")
 LATE = REFERENCE_DELAY
+WHOLE = tuple(fault.name for fault in INTERPOLATIONS.values())
+"""Names of those that a drive has or has not, so that their size is 1."""
 _OF_REFERENCE = (LATE, AVERAGED, *INTERPOLATIONS.values())
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *_OF_REFERENCE))
 """Their names."""
 _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them
 
 
-class Refit(NamedTuple):
-    """A solved problem under another law, and (free,) its solution."""
-
-    law: OtherLaw
-    problem: ClosedLoopProblem
-    x: FloatArray
+# What may be other
 
 
-class Family(NamedTuple):
-    """Laws of one kind.
+class Variant(NamedTuple):
+    """What a drive may do otherwise: laws of one kind.
 
     Attributes:
-        fault: that they are.
-        screen: one of them: what it changes shows whether the record can tell.
-        solve: yields them with the problem solved again, given whether the screen is evident.
-        evident: whether they are searched for only then.
+        fault: that it does.
+        screen: a controller that does it: what it changes shows whether the record can tell.
+        laws: returns those to identify the joint under, the plainest first, given whether the screen is evident.
+        evident: whether they are tried only then.
     """
 
     fault: Fault
     screen: Any
-    solve: Callable[[bool], Iterator[Refit]]
+    laws: Callable[[bool], Sequence[OtherLaw]]
     evident: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Variants:
-    """The laws that a drive may run in the place of that of a solved problem.
+def list_variants(problem: ClosedLoopProblem, x: FloatArray, record: Record) -> Iterator[Variant]:
+    """Yield what a drive may do with its reference, with position and velocity, and at which rate.
 
-    Attributes:
+    Cubics matter to a law that differentiates the reference: from lines it gets the velocity half a sample late.
+
+    Args:
         problem: of a joint's loop.
         x: (free,) its solution.
         record: whose reference the controller reads.
     """
-
-    problem: ClosedLoopProblem
-    x: FloatArray
-    record: Record
-
-    @property
-    def _law(self) -> Any:
-        return self.problem.loop.controller
-
-    @property
-    def _period(self) -> float:
-        return float(self.problem.experiment.law.period)
-
-    def every(self) -> Iterator[Family]:
-        """Yield what a drive may do with its reference, with position and velocity, and at which rate.
-
-        The plainest of each kind comes first. Cubics matter to a law that differentiates the reference: from lines it
-        gets the velocity half a sample late.
-        """
-        law, log = self._law, self.problem.sample_time
-        for one in list_other_ways(law, self.record, self._period):
-            filled = replace(law, interpolation=one)
-            yield self._alone(OtherLaw(INTERPOLATIONS[one], say_way(one), f'interpolation = "{one}"', filled))
-        if numbers_of(law).keys() & {p.name for p in self.problem.free}:
-            return  # a free number may stand for any law
-        if isinstance(law, DiagramController) and not law.reference_average:
-            screen = replace(law, reference_average=_SCREENED * log)
-            yield Family(AVERAGED, screen, lambda _: self._solve_late(), evident=True)
-        for other in list_feedback_laws(law, self._period):
-            yield self._alone(other)._replace(evident=other.fault != PRESENT_SAMPLE)
-        if not isinstance(law, DiagramController) or law.period is not None:
-            return
-        assert self.record.reference is not None
-        used, least = law.interpolation or default_interpolation(self.record.reference), log / TIMES_FASTER[0]
-        ways = [None, *list_other_ways(replace(law, period=least), self.record, least)]
-        for way in ways if _differentiates_reference(law) else [one for one in ways if one != "cubic"]:
-            there = law if way is None else replace(law, interpolation=way)
-            more = "" if way is None else f", with its reference {_DONE[way]}"
-            laws = partial(self._solve_rates, there, more, way or used)
-            yield Family(PERIOD, replace(there, period=least), laws, evident=way == "hold")  # no usual guess
-
-    def _refit(self, law: OtherLaw, start: FloatArray | None = None) -> Refit:
-        other = self.problem.under(law.controller, self.record)
-        return Refit(law, other, descend(other, self.x if start is None else start, _SOLVED).x)
-
-    def _alone(self, law: OtherLaw) -> Family:
-        return Family(law.fault, law.controller, lambda _: iter([self._refit(law)]))
-
-    def _solve_rates(self, law: Any, other: str, way: Interpolation, evident: bool) -> Iterator[Refit]:
-        start = self.x
-        for times in TIMES_FASTER if evident else _UNDECIDED:
-            period = self.problem.sample_time / times
-            words, remedy = state_periods([period])
-            declared = f'{remedy}, and interpolation = "{way}"'
-            faster = OtherLaw(PERIOD, words + other, declared, replace(law, period=period), 1 / period)
-            refit = self._refit(faster, start)
-            start = refit.x
-            yield refit
-
-    def _solve_late(self) -> Iterator[Refit]:
-        """Yield the averaged reference, then the delayed one."""
-        declared = self._law.reference_delay
-        delayed = self.search_time(LATE, declared)
-        late = time_of(delayed.law) - declared
-        yield self.search_time(AVERAGED, 2 * late + self._period, delayed.x)
-        yield delayed
-
-    def search_time(self, way: Fault, time: float, start: FloatArray | None = None) -> Refit:
-        """Return the delay, or the mean, of the reference that leaves it neither late nor early, from a first time."""
-        times, least = (2.0, 2 * self._period) if way is AVERAGED else (1.0, self._law.reference_delay)
-        for left in range(_PASSES, 0, -1):
-            law = self._time_reference(way, max(time, least))
-            refit = self._refit(law, start)
-            start, step = refit.x, _find_delay_step(refit.problem, refit.x)
-            time = time_of(law) + times * step
-            if abs(step) < _NEARLY * self._period or left == 1 or time < least:
-                break
-        return refit
-
-    def _time_reference(self, way: Fault, time: float) -> OtherLaw:
-        if way is AVERAGED:
-            mean = self._period * round(time / self._period)
-            averaged = replace(self._law, reference_average=mean)
-            return OtherLaw(AVERAGED, say_mean(mean), f"reference_average = {mean:.6g}", averaged)
-        words = f"the law sees the reference {number(1e3 * time, 3)} ms late"
-        return OtherLaw(LATE, words, f"reference_delay = {time:.4g}", replace(self._law, reference_delay=time))
+    law: Any = problem.loop.controller
+    log, period = problem.sample_time, float(problem.experiment.law.period)
+    for way in list_other_ways(law, record, period):
+        filled = replace(law, interpolation=way)
+        yield _alone(OtherLaw(INTERPOLATIONS[way], say_way(way), f'interpolation = "{way}"', filled))
+    if numbers_of(law).keys() & {p.name for p in problem.free}:
+        return  # a free number may stand for any law
+    if isinstance(law, DiagramController) and not law.reference_average:
+        screen = replace(law, reference_average=_SCREENED * log)
+        yield Variant(AVERAGED, screen, lambda _: _list_late(problem, x), evident=True)
+    yield from (_alone(other) for other in list_feedback_laws(law, period))
+    if not isinstance(law, DiagramController) or law.period is not None:
+        return
+    assert record.reference is not None
+    used, least = law.interpolation or default_interpolation(record.reference), log / TIMES_FASTER[0]
+    ways = [None, *list_other_ways(replace(law, period=least), record, least)]
+    for other in ways if _differentiates_reference(law) else [one for one in ways if one != "cubic"]:
+        there = law if other is None else replace(law, interpolation=other)
+        more = "" if other is None else f", with its reference {_DONE[other]}"
+        rates = partial(_list_rates, there, log, more, other or used)
+        yield Variant(PERIOD, replace(there, period=least), rates, evident=other == "hold")  # no usual guess
 
 
-def _find_delay_step(problem: ClosedLoopProblem, x: FloatArray) -> float:
-    """Return by how much later the reference would have to be, s, by one step beside all parameters."""
-    wider = problem.freeing(LATE.name)
-    residual, slopes = wider.linearise(wider.vector(problem.values(x)))
-    sizes = column_norms(slopes)
-    at = [p.name for p in wider.free].index(LATE.name)
-    return float((np.linalg.lstsq(-slopes / sizes, residual, rcond=None)[0] / sizes)[at])
+def _alone(law: OtherLaw) -> Variant:
+    return Variant(law.fault, law.controller, lambda _: (law,), evident=law.fault is MEASURED_VELOCITY)
+
+
+def _list_rates(law: Any, log: float, other: str, way: Interpolation, evident: bool) -> list[OtherLaw]:
+    """Return the laws of faster drives."""
+    found = []
+    for times in TIMES_FASTER if evident else _UNDECIDED:
+        words, remedy = state_periods([log / times])
+        declared = f'{remedy}, and interpolation = "{way}"'
+        found.append(OtherLaw(PERIOD, words + other, declared, replace(law, period=log / times), times / log))
+    return found
+
+
+def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
+    """Return the averaged and the delayed reference, of the time by which the reference is late."""
+    law: Any = problem.loop.controller
+    wider, period = problem.freeing(LATE.name), float(problem.experiment.law.period)
+    late = wider.values(descend(wider, wider.vector(problem.values(x)), _SOLVED).x)[LATE.name]
+    words = f"the law sees the reference {number(1e3 * late, 3)} ms late"
+    delayed = OtherLaw(LATE, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
+    return average_reference(law, late, period), delayed
+
+
+def average_reference(law: Any, late: float, period: float) -> OtherLaw:
+    """Return the law with a reference that is averaged, and not delayed, where it is so late, s; see `say_mean`."""
+    mean = period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)
+    return OtherLaw(AVERAGED, say_mean(mean), f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
+
+
+def say_mean(mean: float) -> str:
+    """Return the clause on a drive that averages its reference over a time, s."""
+    return f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
 
 
 def list_feedback_laws(controller: Controller, period: float) -> Iterator[OtherLaw]:
@@ -233,30 +197,13 @@ def list_other_ways(controller: Any, record: Record, period: float) -> tuple[Int
     declared = getattr(controller, "interpolation", "none is possible")
     if declared is not None or record.reference.sample_time < _SLOWER * period:
         return ()
-    used = default_interpolation(record.reference)
-    return tuple(way for way in _WAYS if way != used)
+    return tuple(way for way in _DONE if way != default_interpolation(record.reference))
 
 
 def _differentiates_reference(controller: Any) -> bool:
     ahead = ("velocity_feedforward", "viscous_feedforward", "acceleration_feedforward")
     own = isinstance(controller, PD) and controller.reference_velocity == "difference"
     return own or any(getattr(controller, name, 0.0) for name in ahead)
-
-
-def time_of(law: OtherLaw) -> float:
-    """Return the time by which a drive delays or averages its reference, s."""
-    controller: Any = law.controller
-    return float(controller.reference_average if law.fault is AVERAGED else controller.reference_delay)
-
-
-def say_way(way: Interpolation) -> str:
-    """Return the clause on what a drive does between the samples of its reference."""
-    return f"the reference is {_DONE[way]} between its samples"
-
-
-def say_mean(mean: float) -> str:
-    """Return the clause on a drive that averages its reference."""
-    return f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
 
 
 # Their tests
@@ -267,10 +214,13 @@ class LawTest:
     """Solution under another law, and its test: size 0 is the declared law, size 1 the other one.
 
     Attributes:
+        law: that was tried. problem, x: a solved problem under it, and (free,) its solution.
         gain: decrease of the squared norm of the residual from the declared law to this one.
     """
 
-    refit: Refit
+    law: OtherLaw
+    problem: ClosedLoopProblem
+    x: FloatArray
     test: FaultTest
     gain: float
 
@@ -320,15 +270,6 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
     return next(one for one in likely if (best.gain - one.gain) * best.likelihood <= RIVAL * best.gain)
 
 
-def _screen(found: Tested, family: Family) -> FaultTest | None:
-    """Test by one simulation whether the record can tell the laws of a family; None where it cannot."""
-    assert found.record is not None
-    moved = found.residual - found.state.problem.under(family.screen, found.record).residual(found.state.x)
-    step = found.test_law(family.fault, moved)
-    matters = step.p_value <= found.level if family.evident else _may_matter(found, step, moved)
-    return step if matters else None
-
-
 def _may_matter(found: Tested, step: FaultTest, moved: FloatArray) -> bool:
     """Whether another law is not excluded, and either is evident or would shift a parameter."""
     if not step.std > 0 or step.size + 3 * step.std < _AT_LEAST:
@@ -348,31 +289,35 @@ def test_laws(found: Tested, proof: Proof | None) -> list[LawTest]:
         found: where they are tested.
         proof: what the motor position excludes.
     """
-    if found.record is None:
-        return []
     tests: list[LawTest] = []
-    for family in Variants(found.state.problem, found.state.x, found.record).every():
-        kin = _OF_REFERENCE if family.fault is AVERAGED else (family.fault,)
-        if {one.name for one in kin} & {*found.state.named}:
+    problem, x, record = found.state.problem, found.state.x, found.record
+    for variant in () if record is None else list_variants(problem, x, record):
+        kin = _OF_REFERENCE if variant.fault is AVERAGED else (variant.fault,)
+        if record is None or {one.name for one in kin} & {*found.state.named}:
             continue
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
-            step = _screen(found, family)
-            if step is None:
+            moved = found.residual - problem.under(variant.screen, record).residual(x)
+            step, start = found.test_law(variant.fault, moved), x
+            seen = step.p_value <= found.level
+            if not (seen if variant.evident else _may_matter(found, step, moved)):
                 continue
-            for refit in family.solve(step.size > 0 and step.p_value <= found.level):
-                one = _judge(found, refit)
-                if one is None or (one.test.fault is PERIOD and not one.possible):
+            for law in variant.laws(step.size > 0 and seen):
+                one = _test_law(found, law, record, start)
+                if one is None or (law.fault is PERIOD and not one.possible):
                     break
-                if proof is None or not proof.excludes_law(refit.law):
+                start = one.x
+                if proof is None or not proof.excludes_law(law):
                     tests.append(one)
     return tests
 
 
-def _judge(found: Tested, refit: Refit) -> LawTest | None:
-    """Return the test of another law; None where it changes nothing."""
-    left = refit.problem.residual(refit.x)
-    test = found.test_law(refit.law.fault, found.residual - left)
-    return LawTest(refit, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
+def _test_law(found: Tested, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
+    """Return the test of another law by the joint that is identified under it; None where it changes nothing."""
+    other = found.state.problem.under(law.controller, record)
+    x = descend(other, start, _SOLVED).x
+    left = other.residual(x)
+    test = found.test_law(law.fault, found.residual - left)
+    return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
 
 
 # What is said of them
@@ -382,31 +327,26 @@ def find_other_law(found: Tested, other: LawTest, alike: Sequence[LawTest] = ())
     """Return another law as a finding, with its shifts and equally likely laws."""
     least = other.test.strength**2 - RIVAL
     rivals = tuple(s for s in found.tests if s.p_value <= found.level and s.strength**2 > least)
-    law, problem, x = other.refit
-    left = float(np.linalg.norm(problem.residual(x))) / problem.size
-    others = tuple(one.refit.law for one in sorted(alike, key=lambda one: -one.likelihood))
-    value = 1 / law.rate if law.rate else None
-    return Finding(other.test, value, rivals, found.shifts_to(problem.values(x)), law, left, others)
+    left = other.problem.filtered_error(other.problem.residual(other.x))
+    others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
+    value, shifts = 1 / other.law.rate if other.law.rate else None, found.shifts_to(other.problem.values(other.x))
+    return Finding(other.test, value, rivals, shifts, other.law, left, others)
 
 
-def choose_undecided(open_ones: Sequence[Finding]) -> Finding | None:
-    """Return the possible law that shifts a parameter farthest out of its interval; None without one."""
-    moving = [one for one in open_ones if any(abs(by.sigmas) > INTERVAL for by in one.changes.values())]
-    return max(moving, key=_size_of_change, default=None)
+def find_undecided(found: Tested, tests: Sequence[LawTest]) -> Finding | None:
+    """Return the law that the record does not exclude and that shifts a parameter farthest out of its interval.
 
-
-def _size_of_change(finding: Finding) -> tuple[float, float]:
-    """Return the shift of stiffness or inertia, and the largest of any parameter, in deviations."""
-    sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
-    return sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
-
-
-def list_undecided(tests: Sequence[LawTest]) -> list[LawTest]:
-    """Return the laws that the record does not exclude, of rates those that none other excludes."""
-    return [
-        one for one in tests if one.possible and one.test.fault in _OPEN
-        and one.as_likely([other for other in tests if other.test.fault == one.test.fault])
-    ]  # fmt: skip
+    Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
+    """
+    moving = list[tuple[float, float, Finding]]()
+    for one in tests:
+        kin = [other for other in tests if other.test.fault == one.test.fault]
+        if one.possible and one.test.fault in _OPEN and one.as_likely(kin):
+            finding = find_other_law(found, one)
+            sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
+            asked, most = sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
+            moving += [(asked, most, finding)] if most > INTERVAL else []
+    return max(moving, key=lambda one: one[:2], default=(0.0, 0.0, None))[2]
 
 
 # What the motor position excludes
@@ -439,15 +379,48 @@ class Proof:
         return excludes(self.record, self.loop, law.controller)
 
 
-def has_unstated_delay(check: AxisFaults, law: LawOnPosition | None, problem: ClosedLoopProblem) -> bool:
-    """Test for an undeclared delay below one sample.
+# Of a robot
 
-    The law must make the logged torque of the motor position: then the delay is behind the log, and no fault of law or
-    log looks like it.
+_WAYS = {
+    way: replace(fault, says=f'{say_way(way)}: declare interpolation = "{way}"', one_sided=True, least=_OF_ROBOT)
+    for way, fault in INTERPOLATIONS.items()
+}
+_MEAN = replace(
+    AVERAGED, says="the drive averages the reference over some {size}, or it is late by half of that: declare "
+    "reference_average, or reference_delay", one_sided=True, measure=Measure.TIME,
+)  # fmt: skip
+
+
+def list_reference_laws(
+    setup: RobotLoop, records: Sequence[Record], problem: RobotLoopProblem, numbers: RobotNumbers, predicted: FloatArray
+) -> list[list[FaultSignature]]:
+    """Return what other ways of its reference change of the torque of each joint, per unit of their sizes, (rows,).
+
+    One simulation for each shows it for all joints at once: what a joint's reference changes of another's torque is
+    little.
+
+    Args:
+        setup: the robot under its controllers.
+        records: of each joint.
+        problem: of them.
+        numbers: of the robot.
+        predicted: (n, rows) filtered torques of its simulation.
     """
-    controller = problem.loop.controller
-    stated = not isinstance(controller, DiagramController) or controller.delay or controller.undeclared == "none"
-    if stated or law is None or not law.holds or not check.findings:
-        return False
-    first = check.findings[0].test
-    return first.fault is DELAY and 0.0 < first.size < problem.experiment.law.period
+    mean, inputs = _SCREENED * problem.sample_time, problem.experiment.experiments
+    each = list[dict[Fault, Any]]()
+    for law, record, read in cast("Any", zip(setup.controllers, records, inputs, strict=True)):
+        ways = list_other_ways(law, record, read.law.period)
+        each.append({_WAYS[way]: replace(law, interpolation=way) for way in ways})
+        if isinstance(law, DiagramController) and not law.reference_average:
+            each[-1][_MEAN] = replace(cast("Any", law), reference_average=mean)
+    found: list[list[FaultSignature]] = [[] for _ in each]
+    for fault in dict.fromkeys(fault for laws in each for fault in laws):
+        laws = tuple(own.get(fault, law) for own, law in zip(each, setup.controllers, strict=True))
+        with contextlib.suppress(JointidError):  # a log that such a controller cannot have
+            other = robot_problem(replace(setup, controllers=laws), records, problem.parameters, problem.filtering)
+            if (run := other.run_of(numbers, keep=False)) is None:
+                continue
+            moved = other.by_joint(other.decimate(other.predict(run))) - predicted
+            for k in (k for k, own in enumerate(each) if fault in own):
+                found[k].append(FaultSignature(fault, moved[k] / (mean if fault is _MEAN else 1.0)))
+    return found

@@ -62,8 +62,7 @@ class Noise:
                 "A test is predicted from an estimate by DIDIM under the loop as declared, that gives every parameter; "
                 f"this one is {found}: design takes rough values, too."
             )
-        another = f"The estimate is of {estimate.data.record}, not of {record.name}; give the record that it is of."
-        problem, x = rebuild_problem(estimate, record, another)
+        problem, x = rebuild_problem(estimate, record)
         error, slopes = problem.linearise(x)
         alone = Influence(-slopes, error).stationary().std
         reported = {p.name: p.stderr for p in rows}

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.diagnose_axes import diagnose_robot
-from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.suspects import ASYMMETRIC_FRICTION
 from jointid.estimation.methods.idim import IDIM

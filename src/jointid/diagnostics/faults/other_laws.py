@@ -19,12 +19,12 @@ from jointid.diagnostics.variants import (
     PERIOD,
     PRESENT_SAMPLE,
     TIMES_FASTER,
-    Variants,
+    average_reference,
     list_other_ways,
     say_mean,
     say_way,
-    time_of,
 )
+from jointid.estimation.descent import descend
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
 
 _NEARLY = 0.5  # periods: a reference that is later is late
@@ -63,9 +63,10 @@ def _judge_mean(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float
     own = tuple(p for p in best.problem.parameters if p.name != REFERENCE_DELAY.name)
     problem = replace(best.problem, loop=replace(best.problem.loop, controller=declared.controller), parameters=own)
     try:
-        variants = Variants(problem, problem.vector(best.values), declared.record)
-        law, averaged, x = variants.search_time(AVERAGED, 2 * late + declared.period)
-        return time_of(law), float(np.linalg.norm(averaged.residual(x))) / averaged.size
+        law = average_reference(declared.controller, best.number or 0.0, declared.period).controller
+        averaged = problem.under(law, declared.record)
+        x = descend(averaged, problem.vector(best.values), 1e-6).x
+        return getattr(law, "reference_average", None), averaged.filtered_error(averaged.residual(x))
     except (JointidError, np.linalg.LinAlgError):
         return None
 

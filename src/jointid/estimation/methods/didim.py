@@ -127,8 +127,6 @@ class DIDIM(Method):
     frequencies: Mapping[str, float] = field(
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
-    near: bool = field(default=False, repr=False, compare=False)
-    """Whether a free delay is known to be near the declared one: no setting, but what the checks found."""
 
     def stopping_tolerance(self, model: str) -> float:
         """Return the tolerance that the search stops at: its own, or the default of the joint's model."""
@@ -176,7 +174,7 @@ class DIDIM(Method):
         """
         loop = task.loop
         assert loop is not None
-        if self.near or DELAY not in self.free or numbers_of(loop.controller).get(DELAY) != 0.0:
+        if DELAY not in self.free or numbers_of(loop.controller).get(DELAY) != 0.0:
             return task, []
         ends = list[Solved]()
         for late in DELAYS:

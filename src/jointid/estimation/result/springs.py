@@ -158,7 +158,7 @@ def visible(
         progress: receives messages.
         shares: of the load in the inertia, for which bounds are searched.
     """
-    rigid, at = _fit_rigid(problem, problem.values(x))
+    rigid, at = fit_rigid(problem, problem.values(x))
     error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
@@ -201,7 +201,7 @@ def visible(
     return Visibility(springs_verdict(reasons, said), values, std, bounds, runs, judged.warnings)
 
 
-def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
+def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
     """Return the problem of a rigid joint on the same band, and its solution."""
     flexible = problem.joint
     assert isinstance(flexible, FlexibleJoint)

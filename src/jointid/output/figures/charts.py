@@ -280,9 +280,9 @@ def spectra(axes: Axes, axis: AxisSignals, highest: float = math.inf) -> None:
     inside = np.flatnonzero(axis.compared)
     part = slice(inside[0], inside[-1] + 1) if inside.size else slice(0)
     found = estimate_spectra(axis.measured[part], axis.predicted[part], axis.time[1] - axis.time[0])
-    seen = found.frequency <= highest
-    _compare(axes, axis, found.frequency[seen], found.measured[seen], found.predicted[seen])
-    axes.plot(found.frequency[seen], found.error[seen], color=ERROR, linewidth=0.7, label="error")
+    frequency, measured, predicted, error = (one[found[0] <= highest] for one in found)
+    _compare(axes, axis, frequency, measured, predicted)
+    axes.plot(frequency, error, color=ERROR, linewidth=0.7, label="error")
     words = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
     axes.set(xlabel=_FREQUENCY, ylabel=words, xscale="log", yscale="log")
 
@@ -300,13 +300,12 @@ def mark_modes(axes: Axes, modes: Mapping[str, float]) -> int:
 def response_figure(estimate: Estimate, found: FrequencyResponse) -> Figure:
     """Draw the frequency response of the joint, magnitude over phase, with its band."""
     figure, (size, phase) = panels((320, 200), share_x=True)
-    for curve in found.curves:
-        colour = {"motor": MEASURED, "load": LOAD}[curve.side]
-        size.fill_between(found.frequency, curve.low, curve.high, color=colour, **BAND)
-        size.plot(found.frequency, curve.magnitude, color=colour, linewidth=1.2, label=f"{curve.side} side")
-        phase.plot(found.frequency, curve.phase, color=colour, linewidth=1.2)
-    side, drive = AxisSignals.of(estimate).side, torque_word(estimate.data.torque_unit)
-    size.set(ylabel=f"velocity per {drive}{side} [{found.unit}]", xscale="log", yscale="log")
+    for k, (side, colour) in enumerate(zip(found.sides, (MEASURED, LOAD), strict=False)):
+        size.fill_between(found.frequency, found.low[k], found.high[k], color=colour, **BAND)
+        size.plot(found.frequency, found.magnitude[k], color=colour, linewidth=1.2, label=f"{side} side")
+        phase.plot(found.frequency, found.phase[k], color=colour, linewidth=1.2)
+    gear, drive = AxisSignals.of(estimate).side, torque_word(estimate.data.torque_unit)
+    size.set(ylabel=f"velocity per {drive}{gear} [{found.unit}]", xscale="log", yscale="log")
     mark_modes(size, found.modes)
     phase.set(xlabel=_FREQUENCY, ylabel="phase [°]", xscale="log")
     return figure
