@@ -167,7 +167,8 @@ class StiffnessSearch:
             history.progress(Detail(error, "starting from a joint that follows its reference"))
             loop, filtering = _rigid_loop(self.task), Filtering(cutoff=rigid_cutoff(self.task.record))
             problem = torque_problem(self.task.record, loop, filtering, loop.joint.parameters)
-            values, end = regular_start(problem).values, None
+            frictionless = {p.name: 0.0 for p in loop.joint.parameters if p.name != "inertia"}
+            values, end = regular_start(problem.keeping(frictionless)).values, None
         else:
             values, end = solved.values, solved
         return {p.name: values[p.name] for p in _rigid_loop(self.task).joint.parameters}, end
