@@ -38,7 +38,7 @@ def every(text: str) -> Document:
             Verdicts(((text, True, (text,)), (text, False, (text, text)), (text, None, (text,)))),
             Paragraph(text),
             Listing((text, text)),
-            Code(text, text),
+            Code(text),
             Picture("p.svg", lambda: b"<svg/>", text),
         ),
     )

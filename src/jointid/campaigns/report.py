@@ -14,7 +14,8 @@ from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, lo
 from jointid.campaigns.store import Outcome, Row
 from jointid.common.charts import ERROR, MEASURED, SIMULATED, mark, panels, styled, svg
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
-from jointid.common.text import format_signed, join, number, pluralise, short
+from jointid.common.text import join, number, pluralise, short
+from jointid.estimation.result.parts import format_signed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

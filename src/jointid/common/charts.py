@@ -23,12 +23,10 @@ LOAD = "#009E73"
 OTHERS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#000000", "#777777")
 LEVEL: dict[str, Any] = {"color": "0.35", "linewidth": 0.8, "linestyle": "--"}
 """How a line stands that marks a value of an axis."""
-BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0}
-"""How the area between two lines is filled."""
+BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0}  # of the area between two lines
 
 _STYLE = Path(__file__).with_name("charts.mplstyle")
 _INCH = 100.0  # pixels of a panel's height
-_WIDTH = 9.0  # inches of a figure
 _METADATA = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
 
 
@@ -55,7 +53,7 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
 
 
 def panels(
-    heights: Sequence[int], columns: int = 1, *, title: str = "", width: float = _WIDTH, share_x: bool = False
+    heights: Sequence[int], columns: int = 1, *, title: str = "", width: float = 9.0, share_x: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels, from left to right, then down.
 
@@ -81,8 +79,7 @@ def panels(
         figure.suptitle(title)
     for axes in grid.flat[len(heights) :]:
         axes.remove()
-    made: list[Axes] = [*grid.flat[: len(heights)]]
-    return figure, made
+    return figure, [*grid.flat[: len(heights)]]
 
 
 def mark(axes: Axes, x: float, text: str, row: int = 0, *, dotted: bool = False) -> None:

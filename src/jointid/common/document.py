@@ -83,10 +83,9 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Verbatim text with a caption."""
+    """Verbatim text."""
 
     text: str
-    caption: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,12 +201,10 @@ def _render(block: Block, console: Console) -> RenderableType:
     from rich.table import Table as Grid
     from rich.text import Text
 
-    if isinstance(block, Heading | Paragraph | Picture):
+    if isinstance(block, Heading | Paragraph | Code | Picture):
         return block.text
     if isinstance(block, Listing):
         return "\n".join(block.items)
-    if isinstance(block, Code):
-        return f"{block.caption}\n{block.text}".lstrip("\n")
     if isinstance(block, Table):
         return _table(block, console)
     rows: Iterable[tuple[RenderableType, ...]] = (

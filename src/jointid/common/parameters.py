@@ -108,10 +108,6 @@ class Bounds:
         """Return the nearest point within the bounds."""
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
-    def find_active(self, x: FloatArray, gap: float | FloatArray = 0.0) -> NDArray[np.bool_]:
-        """Test which parameters are within `gap` of a bound."""
-        return np.asarray((x <= self.lower + gap) | (x >= self.upper - gap))
-
     def find_blocking(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
         """Test which parameters are at a bound and step outwards."""
         return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))

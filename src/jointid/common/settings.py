@@ -93,9 +93,8 @@ class Setting:
         """Describe an invalid value; None for a valid one."""
         if self._allows(value):
             return None
-        if self.choices:
-            return messages.no_choice(value, self.choices)
-        return messages.describe_unexpected_value(value, self.expected)
+        unlike = messages.describe_unexpected_value(value, self.expected)
+        return messages.no_choice(value, self.choices) if self.choices else unlike
 
     def _allows(self, value: Any) -> bool:
         if value is None:

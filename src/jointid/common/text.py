@@ -33,16 +33,10 @@ def number(value: float | None, digits: int = 5) -> str:
     return f"{value:.{digits - 1}e}"
 
 
-def format_signed(value: float, digits: int = 5) -> str:
-    """Format a number with sign and significant digits: +1230, -0.0420."""
-    return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
-
-
 def interval(value: float, spread: float) -> str:
     """Format a value and its spread, both to the first two digits of the spread.
 
     Example:
-        >>> from jointid.common.text import interval
         >>> interval(70.401, 0.4712), interval(802861.0, 7276.0), interval(3.1e-7, 4.2e-6)
         ('70.40 ± 0.47', '802900 ± 7300', '0.3e-06 ± 4.2e-06')
     """

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from jointid.common.messages import Message
-from jointid.common.text import format_signed, number
+from jointid.common.text import number
 from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest
 from jointid.diagnostics.faults.words import state
 from jointid.diagnostics.in_time import Part
+from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason, Status
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, StribeckFriction

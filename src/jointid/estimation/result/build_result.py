@@ -250,7 +250,8 @@ def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArr
     """
     norms = np.linalg.norm(J, axis=0)
     size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
-    held = Bounds.of(free).find_active(x, _NEAR * size)
+    bounds, near = Bounds.of(free), _NEAR * size
+    held = (x <= bounds.lower + near) | (x >= bounds.upper - near)
     return tuple(p.name for p, at in zip(free, held, strict=True) if at)
 
 

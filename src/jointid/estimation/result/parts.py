@@ -89,6 +89,11 @@ class EstimatedParameter:
         return self.value - 2 * deviation, self.value + 2 * deviation
 
 
+def format_signed(value: float, digits: int = 5) -> str:
+    """Format a number with sign and significant digits: +1230, -0.0420."""
+    return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
+
+
 def show_value(p: EstimatedParameter) -> str:
     """Format a value with its interval; a refused one by its bound."""
     if p.value is None:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Verdicts
-from jointid.common.text import format_signed, in_words, interval, number
+from jointid.common.text import in_words, interval, number
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
-from jointid.estimation.result.parts import EstimatedParameter, show_value
+from jointid.estimation.result.parts import EstimatedParameter, format_signed, show_value
 from jointid.estimation.result.verdict import Status
 
 if TYPE_CHECKING:

@@ -290,9 +290,10 @@ def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray
 def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
     """Return the bounds of the parameters that they hold, by name; of springs there are verdicts."""
     free, near = fit.parameters.parameters, _NEAR * np.maximum(np.abs(fit.values), fit.covariance.std)
-    held = Bounds.of(free).find_active(fit.values, near) & ~fit.parameters.logarithmic
-    pairs = zip(free, fit.values, held, strict=True)
-    return {p.name: min(p.lower, p.upper, key=lambda b: abs(x - b)) for p, x, at in pairs if at}
+    bounds, x = Bounds.of(free), fit.values
+    held = ((x <= bounds.lower + near) | (x >= bounds.upper - near)) & ~fit.parameters.logarithmic
+    pairs = zip(free, x, held, strict=True)
+    return {p.name: min(p.lower, p.upper, key=lambda b: abs(value - b)) for p, value, at in pairs if at}
 
 
 def table_of_robot(

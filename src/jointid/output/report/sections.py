@@ -202,8 +202,8 @@ def _settings(given: ReportData, repetition: Repetition) -> Iterator[Block]:
     if given.channels:
         yield _channels_table(estimate, given)
     if repetition.command:
-        yield Code(repetition.command, "The command, with its files beside each other:")
-        yield Code(repetition.joint_file, f"The file {repetition.joint_file_name}:")
+        yield from (Paragraph("The command, with its files beside each other:"), Code(repetition.command))
+        yield from (Paragraph(f"The file {repetition.joint_file_name}:"), Code(repetition.joint_file))
 
 
 def _channels_table(estimate: Estimate, given: ReportData) -> Table:
