@@ -6,9 +6,8 @@
 The closed loop: 6 joints, 10 s at 1 kHz, rigid and flexible, and MuJoCo in steps of 1 ms to 0.05 ms, the errors of both
 against jointid's own run at sixteen times the steps, which an adaptive integrator with the same events confirms
 (`tests/simulation/test_robots.py`). Then DIDIM. With `--twelve` that of two arms of six joints on one base alone, for
-60 s at 500 Hz, and `identify` of them with all checks.
-Times are the shortest of several turns, taken in
-turn; those of the processor are printed beside those of the clock, since a machine may have other work.
+60 s at 500 Hz, and `identify` of them with all checks. Times are the shortest of several turns, taken in turn; those of
+the processor are printed beside those of the clock, since a machine may have other work.
 """
 
 from __future__ import annotations
@@ -24,8 +23,10 @@ from jointid import identify
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.didim import search_robot
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import begin, prepare_robot, run_robot
+from jointid.simulation.simulate import run_loop
+from jointid.simulation.start import begin
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, seven, six, two
@@ -54,11 +55,11 @@ def loops() -> None:
     """Print the time and the error of a closed loop, ours and MuJoCo's."""
     for name, twin in (("rigid", six()), ("flexible", six(True))):
         loop = twin.loop()
-        experiment, numbers = prepare_robot(loop, twin.records(10.0)), RobotNumbers.of(twin.robot)
-        exact = run_robot(experiment, numbers, steps=16).torque
-        own = shortest(lambda: run_robot(experiment, numbers))  # noqa: B023
+        experiment, numbers = prepare(loop, twin.records(10.0)), RobotNumbers.of(twin.robot)
+        exact = run_loop(experiment, numbers, steps=16).torque
+        own = shortest(lambda: run_loop(experiment, numbers))  # noqa: B023
         print(f"{name}, times of the processor: ours {own[1]:.3f} s, ", end="")
-        print(f"error {worst(run_robot(experiment, numbers).torque, exact):.1e}")
+        print(f"error {worst(run_loop(experiment, numbers).torque, exact):.1e}")
         gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
         start = begin(experiment, numbers).places
         for step in STEPS:

@@ -11,9 +11,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from jointid.simulation.closed_loop import simulate_torque
+from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.simulate import run_loop
 from tests.plants import LAWS, prismatic, rotary, with_law
 
 TURNS, DERIVED = 7, 3
@@ -41,8 +42,8 @@ def main() -> None:
             loop, values = with_law(case, name)
             names = [p.name for p in loop.joint.parameters]
             whole = ratio(
-                lambda: simulate_torque(loop, experiment, values),  # noqa: B023
-                lambda: simulate_torque(case.loop, experiment, case.truth),  # noqa: B023
+                lambda: run_loop(experiment, JointNumbers(loop.joint, values)),  # noqa: B023
+                lambda: run_loop(experiment, JointNumbers(case.loop.joint, case.truth)),  # noqa: B023
                 TURNS,
             )
             slopes = ratio(

@@ -62,7 +62,7 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", 
     error, names = problem.residual(x), [p.name for p in problem.free]
     joint = names[: len(problem.free_joint)]
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
-    cutoff, step = problem.filtering.cutoff, problem.experiment.sample_time * (problem.filtering.decimation or 1)
+    cutoff, step = problem.filtering.cutoff, problem.sample_time * (problem.filtering.decimation or 1)
     assert cutoff is not None
     found = whiteness(error, step, cutoff)
     told = identifiability(problem.free, problem.units, x, J, known.covariance)

@@ -15,7 +15,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.synthesis import simulated_record
 from tests.plants import Case, prismatic
 

@@ -14,8 +14,8 @@ from jointid.controller_id.learn import SAME, learn_controller
 from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, canonical, controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record, Tap
-from jointid.simulation.closed_loop import Initial
 from jointid.simulation.excitation import pulses, trapezoids
+from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulated_record
 
 _PERIOD = 1e-3

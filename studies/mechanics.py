@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.models.friction import find_friction
 from jointid.models.springs import ElasticLoad, LinearSpring, find_spring
-from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.loop_input import AxisInput, prepare
 from studies.healthy import Drive, drive
 
 FAULTS = (
@@ -139,11 +139,11 @@ def _run(  # type: ignore[no-untyped-def]
     return out, wound
 
 
-def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[FloatArray, LoopInput, float]:
+def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[FloatArray, AxisInput, float]:
     """Return the controller's output at its instants, the loop's input, and the largest wind-up, by small steps."""
-    experiment = prepare(axis.loop, axis.record)
-    feedback, law = experiment.kernel, experiment.law
-    assert law.phases == 1 and experiment.lengths.size == 1  # a delay of whole periods
+    whole = prepare(axis.loop, axis.record)
+    experiment, feedback, law = whole.axis, whole.sampled.feedback, whole.axis.law
+    assert law.phases == 1 and whole.clock.lengths.size == 1  # a delay of whole periods
     steps = max(round(law.period / _STEP), 1)
     row = np.array([values.get(name, 0.0) for name in _ORDER])
     first = float(experiment.inputs[0, 0])
@@ -151,7 +151,7 @@ def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[
     out, wound = _run(
         row, feedback.A[0, 0], feedback.Bq[0, 0], feedback.C[0, 0, law.output], float(feedback.D[0, 0, law.output]),
         state, np.ascontiguousarray(experiment.feedforward[law.output]), feedback.driven[0], after,
-        int(experiment.lags[0]), law.period, steps, first,
+        int(whole.clock.lags[0, 0]), law.period, steps, first,
     )  # fmt: skip
     return out, experiment, float(wound)
 
@@ -194,7 +194,7 @@ def spoiled(seed: int, fault: str, longest: float = 12.0, noise: str = "") -> Sp
     rng = np.random.default_rng([seed, 19])
     record, truth, about = axis.record, dict(axis.truth), axis.about
     assert record.torque is not None and record.reference is not None
-    experiment = prepare(axis.loop, record)
+    experiment = prepare(axis.loop, record).axis
     clean, _, wound = simulate(axis, truth, experiment.after_limit)
     scale, travel = float(np.std(clean)), float(np.ptp(record.reference.values))
     given = {

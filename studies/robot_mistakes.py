@@ -25,7 +25,7 @@ from jointid.models.controllers import PD
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 from tests.estimation.robots.twin import arm
 from tests.robots_plants import seven, six
 

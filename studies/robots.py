@@ -27,9 +27,9 @@ from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotSimulation
+from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.synthesis import simulate
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
@@ -186,7 +186,7 @@ def _multisine(t: FloatArray, random: np.random.Generator, sizes: FloatArray) ->
     return out
 
 
-def _holds(run: RobotSimulation, q: FloatArray, travel: FloatArray) -> bool:
+def _holds(run: Simulation, q: FloatArray, travel: FloatArray) -> bool:
     """True of loops that follow, and do not ring up."""
     error = np.abs(run.motor_position[: len(q)] - q[: len(run.motor_position)])
     first, second = (np.max(part, axis=0) for part in np.array_split(error, 2))

@@ -68,7 +68,7 @@ def logged(seed: int, kind: str, longest: float = 4.0) -> Logged | None:
     torque = Channel(np.zeros(filled.size), record.torque.unit, fine, Timing.HELD)
     inside = replace(record, torque=torque, reference=Channel(filled, unit, fine, Timing.SAMPLED), injected=injected)
     plant = Drive(inside, loop, axis.truth, about)
-    after = prepare(loop, inside).after_limit
+    after = prepare(loop, inside).axis.after_limit
     clean, _, _ = simulate(plant, axis.truth, after)
     scale = float(np.std(clean))
     noise = rng.standard_normal(shown.size)

@@ -18,7 +18,7 @@ from jointid.models.joints import RigidJoint
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 
 TRUE = {"inertia": 0.05, "viscous": 0.4, "coulomb": 0.5}
 """The joint: kg m2, N m s/rad and N m."""

@@ -19,10 +19,10 @@ from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Simulation, require_success, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import LoopInput, prepare
-from jointid.simulation.synthesis import simulated_record
+from jointid.simulation.simulate import Simulation, require_success
+from jointid.simulation.synthesis import simulate, simulated_record
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["white", "disturbance"]
@@ -166,7 +166,8 @@ def _run(where: Setting, fault: Fault, force: FloatArray) -> Simulation:
 
 
 def _pushed(loop: ClosedLoop, experiment: LoopInput, truth: dict[str, float], force: FloatArray) -> Simulation:
-    acted = replace(experiment, after_limit=experiment.after_limit + force)
+    axis = experiment.axis
+    acted = experiment.alone(replace(axis, after_limit=axis.after_limit + force))
     return require_success(simulate(loop, acted, truth))
 
 

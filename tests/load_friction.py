@@ -14,7 +14,7 @@ from jointid.models.position_forces import Gravity
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate, simulated_record
 
 LOADED = FRICTIONS["load-dependent"]()

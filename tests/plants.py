@@ -18,10 +18,10 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS, Backlash, Spring
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Outcome, simulate, simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.synthesis import simulated_record
+from jointid.simulation.simulate import Outcome
+from jointid.simulation.synthesis import simulate, simulated_record
 
 _GAIN = 35.15065188
 
@@ -115,7 +115,7 @@ def _driven(
         reference=Channel(reference, position, period),
         injected=Injection(Channel(known, force, period), InjectionPoint.AFTER_LIMIT, True),
     )
-    run = simulate_torque(loop, prepare(loop, driven), truth)
+    run = simulate(loop, prepare(loop, driven), truth)
     plain = loop.controller.law(period)
     size = plain.stiffness * np.ptp(reference)
     if run.outcome is not Outcome.FINISHED or np.max(np.abs(run.torque)) > size:

@@ -15,7 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 Z = (0.0, 0.0, 1.0)

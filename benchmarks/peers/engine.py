@@ -9,7 +9,7 @@ from benchmarks.problem import NAMES, PERIOD, Array, Law, Loop
 
 
 class Engine(Peer):
-    """`simulate_torque` and `simulate_sensitivities`: exact to rounding, with exact derivatives of the same run."""
+    """`run_loop` and `simulate_sensitivities`: exact to rounding, with exact derivatives of the same run."""
 
     title = "jointid"
     settings = (Setting("exact"),)
@@ -23,16 +23,17 @@ class Engine(Peer):
 
     def torque(self, parameters: Array) -> Array:
         """Return the torque that an optimiser is given for one candidate."""
-        from jointid.simulation.closed_loop import simulate_torque
+        from jointid.simulation.plant import JointNumbers
+        from jointid.simulation.simulate import run_loop
 
-        return simulate_torque(self.closed, self.experiment, _values(parameters)).torque
+        return run_loop(self.experiment, JointNumbers(self.closed.joint, _values(parameters))).torque
 
     def slopes(self, parameters: Array) -> tuple[Array, Array]:
         """Return the torque and its exact derivatives."""
-        from jointid.simulation.sensitivities import simulate_sensitivities
+        from jointid.simulation.derivatives import simulate_sensitivities
 
         run = simulate_sensitivities(self.closed, self.experiment, _values(parameters), NAMES)
-        return run.response.torque, run.torque
+        return run.run.torque, run.torque
 
 
 def _closed(law: Law) -> Any:

@@ -52,7 +52,7 @@ BY_MODULE = (
     "records.record.Tap",
     "records.record.Timing",
     "records.resampling.Resampling",
-    "simulation.closed_loop.Initial",
+    "simulation.start.Initial",
     "simulation.loop_input.prepare",
 )
 """Names that fewer programs need: they are imported from their module, and stand on its folder's page."""

@@ -4,8 +4,9 @@ from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.payload import identify_payload
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.simulation.drive_side import RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.synthesis import add_feed_forward
 
 __all__ = [
     "JointSpring", "Link", "Robot", "RobotDriveSide", "RobotJoint", "RobotLoop", "add_feed_forward",

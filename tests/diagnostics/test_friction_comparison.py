@@ -13,8 +13,8 @@ from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.synthesis import simulate
 from tests.plants import RISES, prismatic, rigid, slow
 
 compare_frictions = partial(

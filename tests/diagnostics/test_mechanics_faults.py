@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from jointid.simulation.closed_loop import simulate as simulate_exactly
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
@@ -40,7 +41,6 @@ from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
 from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled

@@ -12,9 +12,10 @@ from jointid.diagnostics.axis_torques import torques_of_loop
 from jointid.diagnostics.considered import list_undeclared, widen_for_undeclared
 from jointid.estimation.identify import fit
 from jointid.records.record import Tap
+from jointid.simulation.derivatives import respond_to_laws
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robot_sensitivities import respond_to_laws
-from jointid.simulation.robots import prepare_robot, run_robot
+from jointid.simulation.simulate import run_loop
 from tests.robots_plants import two
 
 LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=3.0, period=1.25e-4)
@@ -87,12 +88,12 @@ def test_a_robot_responds_to_another_law_as_its_simulation_does(other, tap, peri
     driven = [replace(one, tap=tap) for one in twin.records(1.5)]
     first, second = twin.loop().controllers
     loop = replace(twin.loop(), controllers=(first, replace(second, period=period or second.period)))
-    experiment, numbers = prepare_robot(loop, driven), RobotNumbers.of(twin.robot)
-    run = run_robot(experiment, numbers, keep=True)
-    for joint, own in enumerate(experiment.experiments):
+    experiment, numbers = prepare(loop, driven), RobotNumbers.of(twin.robot)
+    run = run_loop(experiment, numbers, keep=True)
+    for joint, own in enumerate(experiment.axes):
         law = replace(loop.controllers[joint], **other)
         laws = [law if k == joint else one for k, one in enumerate(loop.controllers)]
-        changed = run_robot(prepare_robot(replace(loop, controllers=tuple(laws)), driven), numbers).torque - run.torque
+        changed = run_loop(prepare(replace(loop, controllers=tuple(laws)), driven), numbers).torque - run.torque
         found, (direct,) = respond_to_laws(run, [(joint, own.with_law(own.law_of(law)))])
         found = np.column_stack(found)
         found[:, joint] += direct

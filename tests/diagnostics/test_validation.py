@@ -11,7 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.validation import Prediction
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 

@@ -10,8 +10,8 @@ from jointid.estimation.methods.drive_side import DriveSideProblem, motion_probl
 from jointid.estimation.problems.base import log_delay
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Timing
+from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.prescribed import DriveSide
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import Influence

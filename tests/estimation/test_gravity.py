@@ -12,8 +12,8 @@ from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Initial
 from jointid.simulation.excitation import pulses, trapezoids
+from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
 

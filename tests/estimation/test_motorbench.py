@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 from tests.estimation.motorbench import JOINT, Bench
 
 FILTERING = ji.Filtering(cutoff=150.0, position_cutoff=600.0)

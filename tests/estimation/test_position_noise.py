@@ -6,7 +6,7 @@ import pytest
 import jointid as ji
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import find_noise_limit
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 
 TRUE = {"inertia": 0.8, "viscous": 5.0, "coulomb": 4.0}
 FREQUENCIES, AMPLITUDES = np.array([0.31, 0.83, 1.9, 3.1]), np.array([0.9, 0.4, 0.15, 0.04])

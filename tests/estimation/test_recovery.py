@@ -13,10 +13,10 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.synthesis import simulated_record
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate, simulated_record
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 

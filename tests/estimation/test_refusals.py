@@ -12,7 +12,7 @@ import jointid as ji
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.paper.twin import twin
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 from tests.estimation.robots.twin import arm, records_of
 from tests.estimation.test_recovery import LOOP, MOVING, TRUTH, T, simulated_record
 

@@ -6,7 +6,7 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.methods.registry import METHODS, MODELS, default_method, methods
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 
 
 @pytest.mark.parametrize(("name", "method"), list(zip(METHODS, methods(), strict=True)))

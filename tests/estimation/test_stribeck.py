@@ -11,8 +11,8 @@ from jointid.diagnostics.validation import validate
 from jointid.models.friction import FRICTIONS, StribeckFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.synthesis import simulate
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.plants import FALLS, RISES, Case, prismatic, rigid, slow

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import jointid as ji
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 from tests.edits import Edit, all_channels, changes, declares, has, late_by, law, log, slower, swap
 
 ROOT = Path(__file__).resolve().parents[2]

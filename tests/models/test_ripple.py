@@ -15,7 +15,8 @@ from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import ElasticLoad, find_spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.joints import _holding_torque
-from jointid.simulation.prescribed import DriveSide, prescribed_motion, simulate_drive_side
+from jointid.simulation.drive_side import PARTS, DriveSide, prescribe, run_drive_side
+from jointid.simulation.plant import JointNumbers
 
 RIGID = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
 WAVED = {"harmonic_1_cosine": 8.0, "harmonic_1_sine": -5.0}
@@ -46,12 +47,12 @@ def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
     t = np.arange(4000) * 1e-3
     q = 0.05 * np.sin(2 * np.pi * 0.7 * t)
     names = tuple(WAVED)
-    motion = prescribed_motion(q, 1e-3)
-    run = simulate_drive_side(RigidJoint("prismatic", ripple=RIPPLE), motion, RIGID | WAVED, names)
-    plain = simulate_drive_side(RigidJoint("prismatic"), motion, RIGID)
-    columns = RIPPLE.columns_at(motion.mean_position)
-    np.testing.assert_allclose(run.torque - plain.torque, columns @ list(WAVED.values()), atol=1e-9)
-    np.testing.assert_allclose(run.derivatives, columns)
+    motion = prescribe(q[:, np.newaxis], 1e-3, PARTS)
+    run = run_drive_side(motion, JointNumbers(RigidJoint("prismatic", ripple=RIPPLE), RIGID | WAVED))
+    plain = run_drive_side(motion, JointNumbers(RigidJoint("prismatic"), RIGID))
+    columns = RIPPLE.columns_at(run.motion.position[:, 0])
+    np.testing.assert_allclose((run.torque - plain.torque)[:, 0], columns @ list(WAVED.values()), atol=1e-9)
+    np.testing.assert_allclose(run.columns(names)[0][1], columns)
     with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):
         DriveSide(FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load")))
 

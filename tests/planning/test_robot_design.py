@@ -21,8 +21,8 @@ from jointid.planning.objective import complete
 from jointid.planning.robots import RobotModel, _read_first, find_modes
 from jointid.planning.search import search
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import RobotLoop, add_feed_forward
-from jointid.simulation.synthesis import simulate
+from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.synthesis import add_feed_forward, simulate
 from tests.estimation.robots.twin import identified
 from tests.robots_plants import inertial, two
 

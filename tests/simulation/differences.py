@@ -10,8 +10,10 @@ from jointid.common.arrays import FloatArray
 from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.simulate import Outcome, Simulation
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 
 AT_REST = Initial()
 

@@ -16,15 +16,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
-from jointid.models.joints import ClosedLoop
 from jointid.models.robots.robot import Tree
-from jointid.simulation.closed_loop import Initial, first_state, start_state, wound_up
 from jointid.simulation.kernels.drive import SampledLoop
 from jointid.simulation.kernels.engine import Plant
 from jointid.simulation.loop_input import LoopInput
-from jointid.simulation.plant import plant_of
-from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotInput, begin
+from jointid.simulation.start import Initial, Numbers, begin
 from tests.models.robots.trees import mass_matrix_by_regressor, torque_by_regressor
 
 _EDGE = 1e-12  # of what friction holds: a mass that is pushed that hard rests
@@ -234,33 +230,12 @@ def simulate(
     return command, q, v, motion.events
 
 
-def of_joint(
-    loop: ClosedLoop, experiment: LoopInput, values: dict[str, float], initial: Initial | None = None
+def of_loop(
+    experiment: LoopInput, numbers: Numbers, initial: Initial | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Return what `simulate` does with a joint that begins where the package lets it."""
-    at, plant = initial or Initial(), plant_of(loop.joint, values)
-    position = float(experiment.inputs[0, 0]) if at.position is None else at.position
-    velocity = at.velocity or 0.0
-    sliding = wound_up(experiment, velocity)
-    state, first = first_state(experiment, position, velocity, at.torque)
-    start = start_state(loop, values, position, velocity, sliding)
-    side = 2 * np.minimum(np.arange(len(plant.masses)), 1)
+    """Return what `simulate` does with a joint or a robot that begins where the package lets it."""
+    began = begin(experiment, numbers, initial)
     return simulate(
-        plant, None, np.zeros((0, 10)), experiment.sampled, np.array([first + experiment.after_limit[0]]),
-        state[np.newaxis], start[side], start[side + 1], np.full(len(plant.masses), sliding),
-    )  # fmt: skip
-
-
-def of_robot(experiment: RobotInput, numbers: RobotNumbers) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Return what `simulate` does with a robot that begins where the package lets it."""
-    began, sampled = begin(experiment, numbers), experiment.sampled
-    n, before = len(experiment.experiments), np.zeros(len(experiment.experiments))
-    state = np.zeros((n, sampled.feedback.A.shape[-1]))
-    for j, each in enumerate(experiment.experiments):
-        motor = numbers.rotors[j]
-        own, first = first_state(each, began.places[motor], began.speeds[motor], began.torques[j])
-        state[j, : own.size], before[j] = own, first + each.after_limit[0]
-    return simulate(
-        numbers.plant, experiment.tree, numbers.inertials, sampled, before, state, began.places, began.speeds,
-        np.sign(began.speeds),
+        numbers.plant, experiment.tree, numbers.inertials, experiment.sampled, began.before, began.states,
+        began.places, began.speeds, began.wound,
     )  # fmt: skip

@@ -13,11 +13,12 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PD, Cascade, StateSpaceController, shift_start
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, require_success, simulate
+from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.sensitivities import simulate_sensitivities
-from jointid.simulation.synthesis import simulated_record
+from jointid.simulation.simulate import Outcome, require_success
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate, simulated_record
 from tests.estimates import identify
 
 T = 1e-3

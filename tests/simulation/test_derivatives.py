@@ -24,11 +24,13 @@ from jointid.models.controllers import (
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
+from jointid.simulation.derivatives import Sensitivities, simulate_sensitivities
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
+from jointid.simulation.simulate import Outcome
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 from tests.plants import LAWS, PIECES, Case, prismatic, rotary, with_law
 from tests.simulation.differences import AT_REST, error_beside_differences
 
@@ -88,9 +90,7 @@ def check(
 def test_of_random_plants(make: Callable[[int], Case], seed: int) -> None:
     case = make(seed)
     found = check(case.loop, case.clean, case.truth, tuple(case.truth))
-    assert np.array_equal(
-        found.response.torque, simulate_torque(case.loop, prepare(case.loop, case.clean), case.truth).torque
-    )
+    assert np.array_equal(found.response.torque, simulate(case.loop, prepare(case.loop, case.clean), case.truth).torque)
 
 
 @pytest.mark.parametrize("law", [*LAWS, *PIECES])
@@ -108,7 +108,7 @@ def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest
         monkeypatch.setattr(engine, "REACH", 0.1 * engine.REACH)
     experiment = prepare(loop, case.clean)
     speed = 0.2 * float(np.ptp(simulate(case.loop, experiment, case.truth).motor_velocity))
-    begin = Initial(position=float(experiment.inputs[0, 0]), velocity=speed)
+    begin = Initial(position=float(experiment.axis.inputs[0, 0]), velocity=speed)
     of_law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
     names = (*(p.name for p in loop.joint.parameters), *of_law)
     check(loop, case.clean, values, names, begin, 1e-2 if law in PIECES else 5e-3, (3e-6, 3e-7))

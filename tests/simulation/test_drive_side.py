@@ -6,12 +6,25 @@ import numpy as np
 import pytest
 
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import TABLE_2
-from jointid.simulation.prescribed import LOAD_STATE, PARTS, PrescribedMotion, prescribed_motion, simulate_drive_side
+from jointid.simulation.drive_side import (
+    LOAD_STATE,
+    PARTS,
+    DriveSideRun,
+    differentiate_drive_side,
+    prescribe,
+    run_drive_side,
+)
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.simulate import Outcome, motion_of
 
 T = 1e-3
 JOINT = FlexibleJoint("prismatic")
+
+
+def run_along(position: np.ndarray, values: dict[str, float], parts: int = PARTS, joint: Joint = JOINT) -> DriveSideRun:
+    return run_drive_side(prescribe(position[:, np.newaxis], T, parts), JointNumbers(joint, values))
 
 
 def wave(samples: int = 3000, pause: bool = False) -> np.ndarray:
@@ -24,30 +37,24 @@ def wave(samples: int = 3000, pause: bool = False) -> np.ndarray:
     return q
 
 
-def torque_of(motion: PrescribedMotion, values: dict[str, float], parts: int) -> np.ndarray:
-    return simulate_drive_side(JOINT, motion, values).torque.reshape(-1, parts).mean(axis=1)
-
-
 @pytest.mark.parametrize("coulomb", [10.4, 60.0])
 def test_four_parts_of_a_sample_are_enough(coulomb: float) -> None:
     values = TABLE_2 | {"load_coulomb": coulomb}
-    exact = torque_of(prescribed_motion(wave(), T, 32), values, 32)
-    coarse, fine = (
-        np.linalg.norm(torque_of(prescribed_motion(wave(), T, parts), values, parts) - exact) / np.linalg.norm(exact)
-        for parts in (1, PARTS)
-    )
+    torques = [run_along(wave(), values, parts).torque.reshape(-1, parts).mean(axis=1) for parts in (1, PARTS, 32)]
+    coarse, fine, _ = (np.linalg.norm(torque - torques[2]) / np.linalg.norm(torques[2]) for torque in torques)
     assert fine < 1e-5
     assert coarse / fine > 5.0
 
 
 def test_a_load_that_sticks_stands_still_and_stores_its_deflection() -> None:
     values = TABLE_2 | {"load_coulomb": 60.0}
-    run = simulate_drive_side(JOINT, prescribed_motion(wave(pause=True), T), values)
-    still = run.load_velocity == 0
+    run = run_along(wave(pause=True), values)
+    position, velocity, *_ = motion_of(run.tape, 2, len(run.torque) + 1)
+    still = velocity[:, 1] == 0
     assert 0.2 < np.mean(still) < 0.6
     longest = np.flatnonzero(still)
     held = np.split(longest, np.flatnonzero(np.diff(longest) > 1) + 1)
-    assert all(np.ptp(run.load_position[part]) < 1e-15 for part in held)
+    assert all(np.ptp(position[part, 1]) < 1e-15 for part in held)
     assert max(map(len, held)) > 0.5 / T * PARTS
 
 
@@ -62,32 +69,34 @@ def test_derivatives_are_those_of_differences(pause: bool) -> None:
                 values |= {f"{side}_{word}_forwards": 1.1 * value, f"{side}_{word}_backwards": 0.9 * value}
     values |= {"initial_load_position": 1e-4, "initial_load_velocity": 1e-3}
     names = tuple(p.name for p in joint.parameters) + LOAD_STATE
-    motion = prescribed_motion(wave(pause=pause), T)
-    run = simulate_drive_side(joint, motion, values, names)
+    run = run_along(wave(pause=pause), values, joint=joint)
+    ((own, columns),), slopes = run.columns(names), differentiate_drive_side(run, names)[:, 0]
+    slopes[:, own] += columns
     for i, name in enumerate(names):
         step = 1e-5 * abs(values[name])
-        above, below = (simulate_drive_side(joint, motion, {**values, name: values[name] + s}) for s in (step, -step))
-        slope = (above.torque - below.torque) / (2 * step)
-        assert np.linalg.norm(slope - run.derivatives[:, i]) < 1e-4 * np.linalg.norm(slope), name
+        above, below = (
+            run_along(wave(pause=pause), {**values, name: values[name] + by}, joint=joint) for by in (step, -step)
+        )
+        slope = (above.torque - below.torque)[:, 0] / (2 * step)
+        assert np.linalg.norm(slope - slopes[:, i]) < 1e-4 * np.linalg.norm(slope), name
 
 
 def test_a_rigid_joint_takes_its_inverse_model() -> None:
     q = wave()
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     names = tuple(values)
-    run = simulate_drive_side(RigidJoint("prismatic"), prescribed_motion(q, T), values, names)
-    assert np.allclose(run.torque, run.derivatives @ np.array(list(values.values())))
-    assert run.load_position is None
+    run = run_along(q, values, joint=RigidJoint("prismatic"))
+    ((_, columns),) = run.columns(names)
+    assert np.allclose(run.torque[:, 0], columns @ np.array(list(values.values())))
     t = (np.arange((q.size - 1) * PARTS) + 0.5) * T / PARTS
     w = 2 * np.pi * np.array([1.3, 23.0, 60.0])
     acceleration = -np.sin(np.outer(t, w)) @ (np.array([0.02, 8e-4, 1e-4]) * w**2)
     inside = slice(200, -200)  # a spline knows nothing beyond its ends
-    assert np.max(np.abs((run.derivatives[:, 0] - acceleration)[inside])) < 2e-3 * np.max(np.abs(acceleration))
+    assert np.max(np.abs((columns[:, 0] - acceleration)[inside])) < 2e-3 * np.max(np.abs(acceleration))
 
 
 @pytest.mark.parametrize("change", [{"load_inertia": -1.0}, {"motor_inertia": 0.0}, {"stiffness": np.nan}])
 def test_what_no_joint_has_is_not_simulated(change: dict[str, float]) -> None:
-    run = simulate_drive_side(JOINT, prescribed_motion(wave(), T), TABLE_2 | change, ("stiffness",))
-    assert not run.finished
+    run = run_along(wave(), TABLE_2 | change)
+    assert run.outcome is Outcome.INVALID
     assert not np.any(run.torque)
-    assert not np.any(run.derivatives)

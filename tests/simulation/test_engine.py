@@ -12,9 +12,11 @@ from jointid.models.controllers import with_numbers
 from jointid.models.friction import FRICTIONS, PARTS
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.springs import SPRINGS
-from jointid.simulation.closed_loop import Initial, Outcome, simulate
+from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.simulate import Outcome
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 from tests.plants import Case, prismatic, rotary, with_law
 from tests.simulation.differences import error_beside_differences
 
@@ -37,7 +39,7 @@ def test_accelerations_balance_friction_that_drifts() -> None:
     drifts = {"motor_viscous": 0.5, "motor_coulomb": -0.3, "load_viscous": -0.4, "load_coulomb": 0.2}
     record = case.clean.with_channels({n: replace(c, values=c.values[:3000]) for n, c in case.clean.items()})
     experiment = prepare(loop, record)
-    time = experiment.sample_time * np.arange(experiment.samples)
+    time = experiment.clock.sample_time * np.arange(experiment.clock.samples)
     values |= {f"{name}_drift": share * values[name] / time[-1] for name, share in drifts.items()}
     run = simulate(loop, experiment, values)
     assert run.load is not None

@@ -12,7 +12,8 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.simulation.kernels import drive
-from jointid.simulation.plant import integrate, motion_of, pass_on, plant_of
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.simulate import integrate, motion_of, pass_on
 from tests.simulation.reference import simulate
 
 T = 1e-3
@@ -30,7 +31,7 @@ def free(
 
     The ways are the maps of lines ("exact"), the steps of any law, and the slow reference.
     """
-    plant, loop = plant_of(joint, values), pass_on(torque[np.newaxis, np.newaxis], period)
+    plant, loop = JointNumbers(joint, values).plant, pass_on(torque[np.newaxis, np.newaxis], period)
     n, none = len(plant.masses), np.zeros((1, 0))
     place, speed, before = x0[: 2 * n : 2], x0[1 : 2 * n : 2], torque[:1]
     if way == "reference":

@@ -11,11 +11,13 @@ import pytest
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.derivatives import simulate_sensitivities
+from jointid.simulation.drive_side import PARTS, DriveSideRun, differentiate_drive_side, prescribe, run_drive_side
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.prescribed import PARTS, prescribed_motion, simulate_drive_side
-from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 from tests.plants import prismatic, rotary
 from tests.simulation.differences import error_beside_differences
 
@@ -51,15 +53,22 @@ def test_the_equation_of_a_link_in_gravity_holds(joint: Joint, values: dict[str,
         assert np.allclose(rows[0, sliding], found.torque[sliding], rtol=1e-11, atol=1e-9)
         assert np.allclose(rows[1:, sliding], 0.0, atol=1e-9)
     whole = simulate(loop, prepare(loop, record), values)
-    motion, names = prescribed_motion(whole.motor_position, 1e-3), ("gravity_cos", joint.parameters[0].name)
-    prescribed = simulate_drive_side(joint, motion, values, names)
+    names = ("gravity_cos", joint.parameters[0].name)
+    motion = prescribe(whole.motor_position[:, np.newaxis], 1e-3, PARTS)
+
+    def along_with(other: dict[str, float]) -> DriveSideRun:
+        return run_drive_side(motion, JointNumbers(joint, other))
+
+    prescribed = along_with(values)
+    ((own, slopes),), moved = prescribed.columns(names), differentiate_drive_side(prescribed, names)[:, 0]
+    moved[:, own] += slopes
     along = prescribed.torque.reshape(-1, PARTS).mean(axis=1)
     smooth = np.abs(whole.motor_velocity[:-1]) > 0.05
     assert np.sqrt(np.mean((along - whole.torque[:-1])[smooth] ** 2)) < 0.03 * np.std(whole.torque)
     for j, name in enumerate(names):
-        ends = (simulate_drive_side(joint, motion, {**values, name: values[name] * (1 + by)}) for by in (1e-5, -1e-5))
-        column = np.subtract(*(end.torque for end in ends)) / (2e-5 * values[name])
-        assert np.linalg.norm(prescribed.derivatives[:, j] - column) < 1e-4 * np.linalg.norm(column), name
+        ends = (along_with({**values, name: values[name] * (1 + by)}) for by in (1e-5, -1e-5))
+        column = np.subtract(*(end.torque[:, 0] for end in ends)) / (2e-5 * values[name])
+        assert np.linalg.norm(moved[:, j] - column) < 1e-4 * np.linalg.norm(column), name
 
 
 @pytest.mark.parametrize(("joint", "values"), HANGING, ids=["rigid", "flexible"])

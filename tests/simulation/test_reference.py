@@ -12,11 +12,14 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate
 from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.simulate import Outcome, Simulation
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 from tests.plants import LAWS, PIECES, Case, prismatic, rotary, with_law
-from tests.simulation.reference import of_joint
+from tests.simulation.reference import of_loop
 
 _PERIODS = 100
 _FINE = 0.01  # rad in a step
@@ -41,7 +44,7 @@ def controlled(loop: ClosedLoop, record: Record, values: dict[str, float], way: 
     """Return the loop with other numbers of its controller."""
     experiment, own = prepare(loop, record), dict(WAYS[way])
     peak = float(np.max(np.abs(simulate(loop, experiment, values).torque)))
-    size = {"delay": experiment.law.period, "limit": peak / numbers_of(loop.controller)["gain"]}
+    size = {"delay": experiment.axis.law.period, "limit": peak / numbers_of(loop.controller)["gain"]}
     return replace(loop, controller=with_numbers(loop.controller, {n: x * size.get(n, 1.0) for n, x in own.items()}))
 
 
@@ -51,13 +54,13 @@ def agree(
     """Assert that torque and positions are the reference's; return the run, and its events there."""
     found = simulate(loop, experiment, values, initial)
     assert found.outcome is Outcome.FINISHED
-    command, q, _, events = of_joint(loop, experiment, values, initial)
-    torque = to_log(experiment, seen_torque(experiment, command[0]))
+    command, q, _, events = of_loop(experiment, JointNumbers(loop.joint, values), initial)
+    torque = to_log(experiment.axis, seen_torque(experiment.axis, command[0]))
     assert np.max(np.abs(found.torque - torque)) <= within * np.max(np.abs(torque))
     travel = np.ptp(q[:, 0]) + np.max(np.abs(q[:, 0] - q[:, -1]))
     for seen, mass in ((found.motor_position, 0), (found.load_position, 1)):
         if seen is not None:
-            assert np.max(np.abs(seen - q[:: experiment.every, mass])) <= within * travel
+            assert np.max(np.abs(seen - q[:: experiment.clock.skips, mass])) <= within * travel
     return found, events
 
 

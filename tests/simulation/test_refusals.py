@@ -17,10 +17,9 @@ from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from jointid.models.springs import SPRINGS, Backlash
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.simulation.closed_loop import Outcome, require_success, simulate_torque
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.robots import RobotLoop
-from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.derivatives import simulate_sensitivities
+from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.simulate import Outcome, require_success
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.plants import prismatic
 from tests.robots_plants import two
@@ -147,5 +146,5 @@ def test_numbers_that_no_joint_has_are_not_simulated(friction: str, spring: str,
     }
     values |= case.truth
     experiment = prepare(loop, case.clean)
-    assert simulate_torque(loop, experiment, values).outcome is Outcome.FINISHED
-    assert simulate_torque(loop, experiment, values | wrong).outcome is Outcome.INVALID
+    assert simulate(loop, experiment, values).outcome is Outcome.FINISHED
+    assert simulate(loop, experiment, values | wrong).outcome is Outcome.INVALID

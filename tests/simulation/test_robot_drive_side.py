@@ -11,39 +11,36 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.inverse_model import moving_weights, turning_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
-from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.plant import motion_of
-from jointid.simulation.robot_drive_side import (
-    MotorMotion,
-    RobotDriveSideRun,
+from jointid.simulation.drive_side import (
+    DriveSideRun,
+    PrescribedMotion,
     differentiate_drive_side,
-    prescribe_motion,
+    prescribe,
     run_drive_side,
 )
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
-from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import RobotSimulation
+from jointid.simulation.simulate import Outcome, Simulation, motion_of
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, six, two
 from tests.simulation.test_robots import COUPLED, changed
 
 
-def played(twin: Twin, duration: float = 3.0) -> RobotSimulation:
+def played(twin: Twin, duration: float = 3.0) -> Simulation:
     """Return a twin in its loops, in steps that leave no error beside that of the drive side."""
     return simulate(twin.loop(), twin.records(duration, multisine=0.004), steps=6)
 
 
-def prescribed(robot: Robot, run: RobotSimulation, parts: int = 1, first: int = 0) -> MotorMotion:
+def prescribed(robot: Robot, run: Simulation, parts: int = 1, first: int = 0) -> PrescribedMotion:
     resting = np.full(len(robot), first == 0)
-    return prescribe_motion(robot, run.motor_position[first:], run.sample_time, resting, parts)
+    return prescribe(run.motor_position[first:], run.sample_time, parts, robot.tree, resting)
 
 
-def places_of(found: RobotDriveSideRun) -> FloatArray:
+def places_of(found: DriveSideRun) -> FloatArray:
     """Return the positions of all masses at the ends of the parts."""
-    return motion_of(found.tape, len(found.numbers.masses), len(found.torque) + 1)[0]
+    return motion_of(found.tape, found.numbers.count, len(found.torque) + 1)[0]
 
 
-def error(found: RobotDriveSideRun, run: RobotSimulation, parts: int = 1, first: int = 0) -> FloatArray:
+def error(found: DriveSideRun, run: Simulation, parts: int = 1, first: int = 0) -> FloatArray:
     """Return the error of each joint's torque, rms, as a share, but where a motor rests or turns round."""
     curved = found.torque.copy()
     curved[1:-1] -= np.diff(found.torque, 2, axis=0) / 12.0
@@ -95,11 +92,11 @@ def test_a_record_may_begin_in_motion() -> None:
     run, numbers = played(twin), RobotNumbers.of(twin.robot)
     motion = prescribed(twin.robot, run, first=first)
     steady = run_drive_side(motion, replace(numbers, beside=np.zeros((2, 2))))
-    beside = np.column_stack([run.link_position[first] - steady.start[:2], run.link_velocity[first] - motion.speeds])
+    beside = np.column_stack([run.load_position[first] - steady.start[:2], run.load_velocity[first] - motion.speeds])
     found = run_drive_side(motion, replace(numbers, beside=beside))
-    at = places_of(found)[: len(run.link_position) - first, :2]
-    assert at == pytest.approx(run.link_position[first:], abs=3e-6)
-    lost = places_of(steady)[:500, :2] - run.link_position[first : first + 500]
+    at = places_of(found)[: len(run.load_position) - first, :2]
+    assert at == pytest.approx(run.load_position[first:], abs=3e-6)
+    lost = places_of(steady)[:500, :2] - run.load_position[first : first + 500]
     assert np.max(np.abs(lost)) > 1e-4
 
 
@@ -123,7 +120,7 @@ def test_derivatives_are_those_of_differences(hertz: tuple[float | None, float |
     )
     found = run_drive_side(motion, numbers)
     slopes = differentiate_drive_side(found, places)
-    for i, (own, columns) in enumerate(columns_of(motion.tree, numbers, places, found.motion, numbers.rotors)):
+    for i, (own, columns) in enumerate(found.columns(places)):
         slopes[:, i, own] += columns
     sizes = np.linalg.norm(slopes, axis=(0, 1))
     for c, place in enumerate(places):
@@ -141,7 +138,7 @@ def test_a_heavy_load_does_not_move_a_motor_that_is_held() -> None:
         "arm", -1, axis=np.array([0.0, 1.0, 0.0]), inertial=inertial(100.0, (1.0, 0.0, 0.0), (1.0, 110.0, 110.0))
     )
     robot = Robot((link,), (RobotJoint("arm", 10.0, spring=JointSpring(4.6e6, 1e4, 1.0, 1.0)),))
-    motion = prescribe_motion(robot, np.zeros((15001, 1)), 4e-3, np.array([True]))
+    motion = prescribe(np.zeros((15001, 1)), 4e-3, 1, robot.tree, True)
     found = run_drive_side(motion, RobotNumbers.of(robot))
     assert found.torque[[0, -1], 0] == pytest.approx(-981.0, rel=1e-5)
 

@@ -11,8 +11,8 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial, Outcome
-from jointid.simulation.loop_input import prepare
+from jointid.simulation.derivatives import differentiate
+from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,
     MassNumbers,
@@ -22,8 +22,8 @@ from jointid.simulation.robot_numbers import (
     robot_with,
     with_values,
 )
-from jointid.simulation.robot_sensitivities import differentiate_torques
-from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
+from jointid.simulation.simulate import Outcome, run_loop
+from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
 
 LAW = PD(position_gain=900.0, derivative_gain=30.0)
@@ -124,14 +124,14 @@ def own_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
 def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None:
     """Of order 2 in the pieces of the tape: by every number of every law."""
     record, robot = reference(), robot_of(joint)
-    driven, numbers = prepare_robot(RobotLoop(robot, (LAW,)), (record,)), RobotNumbers.of(robot)
+    driven, numbers = prepare(RobotLoop(robot, (LAW,)), (record,)), RobotNumbers.of(robot)
     places = own_places(numbers)
-    found = differentiate_torques(run_robot(driven, numbers, keep=True, steps=4), places)[0]
+    found = differentiate(run_loop(driven, numbers, keep=True, steps=4), places)[0][0]
     for column, place in enumerate(places):
         value = place.read(numbers)
         step = 1e-5 * max(abs(value), 0.05)
         high, low = (
-            run_robot(driven, with_values(numbers, (place,), np.array([value + by])), steps=4).torque[:, 0]
+            run_loop(driven, with_values(numbers, (place,), np.array([value + by])), steps=4).torque[:, 0]
             for by in (step, -step)
         )
         expected = (high - low) / (2.0 * step)

@@ -10,9 +10,10 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.records.record import Channel, Tap, Timing
+from jointid.simulation.derivatives import differentiate
+from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
-from jointid.simulation.robot_sensitivities import differentiate_torques
-from jointid.simulation.robots import RobotInput, RobotLoop, prepare_robot, run_robot
+from jointid.simulation.simulate import run_loop
 from tests.robots_plants import six, two
 from tests.simulation.test_robots import COUPLED, changed, faster
 
@@ -31,13 +32,13 @@ LIMITED = tuple(
 
 
 def differences(
-    experiment: RobotInput, numbers: RobotNumbers, places: tuple[NumberPlace, ...], steps: int
+    experiment: LoopInput, numbers: RobotNumbers, places: tuple[NumberPlace, ...], steps: int
 ) -> FloatArray:
     """Return the derivatives by central differences of whole runs, (samples, n, parameters)."""
     x, columns = np.array([place.read(numbers) for place in places]), []
     for c in range(x.size):
         step = 1e-5 * max(abs(x[c]), 0.05) * (np.arange(x.size) == c)
-        both = [run_robot(experiment, with_values(numbers, places, x + s), steps=steps).torque for s in (step, -step)]
+        both = [run_loop(experiment, with_values(numbers, places, x + s), steps=steps).torque for s in (step, -step)]
         columns.append((both[0] - both[1]) / (2 * step[c]))
     return np.stack(columns, axis=2)
 
@@ -69,16 +70,16 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
             for one in records
             if one.reference
         )
-    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
+    experiment, numbers = prepare(loop, records), RobotNumbers.of(loop.robot)
     places = all_places(numbers)
     if len(loop.controllers) == 6:
         places = places[::7]
-    run = run_robot(experiment, numbers, keep=True, steps=steps)
+    run = run_loop(experiment, numbers, keep=True, steps=steps)
     assert run.events > 2
     if any(isinstance(law, PID) for law in loop.controllers):
         assert 0.01 < np.mean(run.excess != 0.0) < 0.99
     expected = differences(experiment, numbers, places, 2 * steps)
-    found = np.stack(differentiate_torques(run, places), axis=1)
+    found = np.stack(differentiate(run, places)[0], axis=1)
     sizes = np.linalg.norm(expected, axis=(0, 1))
     error = np.linalg.norm(found - expected, axis=(0, 1))
     felt = sizes > 1e-6 * np.max(sizes)
@@ -89,9 +90,9 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
 def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
     """Of a parameter that nothing feels, such as the mass of a first link on an upright axis, there is none."""
     loop = six().loop()
-    experiment, numbers = prepare_robot(loop, six().records(0.5)), RobotNumbers.of(loop.robot)
+    experiment, numbers = prepare(loop, six().records(0.5)), RobotNumbers.of(loop.robot)
     places = tuple(place for place in all_places(numbers) if (place.of, place.row) == (0, 0))
-    found = np.stack(differentiate_torques(run_robot(experiment, numbers, keep=True), places), axis=1)
+    found = np.stack(differentiate(run_loop(experiment, numbers, keep=True), places)[0], axis=1)
     felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
     assert [place.column for place, one in zip(places, felt, strict=True) if one] == [9]
 
@@ -113,14 +114,14 @@ def test_variation_by_delays_is_the_derivative_of_the_run(loop: RobotLoop, avera
     if averaged:
         shown = Channel(np.ones(len(records[0].reference or ())), "N m", 1e-3, Timing.AVERAGED)
         records = tuple(replace(one, torque=shown, tap=Tap.MEASURED) for one in records)
-    experiment, places = prepare_robot(loop, records), tuple(NumberPlace(NumberOf.DELAY, j, 0) for j in range(2))
+    experiment, places = prepare(loop, records), tuple(NumberPlace(NumberOf.DELAY, j, 0) for j in range(2))
     numbers = replace(RobotNumbers.of(loop.robot), delays=np.array([[1.3e-3], [2.9e-3]]))
-    run = run_robot(experiment, numbers, keep=True, steps=2)
+    run = run_loop(experiment, numbers, keep=True, steps=2)
     assert run.events > 2
-    found = np.stack(differentiate_torques(run, places), axis=1)
+    found = np.stack(differentiate(run, places)[0], axis=1)
     for c, place in enumerate(places):
         step, at = 2e-6, place.read(numbers)
         ends = (with_values(numbers, (place,), np.array([at + by])) for by in (step, -step))
-        later, earlier = (run_robot(experiment, one, steps=4).torque for one in ends)
+        later, earlier = (run_loop(experiment, one, steps=4).torque for one in ends)
         expected = (later - earlier) / (2 * step)
         assert np.linalg.norm(found[:, :, c] - expected) < 5e-3 * np.linalg.norm(expected)

@@ -10,17 +10,17 @@ import pytest
 
 from jointid.models.controllers import PD, PID
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.kernels.engine import (
     FREE,
     LENGTH,
     STATE,
 )
+from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotRun, add_feed_forward, motion_at, prepare_robot, run_robot
-from jointid.simulation.synthesis import simulate
+from jointid.simulation.simulate import Outcome, Run, motion_at, run_loop
+from jointid.simulation.synthesis import add_feed_forward, simulate
 from tests.robots_plants import Twin, seven, six, two
-from tests.simulation.reference import of_robot
+from tests.simulation.reference import of_loop
 
 
 def changed(twin: Twin, *joints: dict[str, Any]) -> Twin:
@@ -66,10 +66,10 @@ def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name
     twin, duration = TWINS[name]
     loop = twin.loop()
     records = faster(twin.records(5.0 * duration), 8.0)
-    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
-    exact = of_robot(experiment, numbers)[0].T
+    experiment, numbers = prepare(loop, records), RobotNumbers.of(loop.robot)
+    exact = of_loop(experiment, numbers)[0].T
     peak = np.max(np.abs(exact), axis=0)
-    runs = {steps: run_robot(experiment, numbers, steps=steps) for steps in (1, 2, 4)}
+    runs = {steps: run_loop(experiment, numbers, steps=steps) for steps in (1, 2, 4)}
     errors = {steps: float(np.max(np.abs(run.command.T - exact) / peak)) for steps, run in runs.items()}
     assert runs[1].events > 5
     assert errors[1] < 1e-4
@@ -93,16 +93,16 @@ def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
     masses[[1, 4], 2] = 80.0
     run = simulate(loop, records, replace(numbers, masses=masses))
     assert run.outcome is Outcome.FINISHED
-    assert np.all(run.link_position[:, [1, 4]] == run.link_position[0, [1, 4]])
+    assert np.all(run.load_position[:, [1, 4]] == run.load_position[0, [1, 4]])
     assert np.all(run.motion.direction[:, [1, 4]] == 0)
-    assert np.ptp(run.link_position[:, [0, 2, 3, 5]], axis=0).min() > 0.2
+    assert np.ptp(run.load_position[:, [0, 2, 3, 5]], axis=0).min() > 0.2
 
 
 def test_no_mass_slides_against_its_friction() -> None:
     """Where several events lie in one step, the earliest is taken, however they seemed from the ends of the step."""
     twin = six(True)
     records = twin.records(10.0, sample_time=5e-3, multisine=0.003)
-    run = run_robot(prepare_robot(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
+    run = run_loop(prepare(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
     assert run.outcome is Outcome.FINISHED
     assert run.events > 500
     n = len(run.start)
@@ -111,11 +111,11 @@ def test_no_mass_slides_against_its_friction() -> None:
     assert np.all(run.tape[1:, LENGTH] > 0.0)
 
 
-def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], worst: float) -> RobotRun:
+def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], worst: float) -> Run:
     """Return a run at one step a part, of which the torque is that near to the adaptive reference's, of its peak."""
-    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
-    exact = of_robot(experiment, numbers)[0].T
-    run = run_robot(experiment, numbers, steps=1, keep=True)
+    experiment, numbers = prepare(loop, records), RobotNumbers.of(loop.robot)
+    exact = of_loop(experiment, numbers)[0].T
+    run = run_loop(experiment, numbers, steps=1, keep=True)
     assert run.outcome is Outcome.FINISHED
     assert np.max(np.abs(run.command.T - exact) / np.max(np.abs(exact), axis=0)) < worst
     return run
@@ -146,7 +146,7 @@ def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None
         replace(law, period=period, delay=delay)  # type: ignore[type-var]
         for law, period, delay in zip(twin.loop().controllers, periods, delays, strict=True)
     )
-    clock = prepare_robot(RobotLoop(twin.robot, laws), twin.records(0.1)).clock
+    clock = prepare(RobotLoop(twin.robot, laws), twin.records(0.1)).clock
     at = clock.sample_time * np.arange(clock.samples)
     begins = np.cumsum(clock.lengths) - clock.lengths
     for begun, period, delay in zip(clock.torque_index, periods, delays, strict=True):

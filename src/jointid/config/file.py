@@ -134,7 +134,7 @@ class File:
                 f"A robot is simulated under its controllers; without one: {', '.join(missing)}. Add a controller to "
                 "the [[joints]] table, or identify by idim from motor positions."
             )
-        from jointid.simulation.robots import RobotLoop
+        from jointid.simulation.loop_input import RobotLoop
 
         return RobotLoop(self.robot, tuple(one for one in self.controllers if one is not None), self.in_motion)
 
@@ -144,7 +144,7 @@ class File:
         if self.robot is None:
             return self.loop or self.joint
         if isinstance(self.method, DriveSideFit):
-            from jointid.simulation.robot_drive_side import RobotDriveSide
+            from jointid.simulation.drive_side import RobotDriveSide
 
             return RobotDriveSide(self.robot)
         return self.loop if self._simulates else self.robot
@@ -210,7 +210,7 @@ class File:
                 f'robot.feed_forward is "{mode}", and {sum(injected)} of {len(found)} joints have an injected channel; '
                 'expected "logged" with the channel of each joint, or a computed one without any: correct one of both.'
             )
-        from jointid.simulation.robots import add_feed_forward
+        from jointid.simulation.synthesis import add_feed_forward
 
         return add_feed_forward(self.loop, found, mode)
 

@@ -31,7 +31,8 @@ from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
-from jointid.simulation.robots import RobotLoop, RobotRun, simulation_of
+from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.simulate import Run, Simulation
 
 _TURN = 1e-4  # rad or m: step of a derivative
 ROTORS = (0.0, 0.25, 0.5, 0.75)
@@ -193,8 +194,8 @@ def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: Sol
 
     laws: list[list[FaultSignature]] = [[] for _ in robot.names]
     if isinstance(problem, RobotLoopProblem):
-        assert isinstance(solved.run, RobotRun)
-        moved, seen, raw = simulation_of(solved.run).motion, np.ones(measured.shape, dtype=np.bool_), None
+        assert isinstance(solved.run, Run)
+        moved, seen, raw = Simulation.of(solved.run).motion, np.ones(measured.shape, dtype=np.bool_), None
         motion = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
         laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
     else:

@@ -45,7 +45,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import require_success
+from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
 
 _SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
@@ -290,9 +290,7 @@ def _free_number(problem: ClosedLoopProblem, test: FaultTest) -> tuple[ClosedLoo
     name, start = test.name, test.declared + test.size
     if test.fault is LIMIT:
         start = (test.shape or 0.0) / _torque_per_unit(problem)
-        loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {name: start}))
-        law = problem.experiment.law_of(loop.controller)
-        problem = replace(problem, loop=loop, experiment=problem.experiment.with_law(law))
+        problem = problem.declared(with_numbers(problem.loop.controller, {name: start}))
     if test.fault is OFFSET:
         (own,) = (p for p in problem.parameters if p.name == name)
         return problem.replace_parameters({name: replace(own, free=True)}), start

@@ -35,10 +35,9 @@ from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
-from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_sensitivities import respond_to_laws
-from jointid.simulation.robots import RobotLoop, RobotRun
+from jointid.simulation.derivatives import respond_to_laws
+from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.simulate import Outcome, Run
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import cells
 
@@ -152,8 +151,8 @@ def _changes(fit: Estimate, torques: AxisTorques, tried: Sequence[tuple[int, Ele
 def _respond(solved: SolvedRobot, others: Sequence[tuple[int, Controller]]) -> FloatArray:
     """Return the changes of a robot's filtered torques by other controllers of axes, (changes, n, rows)."""
     problem, run = solved.problem, solved.run
-    assert isinstance(problem, RobotLoopProblem) and isinstance(run, RobotRun)
-    each = problem.experiment.experiments
+    assert isinstance(problem, RobotLoopProblem) and isinstance(run, Run)
+    each = problem.experiment.axes
     found, direct = respond_to_laws(run, [(j, each[j].with_law(each[j].law_of(other))) for j, other in others])
     for c, ((j, _), own) in enumerate(zip(others, direct, strict=True)):
         if not any(problem.seen) or problem.seen[j] is None:  # else the declared law shows the position

@@ -39,9 +39,8 @@ from jointid.models.robots.robot import Robot
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import DriveSide, RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
 
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
 _UNREADABLE, _POOR_MOTION = "unreadable", "motion_poor"

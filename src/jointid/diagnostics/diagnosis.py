@@ -38,7 +38,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.robots.robot import Link
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 from jointid.uncertainty.position_dependent_error import Repeatable, cells, repeatable
 from jointid.uncertainty.residual_tests import Whiteness, whiteness
 

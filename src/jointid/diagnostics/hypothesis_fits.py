@@ -115,7 +115,7 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop, until: float = m
         for problem in (pose(hypothesis, one) for one in _loops_near(hypothesis, rigid)):
             if problem is None:
                 continue
-            law, sample_time = problem.experiment.law, problem.experiment.sample_time
+            law, sample_time = problem.axis.law, problem.axis.sample_time
             for hertz in frequencies_to_try(law, rigid.values["inertia"], sample_time)[::_APART]:
                 for share in _SHARES:
                     start = start_with_mode(problem, rigid.values, hertz, share)

@@ -34,9 +34,8 @@ from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import DriveSide, RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
 
 _OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
 

@@ -68,8 +68,8 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     velocity = np.gradient(reference)
     moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
     inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]
-    if problem.experiment.injected:
-        experiment = problem.experiment
+    if problem.axis.injected:
+        experiment = problem.axis
         inputs.append(to_log(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
     count, seen = len(inputs), problem.filter(np.column_stack(inputs))
     lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
@@ -229,7 +229,7 @@ def _follow(
     if record.motor_position is None or record.reference is None or torque is None or record.computed:
         return None
     try:
-        made = law_outputs(record.motor_position, prepare(loop, record))
+        made = law_outputs(record.motor_position, prepare(loop, record).axis)
     except JointidError:
         return None
     position, count = record.motor_position, min(torque.values.size, len(made))

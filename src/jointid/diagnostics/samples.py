@@ -21,8 +21,8 @@ from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.synthesis import simulate
 
 _IMMOVABLE = 1e20  # kg or kg m2
 _FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them

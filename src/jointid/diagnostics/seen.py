@@ -16,8 +16,8 @@ from jointid.models.friction import Friction, Part
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring
 from jointid.records.record import Tap
-from jointid.simulation.closed_loop import Simulation, require_success
 from jointid.simulation.loop_input import to_log
+from jointid.simulation.simulate import Simulation, require_success
 
 Columns: TypeAlias = Iterable[tuple[float | None, FloatArray | None]]
 """Shapes of a fault, and what each adds to the torque per unit of its size, (samples,); None where that fails."""
@@ -148,14 +148,14 @@ class Seen:
             return np.asarray(np.sign(self.asked) * np.maximum(np.abs(self.asked) - level, 0.0))
         problem, x = self.loop
         taken = not hasattr(problem.loop.controller, "limit") or any(p.name == "limit" for p in problem.free)
-        if taken or not level < problem.experiment.law.limit:
+        if taken or not level < problem.axis.law.limit:
             return None
         return problem.torque(x, lambda e: e.with_law(e.law.with_limit(level))) - problem.torque(x)
 
 
 def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, own: FloatArray) -> Seen:
     """Return the questions to a joint's loop: each force on it is simulated."""
-    run, added = problem.simulate(x), problem.experiment.after_limit
+    run, added = problem.simulate(x), problem.axis.after_limit
     output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
 
     def respond(force: FloatArray) -> FloatArray | None:
@@ -172,7 +172,7 @@ def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, ow
         except JointidError:  # a loop that is unstable with it is not that of the record
             return None
         # The force itself is not in a measured torque.
-        return raw - to_log(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else raw
+        return raw - to_log(problem.axis, force) if problem.axis.tap is Tap.MEASURED else raw
 
     return Seen(
         run.motor_position, run.motor_velocity, run.motor.acceleration, output,

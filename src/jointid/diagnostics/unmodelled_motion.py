@@ -25,7 +25,7 @@ from jointid.common.text import number
 from jointid.diagnostics.law_comparison import TIMES, cut, mean_logarithm, squares_of
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
-from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.simulate import Simulation
 
 _LAGS = 8  # of each response ...
 _MEMORY = 0.08  # s that they reach back

@@ -39,10 +39,10 @@ from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.records.signals.filtering import differentiate
-from jointid.simulation.closed_loop import require_success
 from jointid.simulation.controller_torque import compute_controller_torque
+from jointid.simulation.drive_side import PARTS, DriveSide
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.prescribed import PARTS, DriveSide
+from jointid.simulation.simulate import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 
@@ -404,8 +404,8 @@ def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> Pred
     assert record.torque is not None
     record.require(loop.channels, "Validation")
     known, experiment = estimate.require_values(), prepare(loop, record)
-    measured = record.torque.values[: experiment.samples]
-    around = with_torque(INITIAL_STATE, experiment, measured)
+    measured = record.torque.values[: experiment.clock.samples]
+    around = with_torque(INITIAL_STATE, experiment.axis, measured)
     free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, estimate.settings.filtering, loop, experiment)
     problem = free.keeping({p.name: known[p.name] for p in loop.joint.parameters})
     x, _ = fit_initial_state(problem)
@@ -426,7 +426,7 @@ def _simulate_along_motion(estimate: Estimate, record: Record) -> Predicted:
     predicted, _, finished = problem.simulate(x, ())
     if not finished:
         raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-    position, velocity = problem.motion.position[::PARTS], problem.motion.velocity[::PARTS]
+    position, velocity = problem.motion.position[::PARTS, 0], problem.motion.velocity[::PARTS, 0]
     motion = [position, velocity, differentiate(velocity, problem.sample_time)]
     found = _predict_by(problem, free, x, predicted, [one[: problem.measured.size] for one in motion])
     return found._replace(compared=problem.weights[:, np.newaxis])
@@ -465,7 +465,7 @@ def _search(problem: Any, start: FloatArray) -> Solution | None:
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
     from jointid.estimation.robots.numbers import robot_parameters
     from jointid.estimation.robots.simulated import errors_of, nominal_numbers, problem_of
-    from jointid.simulation.robots import motion_at
+    from jointid.simulation.simulate import motion_at
 
     part = estimate.require_robot()
     robot, numbers = part.model, part.numbers()

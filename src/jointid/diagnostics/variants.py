@@ -44,8 +44,8 @@ from jointid.models.controllers.servo_base import DiagramController, Interpolati
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.resampling import default_interpolation
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop
 
 TIMES_FASTER = (2, 4, 8)
 """Than the log: at these rates a drive may run whose period is not declared."""
@@ -118,7 +118,7 @@ def list_variants(problem: ClosedLoopProblem, x: FloatArray, record: Record) -> 
         record: whose reference the controller reads.
     """
     law: Any = problem.loop.controller
-    log, period = problem.sample_time, float(problem.experiment.law.period)
+    log, period = problem.sample_time, float(problem.axis.law.period)
     for way in list_other_ways(law, record, period):
         filled = replace(law, interpolation=way)
         yield _alone(OtherLaw(INTERPOLATIONS[way], say_way(way), f'interpolation = "{way}"', filled))
@@ -157,7 +157,7 @@ def _list_rates(law: Any, log: float, other: str, way: Interpolation, evident: b
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
     """Return the averaged and the delayed reference, of the time by which the reference is late."""
     law: Any = problem.loop.controller
-    wider, period = problem.freeing(LATE.name), float(problem.experiment.law.period)
+    wider, period = problem.freeing(LATE.name), float(problem.axis.law.period)
     late = wider.values(descend(wider, wider.vector(problem.values(x)), _SOLVED).x)[LATE.name]
     words = f"the law sees the reference {number(1e3 * late, 3)} ms late"
     delayed = OtherLaw(LATE, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
@@ -406,7 +406,7 @@ def list_reference_laws(
         numbers: of the robot.
         predicted: (n, rows) filtered torques of its simulation.
     """
-    mean, inputs = _SCREENED * problem.sample_time, problem.experiment.experiments
+    mean, inputs = _SCREENED * problem.sample_time, problem.experiment.axes
     each = list[dict[Fault, Any]]()
     for law, record, read in cast("Any", zip(setup.controllers, records, inputs, strict=True)):
         ways = list_other_ways(law, record, read.law.period)

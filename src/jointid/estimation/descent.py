@@ -18,7 +18,9 @@ from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, initial_of
 from jointid.estimation.starts.rigid_joint import Start
 from jointid.models.controllers import REFERENCE
-from jointid.simulation.closed_loop import Outcome, simulate, wound_up
+from jointid.simulation.simulate import Outcome
+from jointid.simulation.start import wound_up
+from jointid.simulation.synthesis import simulate
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.regression import least_squares as linear_least_squares
 from jointid.solvers.solve import Counted, Solution, Status, Step, Tally, solve
@@ -229,11 +231,11 @@ def search_rigid_joint(
         # end at rest may have another friction, and where the law is off, the start another state.
         moving = next((one.values for one in starts if one.values["initial_velocity"] != 0.0), best.values)
         velocity = moving["initial_velocity"]
-        near = [moving] if wound_up(problem.experiment, velocity) else []
+        near = [moving] if wound_up(problem.axis, velocity) else []
         for there in (*near, best.values | {"initial_velocity": velocity}):
             best = or_moving(best, problem, there, tolerance, history)
-        steps = np.diff(problem.experiment.inputs[:, REFERENCE])
-        aside = _ASIDE * float(np.max(np.abs(steps))) / problem.experiment.law.period
+        steps = np.diff(problem.axis.inputs[:, REFERENCE])
+        aside = _ASIDE * float(np.max(np.abs(steps))) / problem.axis.law.period
         # A law that is off looks like a motion; what is free of it is found from rest.
         for velocity in (aside, -aside) if begins_badly(best) and not freed else ():
             home = beginning_position(problem, velocity)
@@ -276,7 +278,7 @@ def _scale_gains(problem: ClosedLoopProblem, x: FloatArray, nominal: float, hist
     names = tuple(p.name for p in problem.free_joint)
     for _ in range(_SCALED):
         values = problem.values(x)
-        experiment = problem.experiment.scale(values["inertia"] / nominal)
+        experiment = problem.experiment.alone(problem.axis.scale(values["inertia"] / nominal))
         run = simulate(problem.loop, experiment, values, initial_of(values))
         history.tally.evaluations += 1
         if run.outcome is not Outcome.FINISHED:

@@ -35,9 +35,8 @@ from jointid.models.robots.robot import Robot
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import DriveSide, RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
 
 LARGEST = 600_000
 """Samples of a joint's records that are identified at once, in about 1 GiB; of n joints 4/n times as many in all."""

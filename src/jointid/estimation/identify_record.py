@@ -15,7 +15,7 @@ from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 
 
 def identify_record(

@@ -36,9 +36,8 @@ from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import DriveSide, RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
 from jointid.uncertainty.covariance import Covariance
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide

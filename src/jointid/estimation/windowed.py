@@ -41,11 +41,10 @@ from jointid.models.robots.robot import Robot
 from jointid.records.chunks import cut
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering, decimated_at, drop_ends
-from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import seen_position
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.simulate import Outcome
 from jointid.uncertainty.resampling import Sums
 
 _FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgotten

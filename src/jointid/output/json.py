@@ -25,8 +25,7 @@ from jointid.models.joints import Joint
 
 if TYPE_CHECKING:
     from jointid.estimation.saved import System
-    from jointid.simulation.closed_loop import Simulation
-    from jointid.simulation.robots import RobotSimulation
+    from jointid.simulation.simulate import Simulation
 
 __all__ = [
     "dumps", "load_estimate", "plain", "read_choices", "read_report", "simulation_answer", "to_dict",
@@ -71,7 +70,7 @@ def to_dict(result: object) -> Json:
     return {"schema": f"jointid.{type(result).__name__}/2", "version": __version__, **plain(result)}
 
 
-def simulation_answer(simulation: Simulation | RobotSimulation, record: str, values: Mapping[str, object]) -> Json:
+def simulation_answer(simulation: Simulation | Simulation, record: str, values: Mapping[str, object]) -> Json:
     """Return the document of a simulation of a record, without its signals, and with other values."""
     return {
         "schema": "jointid.Simulation/2",

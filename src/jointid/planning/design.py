@@ -27,7 +27,7 @@ from jointid.planning.robots import FeedForward, RobotModel, robot_model
 from jointid.planning.search import find_best
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 
 _FEWEST = 200  # samples of a test
 _DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where nothing states them

@@ -43,8 +43,8 @@ from jointid.planning.plans import Family, Plan, families_in
 from jointid.planning.predict import Noise, PredictedTest, find_maxima, find_undetermined
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome, Simulation, require_success
 from jointid.simulation.loop_input import to_log
+from jointid.simulation.simulate import Outcome, Simulation, require_success
 from jointid.uncertainty.covariance import Influence, covariance_of
 
 RUNS = 200
@@ -277,7 +277,7 @@ def _find_joint_maxima(run: Simulation, reference: Channel, noise: float) -> tup
 
 def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray:
     """Free parameters of a joint that starts at rest."""
-    held = _holding_torque(problem.loop, values, float(problem.experiment.inputs[0, REFERENCE]))
+    held = _holding_torque(problem.loop, values, float(problem.axis.inputs[0, REFERENCE]))
     position = beginning_position(replace(problem, measured=np.full_like(problem.measured, held)))
     around = {"initial_position": position, "initial_velocity": 0.0, "initial_torque": held}
     return problem.vector({**values, **around})
@@ -307,7 +307,7 @@ def _draw_errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: 
     """Return the noise in the logged torque for each run, raw, (samples,) each; none of a first record's alone."""
     if noise.log == noise.force == 0.0:
         return []
-    experiment, quiet = problem.experiment, problem.torque(x)
+    experiment, quiet = problem.axis, problem.torque(x)
 
     def error(number: int) -> FloatArray:
         rng = np.random.default_rng([seed, number])
@@ -315,7 +315,7 @@ def _draw_errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: 
         if noise.force > 0:
             force = noise.force * rng.standard_normal(experiment.after_limit.size)
             forced = replace(experiment, after_limit=experiment.after_limit + force)
-            run = replace(problem, experiment=forced).torque(x)
+            run = problem.driven(forced).torque(x)
             # The log shows what the loop does about the force, and not the force itself.
             added = added + run - quiet - to_log(experiment, forced.shown - experiment.shown)
         return added

@@ -43,9 +43,10 @@ from jointid.planning.predict import PredictedTest, find_maxima, find_undetermin
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
-from jointid.simulation.closed_loop import require_success
+from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers, robot_with
-from jointid.simulation.robots import RobotLoop, add_feed_forward, prepare_robot, run_robot, simulation_of
+from jointid.simulation.simulate import Simulation, require_success, run_loop
+from jointid.simulation.synthesis import add_feed_forward
 from jointid.uncertainty.covariance import covariance_of
 
 Motion: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
@@ -222,17 +223,18 @@ class RobotModel:
         as much as the samples that it stands for.
         """
         parameters = robot_parameters(loop.robot)
-        kept = run_robot(prepare_robot(loop, driven), RobotNumbers.of(loop.robot), keep=True)
-        run = require_success(simulation_of(kept), "The robot's motion")
+        kept = run_loop(prepare(loop, driven), RobotNumbers.of(loop.robot), keep=True)
+        run = require_success(Simulation.of(kept), "The robot's motion")
         problem = robot_problem(loop, run.records(driven), parameters, self.filtering)
         values = parameters.group(kept.numbers)
         J = problem.slopes(kept, values)
         assert problem.filtering.decimation is not None
         weights = problem.with_sigma(self.sizes / math.sqrt(problem.filtering.decimation)).weights(len(J))
-        windup = np.abs(run.motor_position - run.link_position @ loop.robot.coupling.T).max(axis=0)
+        assert run.load_position is not None and run.load_velocity is not None
+        windup = np.abs(run.motor_position - run.load_position @ loop.robot.coupling.T).max(axis=0)
         q, v, a = motion
         reached = find_maxima(
-            (q,), (v, run.motor_velocity, run.link_velocity), a, run.torque, step, self.sizes,
+            (q,), (v, run.motor_velocity, run.load_velocity), a, run.torque, step, self.sizes,
             np.where(loop.robot.flexible, windup, np.nan),
         )  # fmt: skip
         return _predicted(self.units, values, J * weights[:, np.newaxis], run.torque, step, reached)

@@ -18,9 +18,7 @@ from jointid.models.controllers import POSITION, respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.resampling import at_period
-from jointid.simulation.closed_loop import Simulation
-from jointid.simulation.loop_input import LoopInput, prepare, to_log
-from jointid.simulation.sensitivities import Sensitivities
+from jointid.simulation.loop_input import AxisInput, prepare, to_log
 
 SOURCE = "computed from the controller and the motor position"
 
@@ -53,7 +51,7 @@ def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
     record.require(("motor_position", *loop.controller.channels), "A torque computed from the controller")
     assert record.motor_position is not None
     seen = record if record.torque is not None else replace(record, tap=Tap.COMMAND)
-    output = law_outputs(record.motor_position, prepare(loop, seen))[:, 0]
+    output = law_outputs(record.motor_position, prepare(loop, seen).axis)[:, 0]
     if not np.all(np.isfinite(output)):
         raise RecordError(
             "The declared controller gives no finite torque for the logged motor position; expected a stable law: "
@@ -67,27 +65,27 @@ def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
     )
 
 
-def law_outputs(position: Channel, experiment: LoopInput) -> FloatArray:
+def law_outputs(position: Channel, axis: AxisInput) -> FloatArray:
     """Return the torque of the law as the log shows it and, where it has one, of a unit integral, (samples, columns).
 
     Args:
         position: of the motor.
-        experiment: what `prepare` made of its record.
+        axis: what `prepare` made of its record.
     """
-    law = experiment.law
-    inputs, start = _along(position, experiment, experiment.inputs)
-    output = run(law, inputs, start).output + experiment.shown
+    law = axis.law
+    inputs, start = _along(position, axis, axis.inputs)
+    output = run(law, inputs, start).output + axis.shown
     integral, columns = law.integral(), [output]
     if integral is not None:
         columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
-    return to_log(experiment, np.column_stack(columns))
+    return to_log(axis, np.column_stack(columns))
 
 
 def seen_position(record: Record, loop: ClosedLoop) -> SeenPosition | None:
     """Return the map from position to computed torque; None for a logged torque."""
     if record.computed_by is None or record.motor_position is None:
         return None
-    return SeenPosition(prepare(replace(loop, controller=record.computed_by), record))
+    return SeenPosition(prepare(replace(loop, controller=record.computed_by), record).axis)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,32 +93,30 @@ class SeenPosition:
     """The map from a motor position to a torque: the declared law without limits.
 
     Attributes:
-        experiment: what `prepare` made of the record under the declared law.
+        axis: what `prepare` made of the record under the declared law.
     """
 
-    experiment: LoopInput
+    axis: AxisInput
 
     def torque(self, position: FloatArray) -> FloatArray:
         """Return the torque of a position at the log's instants, (samples,), in the same form."""
-        return self._respond(position, self.experiment.inputs) + to_log(self.experiment, self.experiment.shown)
+        return self.respond(position, self.axis.inputs) + to_log(self.axis, self.axis.shown)
 
-    def show(self, run: Sensitivities) -> Sensitivities:
-        """Return a run with the torque and its derivatives as they are computed from its motor positions."""
-        made = run.response
-        assert isinstance(made, Simulation)
-        none = np.zeros_like(self.experiment.inputs)
-        columns = [self._respond(one, none) for one in run.motor_position.T]
-        torque = np.column_stack(columns) if columns else run.torque
-        return replace(run, response=replace(made, torque=self.torque(made.motor_position)), torque=torque)
+    def slopes(self, positions: FloatArray) -> FloatArray:
+        """Return the derivatives of the torque, (samples, names), of those of the motor position."""
+        none = np.zeros_like(self.axis.inputs)
+        columns = [self.respond(one, none) for one in positions.T]
+        return np.column_stack(columns) if columns else positions
 
-    def _respond(self, position: FloatArray, inputs: FloatArray) -> FloatArray:
-        channel, law = Channel(position, "", self.experiment.sample_time), self.experiment.law
-        inputs, start = _along(channel, self.experiment, inputs)
-        return to_log(self.experiment, respond(law, inputs, start)[:, law.output])
+    def respond(self, position: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return what the law puts out, without limits, of a position and inputs of its periods, (samples,)."""
+        channel, law = Channel(position, "", self.axis.sample_time), self.axis.law
+        inputs, start = _along(channel, self.axis, inputs)
+        return to_log(self.axis, respond(law, inputs, start)[:, law.output])
 
 
-def _along(position: Channel, experiment: LoopInput, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _along(position: Channel, axis: AxisInput, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a law's inputs with a motor position, and its first states."""
-    law, inputs = experiment.law, inputs.copy()
-    inputs[:, POSITION] = at_period(position, law.period, experiment.periods, "motor_position", "spline")
+    law, inputs = axis.law, inputs.copy()
+    inputs[:, POSITION] = at_period(position, law.period, axis.periods, "motor_position", "spline")
     return inputs, law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)

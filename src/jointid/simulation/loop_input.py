@@ -1,23 +1,27 @@
-"""Parameter-independent inputs of a closed-loop simulation, and its log.
+"""Parameter-independent inputs of a closed-loop simulation of any number of axes, and its log.
 
-`prepare` lowers the controller to its sampled law, computes its response to the reference, and cuts a period at changes
-of the torque and at log instants.
+`prepare` lowers each controller to its sampled law, computes its response to its reference, and cuts the steps of the
+clock that the controllers share at changes of their torques and at log instants. A joint is a robot of one axis without
+a tree.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.text import join, pluralise
 from jointid.models.controllers import (
     INJECTED,
     POSITION,
+    REFERENCE,
     Controller,
     Interpolation,
     SampledLaw,
@@ -25,78 +29,191 @@ from jointid.models.controllers import (
     respond,
     scale,
     shift_start,
+    with_numbers,
 )
-from jointid.models.joints import ClosedLoop
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.linear import SNAP
+from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.resampling import at_period, period_ratio, running_mean
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.drive import Feedback, SampledLoop
+    from jointid.simulation.kernels.drive import SampledLoop
 
 _FEWEST = 10  # periods that can be simulated to any purpose
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
+_FINEST = 16  # steps of the shortest period, at most: the time of a simulation grows with them
+_FIRST = 7  # instants of a reference, through which a cubic says how it moves
+
+
+@dataclass(frozen=True, slots=True)
+class RobotLoop:
+    """A robot under its controllers.
+
+    Attributes:
+        robot: links, joints and gravity.
+        controllers: one for each joint; each sees its motor's position alone, behind the gear. Where motors are coupled
+            so are the references: of the shafts that the motors turn.
+        in_motion: whether the records begin while the robot moves, each shaft as its reference does; else at rest.
+
+    Raises:
+        MethodError: there is not one controller for each joint.
+    """
+
+    robot: Robot
+    controllers: tuple[Controller, ...]
+    in_motion: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controllers", tuple(self.controllers))
+        if len(self.controllers) != len(self.robot.links):
+            raise MethodError(
+                f"A robot has a controller for each joint; received {len(self.controllers)} for "
+                f"{pluralise(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
+            )
+
+    @property
+    def loops(self) -> list[ClosedLoop]:
+        """Each controller beside a rigid joint of its kind; no parameter of that is read."""
+        each = zip(self.robot.links, self.controllers, strict=True)
+        return [ClosedLoop(RigidJoint(link.kind), law) for link, law in each]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopInput:
-    """Inputs of a closed-loop simulation at the controller's instants; see `prepare`.
+class Clock:
+    """The clock of controllers, and of the log.
 
     Attributes:
-        law: the controller's state-space form. feedback: what of it the motion moves, and the same as the kernels read
-            it, with what is `driven`.
+        steps: that are simulated.
+        lengths: (parts,) s, of a step: in none does a torque change, and none has an instant of the log within it.
+        lags: (axes, parts) how many steps ago the output that acts there was put out, or a later one that is held.
+        every: (axes,) steps of each controller's period.
+        sample_time: of the log, s, which is every `skips`-th step, or shows each step `shows` times.
+        log_index: (samples,) which of all parts, step after step, begin at the log's instants.
+        torque_index: (axes, samples) those at which the newest torque of each axis, as the log shows it, begins to act.
+    """
+
+    steps: int
+    lengths: FloatArray
+    lags: NDArray[np.int64]
+    every: NDArray[np.int64]
+    sample_time: float
+    skips: int
+    shows: int
+    log_index: NDArray[np.intp]
+    torque_index: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, laws: Sequence[SampledLaw], step: float, steps: int, sample_time: float, samples: int) -> Clock:
+        """Cut the steps at the delays of the laws and at log instants, of which there are so many at most."""
+        shows, skips = period_ratio(step, sample_time, "the log")
+        late = np.array([law.delay / step for law in laws])
+        whole = np.floor(late + SNAP)
+        within = np.where(late - whole < SNAP, 0.0, late - whole)
+        cuts = [j / shows for j in range(shows)]
+        for cut in within:
+            if all(abs(cut - one) > SNAP for one in cuts):
+                cuts.append(float(cut))
+        cuts.sort()
+        lengths, parts = np.diff([*cuts, 1.0]) * step, len(cuts)
+        lags = (whole[:, np.newaxis] + (np.array(cuts) < within[:, np.newaxis] - SNAP)).astype(np.int64)
+        every = np.array([round(law.period / step) for law in laws], dtype=np.int64)
+        starts = np.cumsum(lengths) - lengths
+        inside = [int(np.argmin(np.abs(starts - j * step / shows))) for j in range(shows)]
+        log_index = (np.arange(0, steps, skips)[:, np.newaxis] * parts + inside).reshape(-1)[:samples]
+        newest, at = np.argmin(lags, axis=1)[:, np.newaxis], log_index // parts
+        put_out = at // every[:, np.newaxis] * every[:, np.newaxis] + np.take_along_axis(lags, newest, axis=1)
+        torque_index = np.minimum(put_out, steps - 1) * parts + newest
+        return cls(steps, lengths, lags, every, sample_time, skips, shows, log_index, torque_index)
+
+    @property
+    def samples(self) -> int:
+        """Of the log."""
+        return self.log_index.size
+
+    def repeat(self, axis: int, values: FloatArray) -> FloatArray:
+        """Return values of a controller's periods at every step, (steps,)."""
+        return np.repeat(values, self.every[axis])[: self.steps]
+
+    def own(self, axis: int, values: FloatArray, periods: int) -> FloatArray:
+        """Return values of every step at a controller's own periods, (periods, ...), the last one held."""
+        every = int(self.every[axis])
+        if every == 1 and len(values) == periods:
+            return values
+        return np.asarray(values[np.minimum(np.arange(periods) * every, (len(values) - 1) // every * every)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisInput:
+    """Inputs of one controller, at its own instants; see `prepare`.
+
+    Attributes:
+        controller: as declared. law: its state-space form. feedback: what of it the motion moves.
         memory: (states, 2) of the feedback, what a motor position of 1 leaves before the first period, and a velocity
             of 1. integral: (states,) see `SampledLaw.integral`.
         inputs: (periods, INPUTS) of the law, with a column of zeros for the position.
         after_limit: (periods,) what is added to the output; in the log or not, see below.
         logged: (periods,) the part of `after_limit` that the logged torque contains.
         feedforward: (elements, periods) the answer of the law's elements to everything but the position.
+        driven: (periods, states) what else goes into the states of the feedback; (0, states) where the answer holds it.
         state: (states,) of the feedback at the first period, but for what the position leaves.
-        sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
-        lengths, lags: the parts of a period, see `kernels.run`.
-        log_index: (samples,) which of all parts, period after period, begin at the log's instants. torque_index:
-            (samples,) those at which the newest torque of the same periods begins to act.
         far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
+        clock: of this controller alone.
         shows: whether the logged torque contains anything beside the controller's output, see `shown`.
     """
 
+    controller: Controller
     law: SampledLaw
     feedback: SampledLaw
-    kernel: Feedback
     memory: FloatArray
     integral: FloatArray | None
     inputs: FloatArray
     after_limit: FloatArray
     logged: FloatArray
     feedforward: FloatArray
+    driven: FloatArray
     state: FloatArray
-    sample_time: float
-    every: int
-    repeat: int
-    lengths: FloatArray
-    lags: NDArray[np.int64]
-    log_index: NDArray[np.intp]
-    torque_index: NDArray[np.intp]
     far: float
     tap: Tap
     timing: Timing
-    samples: int
     begin: float
+    clock: Clock
     shows: bool = field(init=False)
-    sampled: SampledLoop = field(init=False)
 
     def __post_init__(self) -> None:
-        from jointid.simulation.kernels.drive import SampledLoop
-
-        sampled = SampledLoop(
-            self.lengths, self.lags[np.newaxis], np.ones(1, dtype=np.int64), self.kernel, self.feedforward[np.newaxis],
-            self.after_limit[np.newaxis],
-        )  # fmt: skip
-        object.__setattr__(self, "sampled", sampled)
         object.__setattr__(self, "shows", bool(np.any(self.shown)))
+
+    @classmethod
+    def of(
+        cls, controller: Controller, law: SampledLaw, inputs: FloatArray, after_limit: FloatArray, logged: FloatArray,
+        log: tuple[float, int], tap: Tap, timing: Timing, begin: float,
+    ) -> AxisInput:  # fmt: skip
+        """Split a law into the part that the motion moves and known signals; `log` is sample time and samples.
+
+        Known inputs of the states are used where the elements' responses would diverge, as for an integrator.
+        """
+        (feedback, beforehand), state = law.split(), law.known_memory(inputs)
+        if law.integrates:
+            moved, elements = law.fed_back(), law.limits.size
+            found = respond(beforehand, inputs, state[~moved])
+            driven, feedforward, state = found[:, elements:], found[:, :elements].T, state[moved]
+        else:
+            driven, feedforward = np.zeros((0, feedback.order)), respond(law, inputs, state).T
+            state = np.zeros(feedback.order)
+        memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
+        return cls(
+            controller, law, feedback, memory, feedback.integral(), inputs, after_limit, logged, feedforward, driven,
+            state, _far(law, feedforward[law.output], after_limit), tap, timing, begin,
+            Clock.of([law], law.period, len(inputs), *log),
+        )  # fmt: skip
+
+    @property
+    def sample_time(self) -> float:
+        """Of the log, s."""
+        return self.clock.sample_time
 
     @property
     def periods(self) -> int:
@@ -113,35 +230,133 @@ class LoopInput:
         """The part of the logged torque beside the controller's output, (periods,)."""
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
 
+    @property
+    def reference_motion(self) -> tuple[float, float]:
+        """Velocity and acceleration of the reference at its first sample."""
+        reference = self.inputs[:_FIRST, REFERENCE]
+        cubic = np.polyfit(np.arange(reference.size) * self.law.period, reference - reference[0], 3)
+        return float(cubic[2]), float(2.0 * cubic[1])
+
     def law_of(self, controller: Controller) -> SampledLaw:
         """Law of a controller with its phase relative to the record's file."""
         return shift_start(controller, self.begin).law(self.sample_time)
 
-    def with_law(self, law: SampledLaw) -> LoopInput:
+    def under(self, controller: Controller) -> AxisInput:
+        """Replace the controller by one of the same period and delay."""
+        return replace(self.with_law(self.law_of(controller)), controller=controller)
+
+    def with_law(self, law: SampledLaw) -> AxisInput:
         """Replace the law by one of the same period and delay."""
-        return _build_input(
-            law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing,
-            self.begin,
-        )  # fmt: skip
+        log = self.sample_time, self.clock.samples
+        return AxisInput.of(
+            self.controller, law, self.inputs, self.after_limit, self.logged, log, self.tap, self.timing, self.begin
+        )
 
-    def delayed(self, delay: float) -> LoopInput:
+    def delayed(self, delay: float) -> AxisInput:
         """Let the torque act by another delay, s, later than the law puts it out."""
-        law = replace(self.law, delay=delay)
-        cut = _cut_periods(law, self.periods, self.repeat, self.every, self.samples)
-        return replace(self, law=law, lengths=cut[0], lags=cut[1], log_index=cut[2], torque_index=cut[3])
+        law, clock = replace(self.law, delay=delay), self.clock
+        return replace(self, law=law, clock=Clock.of([law], law.period, clock.steps, clock.sample_time, clock.samples))
 
-    def scale(self, factor: float) -> LoopInput:
+    def scale(self, factor: float) -> AxisInput:
         """Scale the law's output and what is added to it."""
         more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
         return more.with_law(scale(self.law, factor))
 
 
-def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
-    """Prepare the inputs of a closed-loop simulation from a record.
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopInput:
+    """Parameter-independent inputs of a simulation of all axes; made by `prepare`.
+
+    Attributes:
+        axes: of each alone.
+        clock: that their controllers share.
+        sampled: controllers and inputs as the kernels read them.
+        tree: of the links (`models.robots.equations`), None of a joint.
+        speeds, accelerations: (n,) of the shafts at the first sample of a robot.
+        payload: (10,) inertial parameters of what the last link carries beside the candidate, or ().
+    """
+
+    axes: tuple[AxisInput, ...]
+    tree: Tree | None
+    speeds: FloatArray
+    accelerations: FloatArray
+    payload: tuple[float, ...] = ()
+    names: tuple[str, ...] = ("",)
+    clock: Clock = field(init=False)
+    sampled: SampledLoop = field(init=False)
+
+    def __post_init__(self) -> None:
+        from jointid.simulation.kernels.drive import SampledLoop
+
+        clock = _share_clock(self.axes, self.names)
+        post = _fill_up([clock.repeat(j, each.after_limit) for j, each in enumerate(self.axes)])
+        sampled = SampledLoop(clock.lengths, clock.lags, clock.every, *_pack_laws(self.axes), post)
+        object.__setattr__(self, "clock", clock)
+        object.__setattr__(self, "sampled", sampled)
+
+    @property
+    def axis(self) -> AxisInput:
+        """The axis of a joint."""
+        return self.axes[0]
+
+    @property
+    def references(self) -> FloatArray:
+        """Commanded positions at the steps of the clock, (steps, n), held between the controllers' instants."""
+        held = [self.clock.repeat(j, each.inputs[:, REFERENCE]) for j, each in enumerate(self.axes)]
+        return np.column_stack(held)
+
+    def alone(self, axis: AxisInput) -> LoopInput:
+        """Return the inputs of a joint with another axis."""
+        return replace(self, axes=(axis,))
+
+    def delayed(self, delays: FloatArray) -> LoopInput:
+        """Return the inputs with other delays of the torques, (n, 1) s; with their own of (0, 1)."""
+        if not delays.size:
+            return self
+        each = zip(self.axes, delays[:, 0], strict=True)
+        return replace(self, axes=tuple(one.delayed(float(late)) for one, late in each))
+
+    def to_log(self, signals: FloatArray) -> FloatArray:
+        """Return torques that are put out in each step, (n, steps), as the log shows them, (samples, n)."""
+        clock, found = self.clock, []
+        for j, each in enumerate(self.axes):
+            command = clock.own(j, signals[j], each.periods)
+            found.append(to_log(each, seen_torque(each, command))[: clock.samples])
+        return np.column_stack(found)
+
+
+def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> LoopInput:
+    """Prepare the inputs of a closed-loop simulation.
+
+    Args:
+        loop: joint and controller, or robot and controllers.
+        record: of a joint; or one for each joint of a robot, of one log: its reference, and what is injected.
 
     Raises:
-        RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
+        RecordError: a channel that a controller reads is missing, or its clock does not divide the controller's.
+        MethodError: there is not one record for each joint, or controllers or logs share no clock.
     """
+    if isinstance(loop, ClosedLoop):
+        if not isinstance(record, Record):
+            raise MethodError("A joint is simulated from one record; give that.")
+        return LoopInput((_prepare_axis(loop, record),), None, np.zeros(1), np.zeros(1))
+    robot, records = loop.robot, () if isinstance(record, Record) else record
+    if len(records) != len(robot.links):
+        raise MethodError(
+            f"A robot is simulated from a record of each joint; received {max(len(records), 1)} for "
+            f"{pluralise(len(robot.links), 'joint')}: give one for each, in the order of the joints."
+        )
+    axes = tuple(map(_prepare_axis, loop.loops, records))
+    motion = np.array([each.reference_motion if loop.in_motion else (0.0, 0.0) for each in axes]).T.copy()
+    return LoopInput(axes, robot.tree, motion[0], motion[1], records[-1].payload, robot.names)
+
+
+def change_controller(experiment: LoopInput, numbers: Mapping[str, float]) -> LoopInput:
+    """Return the inputs of a joint under other numbers of its controller."""
+    return experiment.alone(experiment.axis.under(with_numbers(experiment.axis.controller, numbers)))
+
+
+def _prepare_axis(loop: ClosedLoop, record: Record) -> AxisInput:
     record.require(loop.controller.channels, "The simulation of this controller")
     require_units(record, loop.joint.kind, loop.joint.torque_unit)
     assert record.reference is not None
@@ -178,73 +393,79 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
             logged = signal * record.injected.in_torque
     timing = record.torque.timing if record.torque is not None else Timing.HELD
     samples = math.floor(record.duration / log.sample_time + SNAP)
-    return _build_input(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
+    return AxisInput.of(
+        loop.controller, law, inputs, after, logged, (log.sample_time, samples), record.tap, timing, record.begin
+    )
 
 
-def _build_input(
-    law: SampledLaw,
-    inputs: FloatArray,
-    after_limit: FloatArray,
-    logged: FloatArray,
-    sample_time: float,
-    samples: int,
-    tap: Tap,
-    timing: Timing,
-    begin: float,
-) -> LoopInput:
+def _share_clock(axes: Sequence[AxisInput], names: Sequence[str]) -> Clock:
+    """Return the clock of controllers, each with its own.
+
+    Raises:
+        MethodError: logs differ in rate or length, or the periods have no common step that is worth simulating.
+    """
+    if len(axes) == 1:
+        return axes[0].clock
+    sample_time = axes[0].sample_time
+    periods = np.array([each.law.period for each in axes])
+    lasts = np.array([each.periods for each in axes]) * periods
+    longest = max(float(np.max(periods)), sample_time)
+    other = [
+        name
+        for name, each, last in zip(names, axes, lasts, strict=True)
+        if abs(each.sample_time - sample_time) > SNAP * sample_time or abs(last - lasts[0]) > (1 + SNAP) * longest
+    ]
+    if other:
+        raise MethodError(
+            f"A robot is simulated along one log; the records of {join(other)} differ from that of {names[0]} in "
+            "sample time or length: give all joints the same."
+        )
+    shortest = float(np.min(periods))
+    ratios = periods / shortest
+    finest = (n for n in range(1, _FINEST + 1) if np.allclose(n * ratios, np.round(n * ratios), rtol=SNAP, atol=0.0))
+    step = next((shortest / n for n in finest), None)
+    if step is None:
+        said = join([f"{name} {1e3 * period:.6g} ms" for name, period in zip(names, periods, strict=True)])
+        raise MethodError(
+            f"A robot's controllers share a clock, of which each period is so many steps; received {said}, and no step "
+            f"of a {_FINEST}th of the shortest or more divides them: correct the periods."
+        )
+    steps = min(each.periods * round(each.law.period / step) for each in axes)
+    samples = min(each.clock.samples for each in axes)
+    return Clock.of([each.law for each in axes], step, steps, sample_time, samples)
+
+
+def _pack_laws(axes: Sequence[AxisInput]) -> tuple[Any, FloatArray]:
+    """Return the controllers filled up to equal sizes, and their answers to everything but the positions.
+
+    States that are filled up stay 0, as elements do; the answers are (n, elements, periods), each of its own periods.
+    """
     from jointid.simulation.kernels.drive import Feedback
 
-    repeat, every = period_ratio(law.period, sample_time, "the log")
-    lengths, lags, log_index, torque_index = _cut_periods(law, len(inputs), repeat, every, samples)
-    feedback, feedforward, driven, state = _split_law(law, inputs)
-    far = _far(law, feedforward[law.output], after_limit)
-    B, D = np.ascontiguousarray(feedback.B[:, :, POSITION]), np.ascontiguousarray(feedback.D[:, :, POSITION])
-    A, F, C, E = (np.ascontiguousarray(one)[np.newaxis] for one in (feedback.A, feedback.F, feedback.C, feedback.E))
-    limits, gates, output = law.limits[np.newaxis], law.gates[np.newaxis], np.array([law.output])
-    kernel = Feedback(A, B[np.newaxis], F, C, D[np.newaxis], E, limits, gates, driven[np.newaxis], output)
-    memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
-    return LoopInput(
-        law, feedback, kernel, memory, feedback.integral(), inputs, after_limit, logged,
-        feedforward, state, sample_time, every, repeat, lengths,
-        lags, log_index, torque_index, far, tap, timing, log_index.size, begin,
-    )  # fmt: skip
+    laws = [each.feedback for each in axes]
+    phases = math.lcm(*(law.phases for law in laws))
+    longest = max(each.periods for each in axes) if any(each.driven.size for each in axes) else 0
+
+    def repeat(name: str) -> FloatArray:
+        each = [getattr(law, name) for law in laws]
+        of_position = [one[:, :, POSITION] if name in "BD" else one for one in each]
+        return _fill_up([np.concatenate([one] * (phases // len(one))) for one in of_position])
+
+    A, Bq, F, C, D, E = map(repeat, "ABFCDE")
+    limits = _fill_up([law.limits for law in laws], math.inf)
+    gates = _fill_up([law.gates for law in laws], -1)
+    driven = _fill_up([each.driven for each in axes], 0.0, (longest, 0))
+    kernel = Feedback(A, Bq, F, C, D, E, limits, gates, driven, np.array([law.output for law in laws]))
+    return kernel, _fill_up([each.feedforward for each in axes])
 
 
-def _split_law(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
-    """Split a law into motion-dependent part and known signals; see `LoopInput`.
-
-    Known inputs of the states are used where the elements' responses would diverge, as for an integrator; else none.
-    """
-    feedback, beforehand = law.split()
-    moved = law.fed_back()
-    state = law.known_memory(inputs)
-    if not law.integrates:
-        feedforward = respond(law, inputs, state).T
-        return feedback, np.ascontiguousarray(feedforward), np.zeros((0, feedback.order)), np.zeros(feedback.order)
-    found, elements = respond(beforehand, inputs, state[~moved]), law.limits.size
-    driven = np.ascontiguousarray(found[:, elements:])
-    return feedback, np.ascontiguousarray(found[:, :elements].T), driven, state[moved]
-
-
-def _cut_periods(
-    law: SampledLaw, periods: int, repeat: int, every: int, samples: int
-) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
-    """Cut a period at the delay and at log instants: return `lengths`, `lags`, and both indices of `LoopInput`."""
-    late = law.delay / law.period
-    whole = math.floor(late + SNAP)
-    fraction = max(late - whole, 0.0)
-    fraction = 0.0 if fraction < SNAP else fraction
-    cuts = [j / repeat for j in range(repeat)]
-    if all(abs(cut - fraction) > SNAP for cut in cuts):
-        cuts = sorted([*cuts, fraction])
-    lengths = np.diff([*cuts, 1.0]) * law.period
-    lags = np.array([whole + 1 if cut < fraction - SNAP else whole for cut in cuts], dtype=np.int64)
-    starts = np.cumsum(lengths) - lengths
-    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
-    log_index = (np.arange(0, periods, every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
-    newest = int(np.argmin(lags))
-    torque_index = np.minimum(log_index // lengths.size + lags[newest], periods - 1) * lengths.size + newest
-    return lengths, lags, log_index, torque_index
+def _fill_up(arrays: Sequence[NDArray[Any]], beyond: float = 0.0, least: tuple[int, ...] = ()) -> NDArray[Any]:
+    """Return arrays in one, each filled up to the sizes of the largest."""
+    sizes = np.max([array.shape for array in arrays] + ([least] if least else []), axis=0)
+    whole = np.full((len(arrays), *sizes), beyond, dtype=arrays[0].dtype)
+    for one, own in zip(whole, arrays, strict=True):
+        one[tuple(slice(size) for size in own.shape)] = own
+    return whole
 
 
 def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:
@@ -258,40 +479,40 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
     return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9
 
 
-def seen_torque(experiment: LoopInput, command: FloatArray) -> FloatArray:
+def seen_torque(axis: AxisInput, command: FloatArray) -> FloatArray:
     """Torque at the log's tap, (periods,), of the controller's output."""
-    return command + experiment.shown if experiment.shows else command
+    return command + axis.shown if axis.shows else command
 
 
-def to_log(experiment: LoopInput, signal: FloatArray) -> FloatArray:
+def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:
     """Convert a controller signal to the log's torque channel; linear.
 
     The signal, (periods,) or (periods, columns), is the torque before the delay: piecewise constant over periods, or
     parts of periods.
     """
-    if experiment.timing is not Timing.AVERAGED:
-        return np.asarray(signal[_sources(experiment, len(signal))[experiment.log_index]])
-    lengths = np.tile(experiment.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
-    means = averages(experiment, lengths * (shown := acting(experiment, signal)))
+    if axis.timing is not Timing.AVERAGED:
+        return np.asarray(signal[_sources(axis, len(signal))[axis.clock.log_index]])
+    lengths = np.tile(axis.clock.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
+    means = averages(axis, lengths * (shown := acting(axis, signal)))
     means[0] = shown[0]
     return means
 
 
-def acting(experiment: LoopInput, signal: FloatArray) -> FloatArray:
+def acting(axis: AxisInput, signal: FloatArray) -> FloatArray:
     """Signal at the tap in each part of each period, parts in a row."""
-    return np.asarray(signal[_sources(experiment, len(signal))])
+    return np.asarray(signal[_sources(axis, len(signal))])
 
 
-def _sources(experiment: LoopInput, periods: int) -> NDArray[np.int64]:
+def _sources(axis: AxisInput, periods: int) -> NDArray[np.int64]:
     """Return the period of which the signal is at the tap in each part of each period."""
-    lags = experiment.lags * (experiment.tap is Tap.MEASURED)
+    lags = axis.clock.lags[0] * (axis.tap is Tap.MEASURED)
     return np.asarray(np.maximum(np.arange(periods)[:, np.newaxis] - lags, 0).reshape(-1), dtype=np.int64)
 
 
-def averages(experiment: LoopInput, integrals: FloatArray) -> FloatArray:
+def averages(axis: AxisInput, integrals: FloatArray) -> FloatArray:
     """Mean over each sample time up to a log instant, from integrals over parts."""
-    integral = np.zeros((len(integrals) + 1, *integrals.shape[1:]))
+    integral, log_index = np.zeros((len(integrals) + 1, *integrals.shape[1:])), axis.clock.log_index
     np.cumsum(integrals, axis=0, out=integral[1:])
-    means = np.zeros((experiment.log_index.size, *integrals.shape[1:]))
-    means[1:] = np.diff(integral[experiment.log_index], axis=0) / experiment.sample_time
+    means = np.zeros((log_index.size, *integrals.shape[1:]))
+    means[1:] = np.diff(integral[log_index], axis=0) / axis.sample_time
     return means

@@ -1,21 +1,23 @@
-"""The numbers of a joint, and of a robot's masses and springs, as `kernels.engine` reads them."""
+"""The numbers of a joint, and of masses and springs, as `kernels.engine` reads them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, Room
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.models.friction import Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.robot import Tree
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels import engine
-from jointid.simulation.kernels.drive import IntArray, SampledLoop, passing
 from jointid.simulation.kernels.engine import (
     BEGIN,
     COULOMB,
@@ -23,10 +25,8 @@ from jointid.simulation.kernels.engine import (
     COULOMB_DRIFT,
     HIGH,
     INERTIA,
-    PART,
     PER_TORQUE,
     SLIPS,
-    STATE,
     WINDING,
     Plant,
 )
@@ -41,7 +41,6 @@ NO_LINKS = np.zeros((1, 0, 10))
 """The inertials of a joint, which stands in no tree; and what no motor feels of any."""
 HEAVY = 1e18
 """Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
-_MORE = 2  # rows of a tape per step and part, beside a thousand
 
 
 def lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], prefix: str = "") -> AnyArray:
@@ -107,53 +106,131 @@ def is_possible(plant: Plant, duration: float, links: int = 0) -> bool:
     )  # fmt: skip
 
 
-def plant_of(joint: Joint, values: Mapping[str, Any]) -> Plant:
-    """Return the numbers of a joint; complex ones of complex values."""
-    drive, places, friction = joint.coefficients(values), joint.places(values), joint.friction
-    if isinstance(joint, RigidJoint):
-        return assemble([lower_mass(drive[0], drive[12], friction, values)], [], places, [], [0], [-1])
-    beside = joint.spring.beside(values)
-    share, stiffness, damping = (beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping"))
-    load, swings = drive[1], np.real(share) > 0.0
-    if np.real(share) < 0.0:
-        load = math.nan
-    elif swings or stiffness + damping == 0.0:
-        load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
-    masses = [
-        lower_mass(drive[0], drive[12], friction, values, "motor_"),
-        lower_mass(load, drive[13], friction, values, "load_"),
-    ]
-    springs = [lower_spring(joint.spring, values)]
-    if swings:
-        masses.append(np.array([[share * drive[1], *np.zeros(HIGH - 1), math.inf]]))
-        springs.append(lower_spring(LinearSpring(), {"stiffness": stiffness, "damping": damping}))
-    return assemble(masses, springs, places, [(0, 1), (1, 2)][: len(springs)], [0], [-1, 0, 1][: len(masses)])
+@dataclass(frozen=True, slots=True, eq=False)
+class JointNumbers:
+    """The numbers of a joint: a value for each of its parameters, by name.
 
-
-def heavy_plant(joint: Joint, values: Mapping[str, Any]) -> Plant:
-    """Return the joint with a motor so heavy that it follows the prescribed motion."""
-    plant = plant_of(joint, values)
-    plant.masses[0, :, :HIGH] = 0.0
-    plant.masses[0, :, INERTIA] = HEAVY
-    return plant
-
-
-def plant_seeds(
-    make: Callable[[Mapping[str, Any]], Plant], values: Mapping[str, float], names: Sequence[str]
-) -> Blocks:
-    """Return the derivatives of the numbers of a joint that `make` returns by parameters, by a complex step.
-
-    None is a parameter that is not the joint's.
+    Attributes:
+        heavy: inertia of a motor that follows a prescribed motion, its friction left out; 0 of one as the values say.
     """
-    found: Blocks = []
-    for column, name in enumerate(names):
-        if name not in values:
-            continue
-        moved = make({**values, name: complex(values[name], IMAGINARY)})
-        places = moved.places[:, np.newaxis, : engine.WAVE]
-        for first, rows in ((0, moved.masses[..., :HIGH]), (MASSES, moved.springs), (MASSES + SPRINGS, places)):
-            found += [(column, first + row, slope(own)) for row, own in enumerate(rows)]
-    return found
+
+    joint: Joint
+    values: Mapping[str, Any]
+    heavy: float = 0.0
+
+    inertials: ClassVar[FloatArray] = NO_LINKS[0]
+    delays: ClassVar[FloatArray] = np.zeros((0, 1))
+    motors: ClassVar[list[int]] = [0]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the joint's parameters."""
+        return names_of(self.joint)
+
+    @property
+    def count(self) -> int:
+        """Number of masses: motor, load, and what swings of an elastic load."""
+        swings = self.values.get("swinging_share", 0.0) > 0.0
+        return 1 if self.joint.model == "rigid" else 2 + swings
+
+    @property
+    def plant(self) -> Plant:
+        """Masses and springs as the kernels read them; complex ones of complex values."""
+        joint, values = self.joint, self.values
+        drive, places, friction = self.drive, joint.places(values), joint.friction
+        if isinstance(joint, RigidJoint):
+            return assemble([lower_mass(drive[0], drive[12], friction, values)], [], places, [], [0], [-1])
+        beside = joint.spring.beside(values)
+        share, stiffness, damping = (beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping"))
+        load, swings = drive[1], np.real(share) > 0.0
+        if np.real(share) < 0.0:
+            load = math.nan
+        elif swings or stiffness + damping == 0.0:
+            load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
+        masses = [
+            lower_mass(drive[0], drive[12], friction, values, "motor_"),
+            lower_mass(load, drive[13], friction, values, "load_"),
+        ]
+        springs = [lower_spring(joint.spring, values)]
+        if swings:
+            masses.append(np.array([[share * drive[1], *np.zeros(HIGH - 1), math.inf]]))
+            springs.append(lower_spring(LinearSpring(), {"stiffness": stiffness, "damping": damping}))
+        pairs, carriers = [(0, 1), (1, 2)][: len(springs)], [-1, 0, 1][: len(masses)]
+        plant = assemble(masses, springs, places, pairs, [0], carriers)
+        if self.heavy:
+            plant.masses[0, :, :HIGH] = 0.0
+            plant.masses[0, :, INERTIA] = self.heavy
+        return plant
+
+    @property
+    def drive(self) -> FloatArray:
+        """The coefficients of a joint of straight lines, (14,), see `kernels.drive`.
+
+        Raises:
+            MethodError: a parameter has no value.
+        """
+        try:
+            return self.joint.coefficients(self.values)
+        except KeyError:
+            missing = ", ".join(p.name for p in self.joint.parameters if p.name not in self.values)
+            raise MethodError(
+                f"A simulation needs a value for every parameter; {missing} has none: give one."
+            ) from None
+
+    def possible(self, duration: float) -> bool:
+        """Return True if all numbers are physically possible for that many seconds."""
+        if not self.joint.straight:
+            return is_possible(self.plant, duration)
+        row = self.drive.tolist()  # a few plain numbers take less time than an array of them
+        cones = row[6] + row[7] >= 0 and row[10] + row[11] >= 0
+        return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
+
+    @property
+    def straight(self) -> bool:
+        """True if the laws are lines, and the motor as it is."""
+        return self.joint.straight and not self.heavy
+
+    def carrying(self, payload: Sequence[float]) -> JointNumbers:
+        """Return the joint, which carries nothing beside its load."""
+        del payload
+        return self
+
+    def with_heavy_motors(self, heavy: float) -> JointNumbers:
+        """Return the joint with a motor so heavy that it follows a prescribed motion."""
+        return replace(self, heavy=heavy)
+
+    def not_zero(self) -> tuple[list[str], FloatArray]:
+        """Return the parameters, and their values."""
+        names = [p.name for p in self.joint.parameters]
+        return names, np.array([self.values[name] for name in names], dtype=np.float64)
+
+    def with_value(self, name: str, value: Any) -> JointNumbers:
+        """Return the numbers with another value of one parameter."""
+        return replace(self, values={**self.values, name: value})
+
+    def blocks(self, names: Sequence[Any]) -> Blocks:
+        """Return the derivatives of the plant's numbers by parameters, by a complex step; of others there are none."""
+        found: Blocks = []
+        for column, name in enumerate(names):
+            if name not in self.names:
+                continue
+            moved = self.with_value(name, complex(self.values[name], IMAGINARY)).plant
+            places = moved.places[:, np.newaxis, : engine.WAVE]
+            for first, rows in ((0, moved.masses[..., :HIGH]), (MASSES, moved.springs), (MASSES + SPRINGS, places)):
+                found += [(column, first + row, slope(own)) for row, own in enumerate(rows)]
+        return found
+
+    @staticmethod
+    def links(names: Sequence[Any]) -> list[tuple[int, int, int]]:
+        """Return the parameters that are numbers of links: none."""
+        del names
+        return []
+
+
+@lru_cache(maxsize=64)
+def names_of(joint: Joint) -> frozenset[str]:
+    """Return the names of a joint's parameters."""
+    return frozenset(p.name for p in joint.parameters)
 
 
 def pack_seeds(
@@ -191,91 +268,3 @@ def pack_seeds(
 def slope(moved: AnyArray) -> FloatArray:
     """Return the derivatives of numbers after a complex step."""
     return np.asarray(np.imag(moved) / IMAGINARY)
-
-
-class Integrated(NamedTuple):
-    """A run of `kernels.engine`.
-
-    Attributes:
-        status: how it ended.
-        command: (axes, clock) torques that act, the last held after a failure.
-        excess: (axes, periods, elements) what limits and gates took away, where it was kept.
-        tape: (rows, columns) its steps, where they were kept.
-        counts: (4,) events, rows of the tape, steps of the clock, and those at a limit.
-    """
-
-    status: int
-    command: FloatArray
-    excess: FloatArray
-    tape: FloatArray
-    counts: IntArray
-
-
-def integrate(
-    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
-    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, steps: int = 0,
-    room: Room | None = None,
-) -> Integrated:  # fmt: skip
-    """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
-
-    The arguments are those of `kernels.engine.run`. Steps are those of the integrator in the longest part of a step of
-    the clock; 0 lets each choose its length.
-    """
-    axes, clock = loop.post.shape
-    parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
-    array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
-    excess = array("excess", (axes, periods if keep else 0, elements))
-    rows = _MORE * clock * parts * max(steps, 1) + 1000 if keep else 0
-    rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
-    while True:
-        tape, counts = (
-            array("tape", (rows, engine.tape_width(len(plant.masses), len(plant.pairs)))),
-            np.zeros(4, np.int64),
-        )
-        status = engine.run(
-            plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
-            tape, counts,
-        )  # fmt: skip
-        if not keep or counts[1] <= rows:  # else joints that turn round and stick all the time
-            break
-        rows = int(counts[1])
-    done = int(counts[2])
-    command[:, done:] = command[:, done - 1 : done] if done else 0.0
-    for j, every in enumerate(loop.every):
-        excess[j, -(-done // int(every)) :] = 0.0
-    np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)  # divergence may overflow
-    return Integrated(status, command, excess, tape[: counts[1]], counts)
-
-
-def move_motors(
-    plant: Plant, tree: Tree | None, inertials: FloatArray, joined: FloatArray, step: float, start: FloatArray,
-    speeds: FloatArray, steps: int = 0,
-) -> Integrated:  # fmt: skip
-    """Simulate masses behind motors whose inertia is `HEAVY`, along velocities, (edges, n), from a first state.
-
-    One more part follows the last one, so that its end is on the tape, too. Other arguments are those of `integrate`.
-    """
-    held = np.diff(joined, axis=0) / step
-    torques = HEAVY * np.vstack([held, held[-1:]]).T[:, np.newaxis]
-    n = len(torques)
-    return integrate(
-        plant, tree, inertials, pass_on(torques, step), np.zeros(n), np.full(n, math.inf), np.zeros((n, 0)), start,
-        speeds, np.sign(speeds), keep=True, steps=steps,
-    )  # fmt: skip
-
-
-def pass_on(torques: FloatArray, step: float) -> SampledLoop:
-    """Return torques, (joints, 1, parts), that each act in one part of `step` seconds, as the kernels take them."""
-    joints, _, parts = torques.shape
-    lags, every = np.zeros((joints, 1), dtype=np.int64), np.ones(joints, dtype=np.int64)
-    given = np.ascontiguousarray(torques)
-    return SampledLoop(np.array([step]), lags, every, passing(joints), given, np.zeros((joints, parts)))
-
-
-def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the motion as each part begins: positions, velocities, accelerations and modes, (parts, masses) each."""
-    first = tape[np.flatnonzero(np.diff(tape[:, PART], prepend=-1.0))[:parts]]
-    position, velocity, acceleration, _, modes = (
-        first[:, STATE + i * masses : STATE + (i + 1) * masses] for i in range(5)
-    )
-    return position, velocity, acceleration, modes

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,17 @@ from jointid.models.friction import BESIDE, Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.engine import Plant
-from jointid.simulation.plant import AnyArray, assemble, is_possible, lower_mass, lower_spring
+from jointid.simulation.kernels.engine import HIGH, Plant
+from jointid.simulation.plant import (
+    IMAGINARY,
+    AnyArray,
+    Blocks,
+    assemble,
+    is_possible,
+    lower_mass,
+    lower_spring,
+    slope,
+)
 
 Bools: TypeAlias = NDArray[np.bool_]
 
@@ -33,7 +42,7 @@ class RobotNumbers:
         laws: (n,) of each joint the friction of both sides, and the spring of one that has it.
         beside: (n, 2) position and velocity of each flexible joint's link at the first sample, beside where steady
             motion has it; or (0, 2). log: (1, 1) s, by which the log shows torques late; or (0, 1). Both are read where
-            the record prescribes the motors' motion (`robot_drive_side`), and nowhere else.
+            the record prescribes the motors' motion (`drive_side`), and nowhere else.
         delays: (n, 1) s, by which each motor's torque acts later than its law puts it out; or (0, 1), those of the
             laws.
     """
@@ -81,6 +90,63 @@ class RobotNumbers:
         carriers[flexible] = np.arange(len(flexible))
         pairs = [(i, int(self.rotors[i])) for i in flexible]
         return assemble(masses, springs, np.zeros((0, 5)), pairs, self.rotors.tolist(), carriers.tolist())
+
+    @property
+    def count(self) -> int:
+        """Number of masses."""
+        return len(self.masses)
+
+    @property
+    def motors(self) -> list[int]:
+        """The mass that each motor drives."""
+        return [int(row) for row in self.rotors]
+
+    straight: ClassVar[bool] = False
+    """Whether its simulation is that of lines alone."""
+
+    def carrying(self, payload: Sequence[float]) -> RobotNumbers:
+        """Return the robot with a payload on its last link, (10,); or ()."""
+        if not payload:
+            return self
+        inertials = self.inertials.copy()
+        inertials[-1] += payload
+        return replace(self, inertials=inertials)
+
+    def with_heavy_motors(self, heavy: float) -> RobotNumbers:
+        """Return the robot with motors so heavy that they follow a prescribed motion."""
+        masses = self.masses.copy()
+        masses[self.rotors] = 0.0
+        masses[self.rotors, 0] = heavy
+        return replace(self, masses=masses)
+
+    def not_zero(self) -> tuple[list[NumberPlace], FloatArray]:
+        """Return the places of the numbers that are not 0, and the numbers; of a rise its share has the speed."""
+        places = [
+            NumberPlace(of, int(row), int(column))
+            for of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)
+            for row, column in np.argwhere(self.arrays[of] != 0.0)
+            if of is not NumberOf.MASS or column != MassNumbers.SPEED
+        ]
+        return places, np.array([place.read(self) for place in places])
+
+    def blocks(self, places: Sequence[Any]) -> Blocks:
+        """Return the derivatives of the plant's numbers by parameters, by a complex step: rational functions."""
+        spring, found = len(self.masses) - 1 + np.cumsum(self.flexible), list[tuple[int, int, FloatArray]]()
+        for c, place in enumerate(places):
+            if place.of not in (NumberOf.MASS, NumberOf.SPRING):
+                continue
+            row = self.arrays[place.of][place.row].astype(np.complex128)
+            row[place.column] += 1j * IMAGINARY
+            if place.of is NumberOf.MASS:
+                found.append((c, place.row, slope(mass_of(row, self.frictions[place.row]))[:, :HIGH]))
+            else:
+                found.append((c, int(spring[place.row]), slope(spring_of(row, self.laws[place.row][1]))))
+        return found
+
+    @staticmethod
+    def links(places: Sequence[Any]) -> list[tuple[int, int, int]]:
+        """Return the parameters that are numbers of links: which, of which link, in which column."""
+        return [(c, place.row, place.column) for c, place in enumerate(places) if place.of is NumberOf.LINK]
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -4,45 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, overload
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import POSITION_UNIT
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Simulation, require_success
-from jointid.simulation.closed_loop import simulate as simulate_joint
-from jointid.simulation.loop_input import LoopInput, prepare, to_log
+from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare, to_log
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.simulate import Simulation, require_success, run_loop
+from jointid.simulation.start import Initial
 
-if TYPE_CHECKING:  # a joint needs no kernel of a robot
-    from jointid.simulation.robot_numbers import RobotNumbers
-    from jointid.simulation.robots import RobotLoop, RobotSimulation
-
-
-@overload
-def simulate(
-    loop: ClosedLoop, record: Record | LoopInput, values: Mapping[str, float], initial: Initial | None = None
-) -> Simulation: ...
-
-
-@overload
-def simulate(
-    loop: RobotLoop, record: Sequence[Record], values: RobotNumbers | None = None, *, steps: int | None = None
-) -> RobotSimulation: ...
+_ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
 
 
 def simulate(
     loop: ClosedLoop | RobotLoop,
-    record: Record | LoopInput | Sequence[Record],
+    record: Record | Sequence[Record] | LoopInput,
     values: Mapping[str, float] | RobotNumbers | None = None,
     initial: Initial | None = None,
     *,
     steps: int | None = None,
-) -> Simulation | RobotSimulation:
+) -> Simulation:
     """Simulate a joint or a robot under its controllers; a failure is the simulation's `outcome`.
 
     Args:
@@ -61,20 +49,11 @@ def simulate(
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
         MethodError: there is not one record for each joint of a robot, or controllers or logs share no clock.
     """
+    experiment = record if isinstance(record, LoopInput) else prepare(loop, record)
+    numbers: Any = values
     if isinstance(loop, ClosedLoop):
-        if isinstance(record, Sequence) or not isinstance(values, Mapping):
-            raise MethodError("A joint is simulated from one record, with the value of each parameter by name.")
-        prepared = record if isinstance(record, LoopInput) else prepare(loop, record)
-        return simulate_joint(loop, prepared, values, initial)
-    from jointid.simulation.robot_numbers import RobotNumbers
-    from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
-
-    if not (isinstance(loop, RobotLoop) and isinstance(record, Sequence) and isinstance(values, RobotNumbers | None)):
-        raise MethodError(
-            "A robot is simulated from its RobotLoop, a record of each joint and RobotNumbers; give these."
-        )
-    numbers = RobotNumbers.of(loop.robot) if values is None else values
-    return simulation_of(run_robot(prepare_robot(loop, record), numbers, keep=True, steps=steps))
+        numbers = JointNumbers(loop.joint, {} if numbers is None else numbers)
+    return Simulation.of(run_loop(experiment, numbers or RobotNumbers.of(loop.robot), initial, keep=True, steps=steps))  # type: ignore[union-attr]
 
 
 def simulated_record(
@@ -139,15 +118,16 @@ def simulated_record(
             f"{np.size(disturbance)}: give as many."
         )
     if disturbance is None:
-        run = require_success(simulate_joint(loop, experiment, values, initial))
+        found = require_success(simulate(loop, experiment, values, initial))
     else:
-        extra = np.repeat(np.asarray(disturbance, dtype=np.float64), experiment.every)
-        extra = extra[:: experiment.repeat][: experiment.after_limit.size]
-        forced = replace(experiment, after_limit=experiment.after_limit + extra)
-        run = require_success(simulate_joint(loop, forced, values, initial))
+        axis = experiment.axis
+        extra = np.repeat(np.asarray(disturbance, dtype=np.float64), axis.clock.skips)
+        extra = extra[:: axis.clock.shows][: axis.periods]
+        forced = replace(axis, after_limit=axis.after_limit + extra)
+        found = require_success(simulate(loop, experiment.alone(forced), values, initial))
         # A force from outside is in no current of the motor, though it acts as an injected signal does.
-        run = replace(run, torque=run.torque - to_log(experiment, forced.shown - experiment.shown))
-    return as_record(driven, run, force, torque_noise=torque_noise, encoder_step=encoder_step)
+        found = replace(found, torque=found.torque - to_log(axis, forced.shown - axis.shown))
+    return as_record(driven, found, force, torque_noise=torque_noise, encoder_step=encoder_step)
 
 
 def as_record(
@@ -178,3 +158,64 @@ def as_record(
 
 def _quantise(position: FloatArray, step: float) -> FloatArray:
     return np.asarray(np.round(position / step) * step) if step else position
+
+
+def add_feed_forward(
+    loop: RobotLoop, records: Sequence[Record], kind: Literal["gravity", "inverse-model"] = "inverse-model"
+) -> tuple[Record, ...]:
+    """Return the records with the torque of the robot's model along the references injected before the limits.
+
+    Args:
+        loop: robot and controllers; the model is the robot with its own numbers, links and rotors without springs.
+        records: one for each joint, with references at one rate.
+        kind: the weight alone, or the whole inverse model without Coulomb friction.
+
+    Raises:
+        MethodError: a record has no reference, or references differ in rate or length.
+    """
+    from jointid.models.robots.dynamics import inverse_dynamics
+
+    channels = [record.reference for record in records]
+    if any(channel is None for channel in channels) or len({(c.sample_time, len(c)) for c in channels if c}) != 1:
+        raise MethodError("A feed-forward is computed from references of one rate and one length; give one per joint.")
+    numbers, given = RobotNumbers.of(loop.robot), [channel for channel in channels if channel]
+    sample_time = given[0].sample_time
+    q = np.column_stack([channel.values for channel in given])
+    v = np.gradient(q, sample_time, axis=0)
+    a = np.gradient(v, sample_time, axis=0)
+    if kind == "gravity":
+        v, a = np.zeros_like(q), np.zeros_like(q)
+    joints = np.linalg.inv(loop.robot.coupling)  # the references are those of the shafts
+    motion = (np.ascontiguousarray(x @ joints.T) for x in (q, v, a))
+    torque = inverse_dynamics(loop.robot.tree, numbers.inertials, *motion)
+    torque = torque @ joints
+    of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
+    both = of_motor + np.where(numbers.flexible[:, np.newaxis], numbers.masses[:n], 0.0)
+    viscous = both[:, 1] + np.where(v < 0.0, both[:, 5], both[:, 4])
+    torque += of_motor[:, 0] * a + viscous * v + of_motor[:, 3]
+    units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree.kinds]
+    return tuple(
+        replace(
+            record,
+            injected=Injection(
+                Channel(torque[:, j], units[j], sample_time, Timing.HELD, "computed"), InjectionPoint.BEFORE_LIMIT
+            ),
+        )
+        for j, record in enumerate(records)
+    )
+
+
+def tracking_errors(records: Sequence[Record], run: Simulation) -> dict[int, float]:
+    """Return how far each joint that does not follow its reference gets off it, by its place, rad or m.
+
+    One follows that stays within half of its reference's travel, and 0.1 rad or m: a loop may be slow, and a weight may
+    pull it down, but a joint without gains falls.
+    """
+    at, found = np.arange(len(run.motor_position)) * run.sample_time, {}
+    for j, record in enumerate(records):
+        if record.reference is not None:
+            reference = np.interp(at, record.reference.time, record.reference.values)
+            off = float(np.max(np.abs(run.motor_position[:, j] - reference)))
+            if off > _ASTRAY[0] * np.ptp(reference) + _ASTRAY[1]:
+                found[j] = off
+    return found

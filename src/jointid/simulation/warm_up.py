@@ -16,9 +16,11 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import PreslidingFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import simulate_torque
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.derivatives import differentiate, simulate_sensitivities
+from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.robot_numbers import RobotNumbers, all_places
+from jointid.simulation.simulate import run_loop
+from jointid.simulation.synthesis import simulate
 
 
 def warm_up(*, derivatives: bool = True) -> None:
@@ -41,24 +43,21 @@ def compile_joint(joint: Joint, *, derivatives: bool = True) -> None:
     if derivatives:
         simulate_sensitivities(loop, experiment, values, [joint.parameters[0].name])
     else:
-        simulate_torque(loop, experiment, values)
+        simulate(loop, experiment, values)
 
 
 def compile_robot() -> None:
     """Compile the simulation of a robot, its derivatives and its regressor."""
     from jointid.models.robots.base_parameters import base_parameters
     from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-    from jointid.simulation.robot_numbers import RobotNumbers, all_places
-    from jointid.simulation.robot_sensitivities import differentiate_torques
-    from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
 
     body = np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.1])
     links = tuple(Link(f"link{i}", i - 1, inertial=body) for i in range(2))
     joints = (RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0)))
     robot = Robot(links, joints)
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
-    run = run_robot(prepare_robot(loop, (_at_rest("rad"),) * 2), RobotNumbers.of(robot), keep=True)
-    differentiate_torques(run, all_places(run.numbers))
+    numbers = RobotNumbers.of(robot)
+    differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), all_places(numbers))
     base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
 
 

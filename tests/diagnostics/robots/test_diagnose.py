@@ -16,7 +16,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, axis_errors, identified, motion, records_of
 from tests.robots_plants import two

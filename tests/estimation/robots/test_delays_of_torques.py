@@ -14,7 +14,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.numbers import with_delays
 from jointid.models.robots.robot import JointSpring
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, two
 

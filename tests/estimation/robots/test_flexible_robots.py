@@ -11,8 +11,8 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.models.robots.robot import JointSpring
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.estimation.robots.twin import identified as identified_robot

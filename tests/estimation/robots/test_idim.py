@@ -23,8 +23,8 @@ from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import VISCOUS, arm, axis_errors, by_idim, identified, records_of

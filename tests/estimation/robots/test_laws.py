@@ -17,9 +17,9 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.simulate import Outcome
 from jointid.simulation.synthesis import simulate
 from tests.estimates import identify
 from tests.robots_plants import Twin, two

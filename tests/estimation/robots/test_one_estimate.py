@@ -16,7 +16,7 @@ from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.verdict import Status, Subject
 from jointid.output.json import load_estimate
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.loop_input import RobotLoop
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 

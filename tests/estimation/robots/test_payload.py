@@ -15,7 +15,7 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
 from jointid.records.record import Record
-from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.drive_side import RobotDriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.test_robot_drive_side import logged
 from tests.estimation.robots.twin import arm, identified, records_of, with_payload

@@ -14,8 +14,9 @@ from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
 from jointid.records.record import Record
+from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
+from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, seven, six, two
 from tests.simulation.test_robots import COUPLED, ONE_WAY, RISING, changed
@@ -68,9 +69,9 @@ def test_base_parameters_move_the_robot_as_all_do(twin: Twin, count: int) -> Non
     parameters, numbers = robot_parameters(twin.robot), RobotNumbers.of(twin.robot)
     assert len(parameters.names) == count
     assert len(set(parameters.names)) == count
-    experiment = prepare_robot(twin.loop(), twin.records(1.0))
-    whole = run_robot(experiment, numbers)
-    based = run_robot(experiment, parameters.numbers(parameters.group(numbers)))
+    experiment = prepare(twin.loop(), twin.records(1.0))
+    whole = run_loop(experiment, numbers)
+    based = run_loop(experiment, parameters.numbers(parameters.group(numbers)))
     assert np.max(np.abs(whole.command - based.command)) < 1e-9 * np.max(np.abs(whole.command))
 
 

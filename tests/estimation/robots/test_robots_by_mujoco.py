@@ -12,8 +12,10 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.records.record import Channel, Record, Timing
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import begin, prepare_robot, run_robot
+from jointid.simulation.simulate import run_loop
+from jointid.simulation.start import begin
 from tests.estimation.robots.test_rigid_robots import deviations
 from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, six, two
@@ -22,11 +24,11 @@ from tests.robots_plants import Twin, six, two
 def moved(twin: Twin, records: tuple[Record, ...], step: float = 1e-4) -> tuple[FloatArray, FloatArray]:
     """Return the torques by MuJoCo and by jointid, (samples, n) each."""
     loop = twin.loop()
-    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(twin.robot)
+    experiment, numbers = prepare(loop, records), RobotNumbers.of(twin.robot)
     gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
     start = begin(experiment, numbers).places
     theirs, _ = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, start, step)
-    return theirs, run_robot(experiment, numbers).torque
+    return theirs, run_loop(experiment, numbers).torque
 
 
 def logged(records: tuple[Record, ...], torques: FloatArray, noise: float, seed: int = 0) -> tuple[Record, ...]:

@@ -19,8 +19,8 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
 
 Array = NDArray[np.float64]
 SAMPLE_TIME = 2e-3

@@ -13,8 +13,9 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.models.joints import Joint
 from jointid.paper.twin import TABLE_2
-from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 
 PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "torque_1": 20.0, "torque_2": 40.0}
 """The paper's axis with what springs in pieces have, too."""

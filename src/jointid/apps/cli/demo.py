@@ -19,7 +19,7 @@ from jointid.common.messages import Progress
 if TYPE_CHECKING:
     from jointid import Record
     from jointid.robots import Robot
-    from jointid.simulation.robots import RobotLoop
+    from jointid.simulation.loop_input import RobotLoop
 
 CAMPAIGN = """\
 # Every record of every axis, identified as the joint file says: jointid campaign campaign.toml

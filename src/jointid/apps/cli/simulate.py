@@ -60,7 +60,7 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     """Return the simulation of a joint, what its drive would log, and its document."""
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
-    from jointid.simulation.closed_loop import require_success
+    from jointid.simulation.simulate import require_success
     from jointid.simulation.synthesis import as_record
 
     if file.loop is None:
@@ -80,8 +80,8 @@ def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> 
     """Return the simulation of a robot, what its drives would log, and its document."""
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
-    from jointid.simulation.closed_loop import require_success
-    from jointid.simulation.robots import tracking_errors
+    from jointid.simulation.simulate import require_success
+    from jointid.simulation.synthesis import tracking_errors
 
     loop, driven = file.loop, file.record(options.record, driving=True)
     robot = loop.robot

@@ -111,7 +111,7 @@ def _late(seen: Seen) -> Columns:
 
 def _scale_injected(seen: Seen) -> Columns:
     """Yield the change by the injected signal's gain, where the signal is added after the limit."""
-    if seen.loop is None or not np.any(seen.loop[0].experiment.after_limit):
+    if seen.loop is None or not np.any(seen.loop[0].axis.after_limit):
         return
     problem, x = seen.loop
 

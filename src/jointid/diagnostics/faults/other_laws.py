@@ -34,7 +34,7 @@ def _try_periods(declared: Hypothesis) -> Iterator[Hypothesis]:
     law = declared.controller
     if isinstance(law, DiagramController) and law.period is None:
         faster = declared.under([replace(law, period=declared.period / times) for times in TIMES_FASTER])
-        yield replace(faster, number=lambda problem: problem.experiment.law.period)
+        yield replace(faster, number=lambda problem: problem.axis.law.period)
 
 
 def _try_interpolation(way: Interpolation, declared: Hypothesis) -> Iterator[Hypothesis]:

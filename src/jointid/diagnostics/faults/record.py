@@ -18,7 +18,7 @@ from jointid.estimation.problems.base import log_delay
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
+from jointid.simulation.drive_side import DriveSide
 
 _TIMES = (0.1, 0.125, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0)  # times the sample time: rates that drives log at
 _BY_TIME = 0.6  # of the declared error: a sample time that is wrong by a factor spoils all of a fit

@@ -214,9 +214,7 @@ class DIDIM(Method):
         assert loop is not None
         if problem.loop.controller == loop.controller:
             return solved
-        law = problem.experiment.law_of(loop.controller)
-        loop = replace(problem.loop, controller=loop.controller)
-        return solved._replace(problem=replace(problem, loop=loop, experiment=problem.experiment.with_law(law)))
+        return solved._replace(problem=problem.declared(loop.controller))
 
     def solve(self, task: Task, history: History, near: Sequence[Start] = ()) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones.

@@ -1,7 +1,7 @@
 """The drive side of a joint: identification without a controller, along the motion that its motor made.
 
 Torque and motor position are enough, without a load encoder. The motor's motion comes from the record, filtered, and is
-prescribed; the load is simulated behind it (`simulation.prescribed`), and the torque this takes is compared with the
+prescribed; the load is simulated behind it (`simulation.drive_side`), and the torque this takes is compared with the
 measured one, filtered alike. It is seen as the log saw it: late by ``log_delay``, where that is free. The delay acts on
 the prediction; on the measurement it would let a fit shrink both sides to nothing. While the motor rests, its friction
 takes what it must and the torque says nothing; these samples have no weight, on both sides alike and before the filter,
@@ -52,15 +52,19 @@ from jointid.records.signals.filtering import (
     window_parts,
     window_torque,
 )
-from jointid.simulation.prescribed import (
+from jointid.simulation.drive_side import (
     LOAD_STATE,
     PARTS,
     DriveSide,
     DriveSideRun,
     PrescribedMotion,
-    prescribed_motion,
-    simulate_drive_side,
+    differentiate_drive_side,
+    moves_links,
+    prescribe,
+    run_drive_side,
 )
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Step, solve
 from jointid.uncertainty.covariance import Influence
@@ -129,19 +133,23 @@ class DriveSideProblem(RecordProblem):
 
     def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the predicted torque, (samples,), its derivatives, and their validity."""
-        values = self.values(x)
-        run = simulate_drive_side(self.joint, self.motion, values, tuple(n for n in names if n != LOG_DELAY.name))
-        late = values[LOG_DELAY.name] / self.sample_time
-        seen = window_parts(np.column_stack([run.torque, run.derivatives]), PARTS, late)
-        slopes = seen[:, 1:]
+        run, parts = self.run(x), len(self.motion.direction)
+        late, finished = run.numbers.values[LOG_DELAY.name] / self.sample_time, run.outcome is Outcome.FINISHED
+        slopes = np.zeros((parts, len(names)))
+        if names and finished:
+            ((own, columns),) = run.columns(names)
+            slopes[:, own] = columns
+            moving = [i for i, name in enumerate(names) if moves_links(name, run.numbers)]
+            slopes[:, moving] += differentiate_drive_side(run, [names[i] for i in moving])[:, 0]
+        seen = window_parts(np.column_stack([run.torque, slopes]), PARTS, late)
         if LOG_DELAY.name in names:
-            by_delay = window_parts(run.torque[:, np.newaxis], PARTS, late, 1) / self.sample_time
-            slopes = np.insert(slopes, names.index(LOG_DELAY.name), by_delay[:, 0], axis=1)
-        return seen[:, 0], slopes, run.finished
+            by_delay = window_parts(run.torque, PARTS, late, 1)[:, 0] / self.sample_time
+            seen[:, 1 + names.index(LOG_DELAY.name)] = by_delay
+        return seen[:, 0], seen[:, 1:], finished
 
     def run(self, x: FloatArray) -> DriveSideRun:
         """Return the simulation itself, part by part."""
-        return simulate_drive_side(self.joint, self.motion, self.values(x))
+        return run_drive_side(self.motion, JointNumbers(self.joint, self.values(x)))
 
 
 def motion_problem(
@@ -171,10 +179,12 @@ def motion_problem(
     filtering = filtering.resolve(sample_time, setup.joint.model, limit)
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
-    motion = _from_rest(prescribed_motion(smooth, sample_time))
+    motion = prescribe(smooth[:, np.newaxis], sample_time, PARTS)
+    # Of a motor that rests, the rounding of an encoder would have its load begin where Coulomb friction drags it.
+    motion = motion if weights_of(motion)[0] else prescribe(smooth[:, np.newaxis], sample_time, PARTS, resting=True)
     weights = weights_of(motion)
     if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
-        weights = steady_weights(motion.velocity[::PARTS], filtering.position_cutoff, sample_time)[1]
+        weights = steady_weights(motion.velocity[::PARTS, 0], filtering.position_cutoff, sample_time)[1]
     return DriveSideProblem(
         (*parameters, *_load_state(setup.joint, motion), delay),
         window_torque(torque),
@@ -189,15 +199,7 @@ def motion_problem(
 
 def weights_of(motion: PrescribedMotion) -> FloatArray:
     """Return 0 for the samples at which the motor rests, and 1 for the others (see the module)."""
-    return moving_weights(motion.velocity[::PARTS])
-
-
-def _from_rest(motion: PrescribedMotion) -> PrescribedMotion:
-    """Return the motion with no velocity at the first sample if the motor rests there.
-
-    The rounding of an encoder would have a load that moves steadily begin where its Coulomb force drags it.
-    """
-    return motion if weights_of(motion)[0] else motion.from_rest()
+    return moving_weights(motion.velocity[::PARTS, 0])
 
 
 def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]:

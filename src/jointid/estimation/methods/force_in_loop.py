@@ -39,8 +39,8 @@ from jointid.estimation.result.build_result import find_active_bounds
 from jointid.estimation.starts.flexible_joint import crossover
 from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
-from jointid.simulation.closed_loop import Outcome, Simulation
-from jointid.simulation.loop_input import LoopInput
+from jointid.simulation.loop_input import AxisInput
+from jointid.simulation.simulate import Outcome, Simulation
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import Limitation
 from jointid.uncertainty.model_tests import widened_to_second
@@ -241,9 +241,9 @@ def simulate_with_force(
             yield problem.torque(x, partial(_with_force, force=sign * pushed))
 
 
-def _with_force(driven: LoopInput, force: FloatArray) -> LoopInput:
+def _with_force(driven: AxisInput, force: FloatArray) -> AxisInput:
     """Return the loop input with a force added to the motor, one value per sample of the log."""
-    extra = np.repeat(force, driven.every)[:: driven.repeat][: driven.after_limit.size]
+    extra = np.repeat(force, driven.clock.skips)[:: driven.clock.shows][: driven.after_limit.size]
     extra = np.pad(extra, (0, driven.after_limit.size - extra.size))
     return replace(driven, after_limit=driven.after_limit + extra)
 

@@ -43,8 +43,10 @@ from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import describe_noise_limit
-from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.simulate import Outcome
+from jointid.simulation.start import Initial
+from jointid.simulation.synthesis import simulate
 from jointid.solvers.regression import conditioning
 
 VARIANTS = {
@@ -266,10 +268,10 @@ def _simulate_joint(
     experiment, initial = prepare(loop, record), Initial(float(motion.q[0, 0]), float(motion.v[0, 0]))
     names, bounds = [p.name for p in parameters], Bounds.of(parameters)
 
-    def run_loop(values: FloatArray) -> FloatArray:
+    def positions(values: FloatArray) -> FloatArray:
         near = bounds.clip(values[: len(names)])
         run = simulate(loop, experiment, dict(zip(names, map(float, near), strict=True)), initial)
         require_simulated(run.outcome)
         return np.column_stack([run.motor_position, *([] if run.load_position is None else [run.load_position])])
 
-    return run_loop
+    return positions

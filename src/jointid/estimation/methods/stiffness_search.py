@@ -111,7 +111,7 @@ class StiffnessSearch:
         rigid, solved = self._rigid(self.history)
         if solved is not None and any(p.name == "initial_velocity" for p in solved.problem.free):
             moving = solved.values
-        steps = np.diff(self.problem.experiment.inputs[:, REFERENCE])
+        steps = np.diff(self.problem.axis.inputs[:, REFERENCE])
         if moving is None and abs(steps[0]) > _MOVES * np.max(np.abs(steps)):
             with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
                 moving = first_state(self.problem, reconstructed_position(self.problem))
@@ -202,7 +202,7 @@ class StiffnessSearch:
             x, together = divided, 1
         found = history.solve(on, ROUGH if together < 2 else least_squares(self.tolerance), x)
         # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
-        followed = frequency_of(found.values) <= FASTEST / on.experiment.sample_time
+        followed = frequency_of(found.values) <= FASTEST / on.axis.sample_time
         for _ in range(_BESIDE if together < 2 and followed else 0):
             beside, tried = _from_beside(found, history), tried + 1
             left, other = found.norm, float(np.linalg.norm(beside.residual))
@@ -241,7 +241,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, history: History) -> Sol
             break
         edge /= _LOWER
     found = found or search(edge)
-    slow = max(_RIGID_BELOW * crossover(found.problem.experiment.law, found.values["inertia"]), _least_cutoff(record))
+    slow = max(_RIGID_BELOW * crossover(found.problem.axis.law, found.values["inertia"]), _least_cutoff(record))
     return search(slow) if cutoff is None and slow < 0.7 * edge else found
 
 
@@ -267,7 +267,7 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
 
     What seems to be a mode too fast for the log is none, and no reason to look at more than by default.
     """
-    sample_time = problem.experiment.sample_time
+    sample_time = problem.axis.sample_time
     if FASTEST / sample_time < mode < math.inf:
         mode = 0.0
     default = Filtering().resolve(sample_time, "flexible").cutoff

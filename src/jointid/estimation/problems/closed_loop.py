@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,28 +27,45 @@ from jointid.estimation.problems.base import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends, noise_limit_of_computed
-from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
 from jointid.simulation.controller_torque import SeenPosition, seen_position
-from jointid.simulation.loop_input import LoopInput, prepare
-from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
+from jointid.simulation.derivatives import Sensitivities, simulate_sensitivities
+from jointid.simulation.loop_input import AxisInput, LoopInput, change_controller, prepare
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.simulate import Outcome, Run, Simulation, run_loop
+from jointid.simulation.start import Initial
 from jointid.uncertainty.position_dependent_error import Cells, cells
+
+
+class Response(NamedTuple):
+    """The torque of a run as the log should show it, (samples,), and how the run ended; see `Simulation`."""
+
+    torque: FloatArray
+    outcome: Outcome
+    finished: float
+    at_limit: float
+
+
+Predicted: TypeAlias = Response | Simulation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
     """A simulation candidate for one vector of parameters."""
 
-    loop: ClosedLoop
     experiment: LoopInput
-    values: Mapping[str, float]  # of the joint, per torque of the log
+    numbers: JointNumbers  # of the joint, per torque of the log
     initial: Initial
     drive_gain: float
     log_gain: float
     log_delay: float
+
+    def run(self, *, keep: bool) -> Run:
+        """Simulate it."""
+        return run_loop(self.experiment, self.numbers, self.initial, keep=keep)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +91,14 @@ class ClosedLoopProblem(RecordProblem):
         return self.loop.joint
 
     @property
+    def axis(self) -> AxisInput:
+        """The inputs of the joint's controller."""
+        return self.experiment.axis
+
+    @property
     def sample_time(self) -> float:
         """Of the torque, seconds."""
-        return self.experiment.sample_time
+        return self.axis.sample_time
 
     @property
     def torque_unit(self) -> str:
@@ -88,9 +111,18 @@ class ClosedLoopProblem(RecordProblem):
         Raises:
             MethodError: nothing around the joint has that name.
         """
-        new = [surrounding(name, self.loop.controller, self.experiment.law.period) for name in names]
+        new = [surrounding(name, self.loop.controller, self.axis.law.period) for name in names]
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
+
+    def driven(self, axis: AxisInput) -> ClosedLoopProblem:
+        """Return the problem with other inputs of its controller."""
+        return replace(self, experiment=self.experiment.alone(axis))
+
+    def declared(self, controller: Controller) -> ClosedLoopProblem:
+        """Return the problem with another controller of the same period and delay."""
+        loop = replace(self.loop, controller=controller)
+        return replace(self, loop=loop).driven(self.axis.under(controller))
 
     def under(self, controller: Controller, record: Record) -> ClosedLoopProblem:
         """Return the problem with its record prepared for another controller.
@@ -112,42 +144,42 @@ class ClosedLoopProblem(RecordProblem):
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
         c = self._candidate(x)
-        run = simulate(c.loop, c.experiment, c.values, c.initial)
-        return replace(run, torque=self._show_log(self._output(run), c))
+        return self._predict(Simulation.of(c.run(keep=True)), c)
 
     def loop_at(self, x: FloatArray) -> ClosedLoop:
         """Return the loop with the controller's numbers that these parameters say."""
-        return self._candidate(x).loop
+        return replace(self.loop, controller=self._candidate(x).experiment.axis.controller)
 
     def law_at(self, x: FloatArray) -> SampledLaw:
         """Return the controller's law with the numbers that these parameters say."""
-        return self._candidate(x).experiment.law
+        return self._candidate(x).experiment.axis.law
 
-    def torque(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput] | None = None) -> FloatArray:
+    def torque(self, x: FloatArray, driven: Callable[[AxisInput], AxisInput] | None = None) -> FloatArray:
         """Return the torque the log should show, raw, (samples,).
 
         Args:
             x: free parameters.
             driven: from what the loop is driven with, to what it might be.
         """
-        return self._response(x, driven).torque
+        return self._respond(x, driven).torque
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
-        return self.error(self._response(x))
+        return self.filter_error(self._respond(x))[0]
 
-    def _response(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput] | None = None) -> Response:
+    def _respond(self, x: FloatArray, driven: Callable[[AxisInput], AxisInput] | None = None) -> Predicted:
         c = self._candidate(x)
-        experiment = c.experiment if driven is None else driven(c.experiment)
-        if self.seen is None:
-            response = simulate_torque(c.loop, experiment, c.values, c.initial)
-            return replace(response, torque=self._show_log(response.torque, c))
-        run = simulate(c.loop, experiment, c.values, c.initial)
-        return replace(run, torque=self._show_log(self._output(run), c))
+        if driven is not None:
+            c = replace(c, experiment=c.experiment.alone(driven(c.experiment.axis)))
+        run = c.run(keep=self.seen is not None)
+        if self.seen is not None:
+            return self._predict(Simulation.of(run), c)
+        return Response(self._show_log(run.torque, c), run.outcome, run.finished, run.at_limit)
 
-    def _output(self, run: Simulation) -> FloatArray:
-        """Return the torque of a run, or what is computed from its motor position, (samples,)."""
-        return run.torque if self.seen is None else self.seen.torque(run.motor_position)
+    def _predict(self, run: Simulation, c: _Candidate) -> Simulation:
+        """Return a run with its torque, or what is computed from its motor position, as the log should show it."""
+        torque = run.torque if self.seen is None else self.seen.torque(run.motor_position)
+        return replace(run, torque=self._show_log(torque, c))
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
@@ -155,7 +187,7 @@ class ClosedLoopProblem(RecordProblem):
         error, slopes = self.filter_error(response, columns)
         return error, -slopes
 
-    def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
+    def sensitivities(self, x: FloatArray) -> tuple[Predicted, FloatArray]:
         """Return the predicted log and its derivatives by the free parameters, (samples, free), raw.
 
         Where the candidate cannot be simulated the derivatives are 0.
@@ -165,35 +197,34 @@ class ClosedLoopProblem(RecordProblem):
         names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
-        run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial, positions=self.seen is not None)
+        run = self._differentiate(c, wanted, positions=self.seen is not None)
+        raw, slopes = run.run.torque, run.torque
         if self.seen is not None:
-            run = self.seen.show(run)
+            raw, slopes = self.seen.torque(run.response.motor_position), self.seen.slopes(run.motor_position)
+        response = Response(self._show_log(raw, c), run.run.outcome, run.run.finished, run.run.at_limit)
         if len(names) == len(self.free) == len(wanted) and (c.drive_gain, c.log_gain, c.log_delay) == (1.0, 1.0, 0.0):
-            return run.response, run.torque
-        columns = dict(zip(wanted, run.torque.T, strict=True))
-        shown = self._show_log(run.response.torque, c)
+            return response, slopes
+        columns = dict(zip(wanted, slopes.T, strict=True))
         if scaled:  # all of the joint's parameters are measured in the torque that acts
-            columns["drive_gain"] = -sum((c.values[n] / c.drive_gain) * columns[n] for n in own)
+            columns["drive_gain"] = -sum((c.numbers.values[n] / c.drive_gain) * columns[n] for n in own)
         for name in own:
             if name in columns and c.drive_gain != 1.0:
                 columns[name] = columns[name] / c.drive_gain
         if c.log_gain != 1.0 or c.log_delay != 0.0:
             columns = {name: self._show_log(column, c) for name, column in columns.items()}
-        columns["log_gain"] = shown / c.log_gain
-        columns["log_delay"] = self._slope(run.response.torque, c)
-        return replace(run.response, torque=shown), np.column_stack([columns[p.name] for p in self.free])
+        columns["log_gain"] = response.torque / c.log_gain
+        columns["log_delay"] = self._slope(raw, c)
+        return response, np.column_stack([columns[p.name] for p in self.free])
 
     def positions(self, x: FloatArray) -> Sensitivities:
         """Return the derivatives of torque and positions by the joint's free parameters and its first state, raw."""
-        c = self._candidate(x)
         names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
-        return simulate_sensitivities(c.loop, c.experiment, c.values, names, c.initial, positions=True)
+        return self._differentiate(self._candidate(x), names, positions=True)
 
-    def error(self, run: Response) -> FloatArray:
-        """Return the filtered torque error of a run; of one that failed, something large and finite."""
-        return self.filter_error(run)[0]
+    def _differentiate(self, c: _Candidate, names: Sequence[str], *, positions: bool) -> Sensitivities:
+        return simulate_sensitivities(self.loop, c.experiment, c.numbers.values, names, c.initial, positions=positions)
 
-    def filter_error(self, run: Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
+    def filter_error(self, run: Predicted, *columns: FloatArray) -> tuple[FloatArray, ...]:
         """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
         error = self.measured - run.torque
         if run.outcome is not Outcome.FINISHED:
@@ -236,12 +267,12 @@ class ClosedLoopProblem(RecordProblem):
         own = {p.name for p in self.joint.parameters}
         gain = values.get("drive_gain", 1.0)
         numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
-        loop, experiment = self.loop, self.experiment
-        if any(v != number(loop.controller, n) for n, v in numbers.items()):
-            loop, experiment = _change_law(loop, experiment, tuple(numbers.items()))
-        joint = {n: values[n] / gain for n in own}
+        experiment = self.experiment
+        if any(v != number(self.loop.controller, n) for n, v in numbers.items()):
+            experiment = _change_law(experiment, tuple(numbers.items()))
+        joint = JointNumbers(self.joint, {n: values[n] / gain for n in own})
         return _Candidate(
-            loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
+            experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
         )
 
     def _show_log(self, torque: FloatArray, c: _Candidate) -> FloatArray:
@@ -261,12 +292,9 @@ class ClosedLoopProblem(RecordProblem):
 
 
 @lru_cache(maxsize=2)
-def _change_law(
-    loop: ClosedLoop, experiment: LoopInput, numbers: tuple[tuple[str, float], ...]
-) -> tuple[ClosedLoop, LoopInput]:
-    """Return a loop with other numbers of its controller, and its input, the same for many runs of a candidate."""
-    changed = replace(loop, controller=with_numbers(loop.controller, dict(numbers)))
-    return changed, experiment.with_law(experiment.law_of(changed.controller))
+def _change_law(experiment: LoopInput, numbers: tuple[tuple[str, float], ...]) -> LoopInput:
+    """Return an input with other numbers of its controller, the same for many runs of a candidate."""
+    return change_controller(experiment, dict(numbers))
 
 
 def _shift(signal: FloatArray, samples: int) -> FloatArray:
@@ -292,22 +320,20 @@ def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> flo
         problem: with the record's torque.
         velocity: of the motor; at rest without it.
     """
-    experiment = problem.experiment
-    law = experiment.feedback
-    home = float(experiment.inputs[0, REFERENCE])
+    axis = problem.axis
+    law = axis.feedback
+    home = float(axis.inputs[0, REFERENCE])
     if law.integrates:  # its integral carries the load, and the motor is where it is asked to be
         return home
-    gain = law.C[0, law.output] @ experiment.memory[:, 0] + law.D[0, law.output, POSITION]
-    asked = problem.measured[0] - experiment.shown[0] - experiment.feedforward[law.output, 0]
-    asked -= velocity * (law.C[0, law.output] @ experiment.memory[:, 1])
+    gain = law.C[0, law.output] @ axis.memory[:, 0] + law.D[0, law.output, POSITION]
+    asked = problem.measured[0] - axis.shown[0] - axis.feedforward[law.output, 0]
+    asked -= velocity * (law.C[0, law.output] @ axis.memory[:, 1])
     return float(asked / gain) if gain != 0.0 else home
 
 
-def with_torque(
-    surroundings: Sequence[Parameter], experiment: LoopInput, measured: FloatArray
-) -> tuple[Parameter, ...]:
+def with_torque(surroundings: Sequence[Parameter], axis: AxisInput, measured: FloatArray) -> tuple[Parameter, ...]:
     """Return them with the torque at the first sample, from the log, if the law has an integral and they have none."""
-    if not experiment.law.integrates or any(p.name == INITIAL_TORQUE.name for p in surroundings):
+    if not axis.law.integrates or any(p.name == INITIAL_TORQUE.name for p in surroundings):
         return tuple(surroundings)
     return (*surroundings, replace(INITIAL_TORQUE, start=float(measured[0])))
 
@@ -329,16 +355,18 @@ def torque_problem(
     assert record.torque is not None
     require_free(parameters)
     experiment = prepare(loop, record)
-    measured, seen = record.torque.values[: experiment.samples], seen_position(record, loop)
+    measured, seen = record.torque.values[: experiment.clock.samples], seen_position(record, loop)
     if seen is not None and record.motor_position is not None:
         measured = seen.torque(record.motor_position.values)[: measured.size]
     # Of positions alone the content of an integral is one with a constant torque of the joint.
-    around = with_torque(surroundings, experiment, measured) if seen is None else surroundings
+    around = with_torque(surroundings, experiment.axis, measured) if seen is None else surroundings
     return ClosedLoopProblem(
         (*parameters, *around),
         measured,
         filtering.resolve(
-            experiment.sample_time, loop.joint.model, noise_limit_of_computed([record], experiment.sample_time)
+            experiment.clock.sample_time,
+            loop.joint.model,
+            noise_limit_of_computed([record], experiment.clock.sample_time),
         ),
         loop,
         experiment,

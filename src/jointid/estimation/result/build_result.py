@@ -19,7 +19,7 @@ from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fi
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.simulate import Simulation
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
@@ -166,7 +166,7 @@ def build_closed_loop_result(
         notes=tuple(map(str, known.warnings)),
         known=identifiability(problem.free, problem.units, x, J, known.covariance),
     )
-    delay = problem.values(x).get("delay", problem.experiment.law.delay)
+    delay = problem.values(x).get("delay", problem.axis.law.delay)
     loop = problem.loop_at(x)
     settings = Settings("didim", "DIDIM by least squares", problem.joint, loop, problem.filtering, delay)
     params = build_params(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J))

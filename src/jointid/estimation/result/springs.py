@@ -239,7 +239,7 @@ def _doubts(
         if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and value <= 2 * spread:
             yield f"the interval of {p.name} holds 0"
     mode, ratio = frequency_of(problem.values(x)), damping_ratio(problem.values(x))
-    if mode > FASTEST / problem.experiment.sample_time:
+    if mode > FASTEST / problem.axis.sample_time:
         yield f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow"
     if ratio > 1:
         yield f"the mode that was found is damped by {100 * ratio:.3g} %, so that it does not swing"
@@ -418,7 +418,7 @@ def profile_modes(
         found: every parameter of the flexible joint that the search ended on.
         thorough: whether a dip is also followed from another share and a small damping, as before a value is given.
     """
-    sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
+    sample_time, law, cutoff = problem.axis.sample_time, problem.axis.law, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
     high = _STIFFEST * cutoff

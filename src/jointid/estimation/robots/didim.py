@@ -91,10 +91,10 @@ from jointid.records.signals.filtering import (
     settle,
     window_torque,
 )
-from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.derivatives import columns_of
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import NumberOf, law_places, values_of_joint
-from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import MassMotion, RobotLoop, RobotRun, motion_at
+from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
 from jointid.solvers.solve import Status
 
 SLOW = Filtering(cutoff=4.0)
@@ -220,7 +220,7 @@ def _reconstruct(
     """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
     measured, found = problem.measured, []
     for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
-        if problem.experiment.experiments[j].repeat > 1:  # the log shows each output of this slow controller many times
+        if problem.experiment.axes[j].clock.shows > 1:  # the log shows each output of this slow controller many times
             found.append((measured[:, j], commanded[:, j]))
             continue
         joint = RigidJoint(link.kind)
@@ -234,7 +234,7 @@ def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArr
     """Return the inverse model's weighted estimate on a motion, within bounds."""
     sample_time, cutoff = problem.sample_time, problem.filtering.position_cutoff
     assert cutoff is not None
-    n, each_loop = torques.shape[1], problem.experiment.experiments
+    n, each_loop = torques.shape[1], problem.experiment.axes
     smooth = lowpass(positions, cutoff, sample_time)
     each = [differentiate_twice(column, sample_time) for column in smooth.T]
     velocity, acceleration = (np.column_stack([pair[i] for pair in each]) for i in range(2))
@@ -489,7 +489,7 @@ def _restore_bounds(problem: RobotProblem[Any], bounds: Mapping[str, Parameter])
 def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
     """Return the simulated motion of one axis."""
     run = fit.run.each[0] if isinstance(fit.run, RobotRuns) else fit.run
-    assert isinstance(run, RobotRun)
+    assert isinstance(run, Run)
     clock, rotor = run.experiment.clock, int(run.numbers.rotors[joint])
     seen = motion_at(run, clock.log_index)
     motor, link = ((seen.position[:, row], seen.velocity[:, row]) for row in (rotor, joint))

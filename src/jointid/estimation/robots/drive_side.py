@@ -1,7 +1,7 @@
 """The drive side of a robot: its flexible joints from motor torques and motor positions, whatever its controllers are.
 
 The motors' positions are filtered and prescribed, the links simulated on their springs, and the torques that this takes
-compared with those that were logged (`simulation.robot_drive_side`), through one window and one filter. The positions'
+compared with those that were logged (`simulation.drive_side`), through one window and one filter. The positions'
 own filter goes over the torques and over the direction of friction, too: of random robots, logged at 500 Hz, it left
 twice the noise otherwise. Where a motor rests or turns round its row is left out, as in IDIM. The search is that of the
 closed loop (`robots.didim`), started from a robot of rigid joints, which here is a regression on the measured motion.
@@ -38,18 +38,17 @@ from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
-from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.robot_drive_side import (
-    PARTS,
-    MotorMotion,
-    RobotDriveSideRun,
+from jointid.simulation.drive_side import (
+    PARTS_OF_ROBOT,
+    DriveSideRun,
+    PrescribedMotion,
     differentiate_drive_side,
     moves_links,
-    prescribe_motion,
+    prescribe,
     run_drive_side,
 )
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers, with_values
-from jointid.simulation.robot_sensitivities import columns_of
+from jointid.simulation.simulate import Outcome
 
 _BEGINNINGS = 3  # steps to where the links are at the first sample, which the torques depend on nearly in a line
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
@@ -62,7 +61,7 @@ _DELAY = NumberPlace(NumberOf.LOG, 0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
+class RobotDriveSideProblem(RobotProblem[DriveSideRun]):
     """The torques of a robot's records along its motors' own motion.
 
     Attributes:
@@ -71,7 +70,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
     """
 
     motion: MeasuredMotion
-    prescribed: MotorMotion
+    prescribed: PrescribedMotion
     thorough: bool = False
 
     def roughly(self) -> Self:
@@ -91,13 +90,14 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             self,
             measured=self.measured[:size],
             motion=self.motion.begin(size),
-            prescribed=self.prescribed.begin((size - 1) * PARTS),
+            prescribed=self.prescribed.begin((size - 1) * PARTS_OF_ROBOT),
             thorough=True,
         )
 
     @property
     def tree(self) -> Tree:
         """Of the links."""
+        assert self.prescribed.tree is not None
         return self.prescribed.tree
 
     @property
@@ -113,18 +113,18 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
     @property
     def poses(self) -> FloatArray:
         """The motors' positions, (samples, n)."""
-        return self.prescribed.position[::PARTS]
+        return self.prescribed.position[::PARTS_OF_ROBOT]
 
-    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotDriveSideRun:
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> DriveSideRun:
         """Simulate a robot; its tape is kept anyway."""
         del keep
         return run_drive_side(self.prescribed, numbers)
 
-    def predict(self, run: RobotDriveSideRun) -> FloatArray:
+    def predict(self, run: DriveSideRun) -> FloatArray:
         """Return the torque of a run as the log shows it, (samples, n)."""
         return self.show_in_log(run, run.torque)
 
-    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotDriveSideRun | None:
+    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> DriveSideRun | None:
         """Simulate a robot with these numbers; None if it cannot be simulated.
 
         Where its links are at the first sample is of the record: it is fitted, of any robot alike.
@@ -152,7 +152,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             run, error = tried, left
         return run
 
-    def slopes(self, run: RobotDriveSideRun, x: FloatArray) -> FloatArray:
+    def slopes(self, run: DriveSideRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
         places, columns = self.parameters.places, self.regressor(run)
         moving = [c for c, place in enumerate(places) if moves_links(place, run.numbers)]
@@ -162,14 +162,14 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
             columns[:, places.index(_DELAY)] = self.decimate(self.show_in_log(run, run.torque, 1) / self.sample_time)
         return self.by_search_variables(columns, x)
 
-    def _moved_by(self, run: RobotDriveSideRun, places: tuple[NumberPlace, ...]) -> FloatArray:
+    def _moved_by(self, run: DriveSideRun, places: tuple[NumberPlace, ...]) -> FloatArray:
         """Return the derivatives of the filtered torques by numbers that move the links, (rows, places)."""
         moved = differentiate_drive_side(run, places)
         return self.decimate_each([self.show_in_log(run, moved[:, j]) for j in range(moved.shape[1])])
 
-    def regressor(self, run: RobotDriveSideRun) -> FloatArray:
+    def regressor(self, run: DriveSideRun) -> FloatArray:
         """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
-        parts = columns_of(self.tree, run.numbers, self.parameters.places, run.motion, run.numbers.rotors)
+        parts = run.columns(self.parameters.places)
         return self.decimate_columns([(own, self.show_in_log(run, columns)) for own, columns in parts])
 
     def decimate_each(self, each: Sequence[FloatArray]) -> FloatArray:
@@ -181,10 +181,10 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         """Return columns of one joint, (samples, columns), filtered, (rows, columns), 0 at rest."""
         return self.motion.decimate_joint(joint, columns)
 
-    def show_in_log(self, run: RobotDriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
+    def show_in_log(self, run: DriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
         """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them."""
         late = float(run.numbers.log[0, 0]) / self.sample_time if run.numbers.log.size else 0.0
-        return window_parts(parts, PARTS, late, order, curved=True)
+        return window_parts(parts, PARTS_OF_ROBOT, late, order, curved=True)
 
 
 def drive_side_problem(
@@ -233,7 +233,7 @@ def drive_side_problem(
             "it out to have it identified."
         )
     resting = np.array([moving_weights(each, _STILL, 0)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
-    prescribed = prescribe_motion(robot, motion.q @ robot.coupling.T, motion.sample_time, resting)
+    prescribed = prescribe(motion.q @ robot.coupling.T, motion.sample_time, PARTS_OF_ROBOT, robot.tree, resting)
     # What the filter takes from the motion it is to take from the torques, too, and from friction's own.
     cutoff, parts = motion.filtering.position_cutoff, prescribed.direction
     assert cutoff is not None

@@ -18,12 +18,11 @@ from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
-from jointid.estimation.robots.problem import RobotProblem, RobotRuns, Run
+from jointid.estimation.robots.problem import AnyRun, RobotProblem, RobotRuns
 from jointid.models.robots.robot import Robot
-from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.robot_drive_side import RobotDriveSideRun
+from jointid.simulation.drive_side import DriveSideRun
 from jointid.simulation.robot_numbers import robot_with
-from jointid.simulation.robots import RobotRun
+from jointid.simulation.simulate import Outcome, Run
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Step, solve
 from jointid.uncertainty.covariance import Covariance, Influence, white
@@ -79,7 +78,7 @@ class RobotFit:
     relative_error: FloatArray
     iterations: int
     converged: bool
-    run: RobotRun | RobotDriveSideRun | RobotRuns
+    run: Run | DriveSideRun | RobotRuns
     slopes: FloatArray
     information: FloatArray
     springs: tuple[SpringVerdict, ...] = ()
@@ -109,9 +108,9 @@ class RobotFit:
 
 
 def fixed_point(
-    problem: RobotProblem[Run],
+    problem: RobotProblem[AnyRun],
     x: FloatArray,
-    run: Run,
+    run: AnyRun,
     iterations: int,
     progress: Progress = lambda _: None,
     settled: float = SETTLED,
@@ -136,9 +135,9 @@ def fixed_point(
 
 
 def conclude(
-    problem: RobotProblem[Run],
+    problem: RobotProblem[AnyRun],
     x: FloatArray,
-    run: Run,
+    run: AnyRun,
     J: FloatArray,
     Z: FloatArray,
     made: int,
@@ -188,7 +187,9 @@ def conclude(
     )
 
 
-def _take_step(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
+def _take_step(
+    problem: RobotProblem[AnyRun], x: FloatArray, after: FloatArray, run: AnyRun
+) -> tuple[FloatArray, AnyRun]:
     """Return the end of a step, halved until it can be simulated."""
     for _ in range(_HALVINGS):
         found = problem.run(after)

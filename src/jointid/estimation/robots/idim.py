@@ -28,8 +28,9 @@ from jointid.estimation.robots.simulated import IdentifiedRobot, table_of_robot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
+from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot, simulation_of
+from jointid.simulation.simulate import Simulation, run_loop
 
 
 def identify_robot(
@@ -141,12 +142,12 @@ def simulate_robot(loop: RobotLoop, records: Sequence[Record], parameters: Robot
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
-    experiment, bounds = prepare_robot(loop, records), Bounds.of(parameters.parameters)
+    experiment, bounds = prepare(loop, records), Bounds.of(parameters.parameters)
     joints = np.linalg.inv(loop.robot.coupling).T
 
-    def run_loop(values: FloatArray) -> FloatArray:
-        run = run_robot(experiment, parameters.numbers(bounds.clip(values)), keep=True)
+    def positions(values: FloatArray) -> FloatArray:
+        run = run_loop(experiment, parameters.numbers(bounds.clip(values)), keep=True)
         require_simulated(run.outcome)
-        return np.asarray(simulation_of(run).motor_position @ joints)
+        return np.asarray(Simulation.of(run).motor_position @ joints)
 
-    return run_loop
+    return positions

@@ -34,6 +34,8 @@ from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
+from jointid.simulation.derivatives import columns_of
+from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,
     MassNumbers,
@@ -44,8 +46,7 @@ from jointid.simulation.robot_numbers import (
     stribeck_share,
     with_values,
 )
-from jointid.simulation.robot_sensitivities import columns_of
-from jointid.simulation.robots import MassMotion, RobotLoop
+from jointid.simulation.simulate import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others

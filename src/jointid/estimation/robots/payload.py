@@ -26,8 +26,8 @@ from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robots import RobotLoop
+from jointid.simulation.drive_side import RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
 from jointid.uncertainty.covariance import Covariance, covariance_of
 
 _STEP = 1e-6  # of a difference, relative

@@ -22,12 +22,12 @@ from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends, noise_limit_of_computed
-from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.controller_torque import SeenPosition, seen_position
-from jointid.simulation.robot_drive_side import RobotDriveSideRun
+from jointid.simulation.derivatives import columns_of, differentiate
+from jointid.simulation.drive_side import DriveSideRun
+from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import columns_of, differentiate_torques
-from jointid.simulation.robots import COARSE, FINE, RobotInput, RobotLoop, RobotRun, motion_at, prepare_robot, run_robot
+from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,12 +38,13 @@ class RobotRuns:
         each: run of each log.
     """
 
-    each: tuple[RobotRun | RobotDriveSideRun, ...]
+    each: tuple[Run | DriveSideRun, ...]
 
     @property
     def numbers(self) -> RobotNumbers:
         """Numbers of the candidate."""
-        return self.each[0].numbers
+        numbers: RobotNumbers = self.each[0].numbers
+        return numbers
 
     @property
     def outcome(self) -> Outcome:
@@ -52,7 +53,7 @@ class RobotRuns:
         return next(failed, Outcome.FINISHED)
 
 
-Run = TypeVar("Run", RobotRun, RobotDriveSideRun, RobotRuns)
+AnyRun = TypeVar("AnyRun", Run, DriveSideRun, RobotRuns)
 """Of one candidate, by whatever simulates it."""
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
@@ -62,7 +63,7 @@ _FAILED = 1e3  # times the measured torques: the error of a candidate that canno
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotProblem(ABC, Generic[Run]):
+class RobotProblem(ABC, Generic[AnyRun]):
     """The torques of a robot's records against a simulation of it.
 
     Rows are those of one joint after the other, which share their instants, each divided by the joint's `sigma`.
@@ -105,23 +106,23 @@ class RobotProblem(ABC, Generic[Run]):
         return False
 
     @abstractmethod
-    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> AnyRun:
         """Simulate a robot, and keep what its derivatives need."""
 
     @abstractmethod
-    def predict(self, run: Run) -> FloatArray:
+    def predict(self, run: AnyRun) -> FloatArray:
         """Return the torque of a run as the log shows it, (samples, n)."""
 
-    def error(self, run: Run) -> FloatArray:
+    def error(self, run: AnyRun) -> FloatArray:
         """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
         return self.decimate(self.measured - self.predict(run))
 
     @abstractmethod
-    def slopes(self, run: Run, x: FloatArray) -> FloatArray:
+    def slopes(self, run: AnyRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
 
     @abstractmethod
-    def regressor(self, run: Run) -> FloatArray:
+    def regressor(self, run: AnyRun) -> FloatArray:
         """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
 
     @property
@@ -144,11 +145,11 @@ class RobotProblem(ABC, Generic[Run]):
         least = (self.floor if floor is None else floor) / math.sqrt(rows.shape[1])
         return self.with_sigma(np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
 
-    def run(self, x: FloatArray, *, keep: bool = True) -> Run:
+    def run(self, x: FloatArray, *, keep: bool = True) -> AnyRun:
         """Simulate a candidate."""
         return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
 
-    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> Run | None:
+    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> AnyRun | None:
         """Simulate a robot with these numbers; None if it cannot be simulated."""
         run = self.simulate(numbers, keep=keep)
         return run if run.outcome is Outcome.FINISHED else None
@@ -303,7 +304,7 @@ class RobotProblem(ABC, Generic[Run]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotLoopProblem(RobotProblem[RobotRun]):
+class RobotLoopProblem(RobotProblem[Run]):
     """The torques of a robot's records against its loops, simulated from their references.
 
     Attributes:
@@ -313,13 +314,14 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
             derivatives are those of the controller's output, the same but for what a faster controller sees between.
     """
 
-    experiment: RobotInput
+    experiment: LoopInput
     stride: float = FINE
     seen: tuple[SeenPosition | None, ...] = ()
 
     @property
     def tree(self) -> Tree:
         """Of the links."""
+        assert self.experiment.tree is not None
         return self.experiment.tree
 
     @property
@@ -335,11 +337,11 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
     @property
     def integrates(self) -> bool:
         """Whether a controller of computed torques has an integral."""
-        return any(seen is not None and seen.experiment.law.integrates for seen in self.seen)
+        return any(seen is not None and seen.axis.law.integrates for seen in self.seen)
 
-    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotRun:
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
         """Simulate a robot."""
-        return run_robot(self.experiment, numbers, keep=keep or any(self.seen), stride=self.stride)
+        return run_loop(self.experiment, numbers, keep=keep or any(self.seen), stride=self.stride)
 
     def roughly(self) -> Self:
         """Return the problem simulated in steps twice as long."""
@@ -349,7 +351,7 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
         """Return filtered rows of a joint, without the ends if a torque of the log is computed from positions."""
         return drop_ends(rows, self.filtering, samples) if any(self.seen) else rows
 
-    def predict(self, run: RobotRun) -> FloatArray:
+    def predict(self, run: Run) -> FloatArray:
         """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
         torque = run.torque
         if any(self.seen) and run.outcome is Outcome.FINISHED:
@@ -359,14 +361,14 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
                     torque[:, j] = seen.torque(position[:, j])[: len(torque)]
         return torque
 
-    def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
+    def slopes(self, run: Run, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
         return self.by_search_variables(
-            self.in_blocks(lambda some: self.decimate_each(differentiate_torques(run, some)), self.parameters.places),
+            self.in_blocks(lambda some: self.decimate_each(differentiate(run, some)[0]), self.parameters.places),
             x,
         )
 
-    def regressor(self, run: RobotRun) -> FloatArray:
+    def regressor(self, run: Run) -> FloatArray:
         """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
         started, rotors = run.experiment.clock.torque_index, run.numbers.rotors
         left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
@@ -460,7 +462,7 @@ class SolvedRobot:
     """
 
     problem: RobotProblem[Any]
-    run: RobotRun | RobotDriveSideRun
+    run: Run | DriveSideRun
     slopes: FloatArray
 
 
@@ -481,12 +483,12 @@ def robot_problem(
 
     Raises:
         RecordError: a record lacks a channel that is needed.
-        MethodError: see `prepare_robot`; or the filtering is impossible.
+        MethodError: see `prepare`; or the filtering is impossible.
     """
     require_one_log(records)
     for record in records:
         record.require(("torque",), "DIDIM of a robot")
-    experiment = prepare_robot(loop, records)
+    experiment = prepare(loop, records)
     samples = experiment.clock.samples
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
     axes = zip(records, loop.robot.links, loop.controllers, strict=True)

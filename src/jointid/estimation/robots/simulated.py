@@ -42,16 +42,10 @@ from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robot_numbers import (
-    NumberOf,
-    NumberPlace,
-    RobotNumbers,
-    robot_with,
-    with_values,
-)
-from jointid.simulation.robots import RobotLoop, RobotRun, motion_at
+from jointid.simulation.drive_side import RobotDriveSide
+from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
+from jointid.simulation.simulate import Outcome, Run, motion_at
 from jointid.uncertainty.covariance import Covariance
 
 _TWO = 2.0  # standard deviations
@@ -271,7 +265,7 @@ def identify_simulated_robot(
     )
     if len(logs) > 1:
         return result
-    run = cast("RobotRun", fit.run)
+    run = cast("Run", fit.run)
     result = replace(result, solved=SolvedRobot(replace(problem, parameters=parameters), run, fit.slopes))
     if method[0] != "didim":
         return result

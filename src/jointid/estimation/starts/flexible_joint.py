@@ -77,7 +77,7 @@ def explore(
     Raises:
         MethodError: no start can be simulated.
     """
-    law, sample_time = problem.experiment.law, problem.experiment.sample_time
+    law, sample_time = problem.axis.law, problem.axis.sample_time
     row = [frequency] if frequency else frequencies_to_try(law, rigid["inertia"], sample_time)
     grid = _judge(problem, [(f, start_with_mode(problem, rigid, f, _HALF)) for f in row], history)
     best = [one.frequency for one in sorted(grid, key=_cost)[:_NARROWED]]
@@ -102,7 +102,7 @@ def explore_widely(problem: ClosedLoopProblem, history: History, rigid: Mapping[
     Raises:
         MethodError: no start can be simulated.
     """
-    middle, fastest = crossover(problem.experiment.law, rigid["inertia"]), FASTEST / problem.experiment.sample_time
+    middle, fastest = crossover(problem.axis.law, rigid["inertia"]), FASTEST / problem.axis.sample_time
     row = np.geomspace(_FAR_BELOW * middle, min(_FAR_ABOVE * middle, fastest), _WIDE_COUNT)
     grid = [
         (frequency, start_with_mode(problem, {**rigid, "inertia": times * rigid["inertia"]}, frequency, share))

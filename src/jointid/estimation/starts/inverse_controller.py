@@ -28,11 +28,11 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
     Raises:
         MethodError: the log does not show the output of every period once, or the law cannot be inverted.
     """
-    experiment = problem.experiment
+    experiment = problem.axis
     law, inputs = experiment.law, experiment.inputs
     command = command_of(problem)
-    if experiment.every > 1:  # the log shows some of the periods: between them the torque is taken as a straight line
-        command = np.interp(np.arange(experiment.periods) / experiment.every, np.arange(command.size), command)
+    if experiment.clock.skips > 1:  # between the periods that the log shows the torque is a straight line
+        command = np.interp(np.arange(experiment.periods) / experiment.clock.skips, np.arange(command.size), command)
     slope = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
     # The inverse of a slow position loop forgets a wrong first position as slowly: a motor that moves lags behind.
     home = beginning_position(problem, slope)
@@ -42,7 +42,7 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
         there = inputs[0] + home * (np.arange(inputs.shape[1]) == POSITION)
         first = law.C[0, law.output] @ state + law.D[0, law.output] @ there
         state = state + integral * (command[0] - first)
-    return invert(law, command, inputs, state)[:: experiment.every][: experiment.samples]
+    return invert(law, command, inputs, state)[:: experiment.clock.skips][: experiment.clock.samples]
 
 
 def command_of(problem: ClosedLoopProblem) -> FloatArray:
@@ -51,34 +51,34 @@ def command_of(problem: ClosedLoopProblem) -> FloatArray:
     Raises:
         MethodError: the log does not show each output once at most.
     """
-    experiment = problem.experiment
-    whole = np.all(experiment.lags == experiment.lags[0])
+    experiment = problem.axis
+    whole = np.all(experiment.clock.lags == experiment.clock.lags[0, 0])
     averaged, measured = experiment.timing is Timing.AVERAGED, experiment.tap is Tap.MEASURED
     if (
-        experiment.repeat > 1
-        or ((averaged or measured) and experiment.every > 1)
+        experiment.clock.shows > 1
+        or ((averaged or measured) and experiment.clock.skips > 1)
         or (averaged and measured and not whole)
     ):
         raise MethodError(
             "The controller can be turned round only when the log shows the output of its periods, each once at most."
         )
     # A measured torque shows an output when it acts, an averaged one when its period is over.
-    late = int(averaged) + (int(experiment.lags[0]) if measured else 0)
+    late = int(averaged) + (int(experiment.clock.lags[0, 0]) if measured else 0)
     output = np.concatenate([problem.measured[late:], np.full(late, problem.measured[-1])])
     added = experiment.after_limit if measured else experiment.logged
-    return np.asarray(output - added[:: experiment.every][: output.size])
+    return np.asarray(output - added[:: experiment.clock.skips][: output.size])
 
 
 def torque_behind_limit(problem: ClosedLoopProblem) -> FloatArray:
     """Return the torque that acts on the motor, (samples,): the command and what is added behind its limit."""
     command = command_of(problem)
-    return np.asarray(command + problem.experiment.after_limit[:: problem.experiment.every][: command.size])
+    return np.asarray(command + problem.axis.after_limit[:: problem.axis.clock.skips][: command.size])
 
 
 def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, float]:
     """Return the initial state of a reconstructed motion: a line through its first usable samples."""
-    law = problem.experiment.law
-    skip, sample_time = law.order // problem.experiment.every + 1, problem.experiment.sample_time
+    law = problem.axis.law
+    skip, sample_time = law.order // problem.axis.clock.skips + 1, problem.axis.sample_time
     first = position[skip : skip + _SLOPE]
     slope, value = np.polyfit(np.arange(first.size) * sample_time, first, 1)
     return {"initial_position": float(value - slope * skip * sample_time), "initial_velocity": float(slope)}
@@ -89,7 +89,7 @@ def invertible_samples(problem: ClosedLoopProblem) -> NDArray[np.bool_]:
 
     Where nothing would be left, all of them: a poor start is better than none.
     """
-    experiment = problem.experiment
+    experiment = problem.axis
     output = np.abs(command_of(problem))
     cutoff = problem.filtering.position_cutoff
     assert cutoff is not None

@@ -23,7 +23,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.springs import LinearSpring
-from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.simulate import Simulation
 
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:

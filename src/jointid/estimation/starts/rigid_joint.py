@@ -66,7 +66,7 @@ def inversion_start(problem: ClosedLoopProblem) -> Start:
     """Return a start by IDIM on the reconstructed position."""
     position = reconstructed_position(problem)
     acting, known = torque_behind_limit(problem), invertible_samples(problem)
-    found = _regress(problem, acting, position, known, problem.experiment.law.delay)
+    found = _regress(problem, acting, position, known, problem.axis.law.delay)
     return Start(_apply_fixed_values(problem, found | first_state(problem, position)), None)
 
 
@@ -77,8 +77,8 @@ def regular_start(problem: ClosedLoopProblem) -> Start:
     one; regressing on its motion gives good values at once. The real loop's own inertia is first read off the
     reference, as if the axis tracked it perfectly.
     """
-    experiment = problem.experiment
-    periods = experiment.log_index // experiment.lengths.size
+    experiment = problem.axis
+    periods = experiment.clock.log_index // experiment.clock.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
     tracked = _regress(problem, torque, reference, np.ones(torque.size, dtype=np.bool_))
@@ -97,7 +97,7 @@ def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     try:
         start = first_state(problem, reconstructed_position(problem))
     except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
-        start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
+        start = {"initial_position": float(problem.axis.inputs[0, 0]), "initial_velocity": 0.0}
     problems = (problem.keeping({"initial_velocity": 0.0}), problem)
     solver = LevenbergMarquardt(tolerance=1e-9, evaluations=_EVALUATIONS)
     ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
@@ -121,7 +121,7 @@ def _regress(
     """
     joint = problem.joint
     assert isinstance(joint, RigidJoint)
-    sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
+    sample_time, instants = problem.axis.sample_time, np.arange(torque.size)
     filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
     held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
     if not np.all(known):

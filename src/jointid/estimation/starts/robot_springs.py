@@ -22,8 +22,8 @@ from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem
 from jointid.models.joints import spring_at
-from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.simulate import Outcome
 
 STIFFEST = 0.15
 """Of the sampling frequency: the highest mode that is searched."""

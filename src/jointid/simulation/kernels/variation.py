@@ -405,24 +405,25 @@ def _shift_edges(
 
 @compile_kernel
 def _add_moved_links(
-    rotors: IndexArray, f: FloatArray, ties: IntArray, M: FloatArray, C: FloatArray, K: FloatArray, h: float,
-    whole: float, dq: FloatArray, gone: FloatArray, gained: FloatArray, moved_links: FloatArray,
+    rotors: IndexArray, ends: IndexArray, f: FloatArray, ties: IntArray, M: FloatArray, C: FloatArray, K: FloatArray,
+    h: float, whole: float, dq: FloatArray, gone: FloatArray, gained: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
 
     A motor feels them by its spring, or, of a rigid joint, by the links that hang on others.
     """
-    n, count = rotors.size, dq.shape[1]
-    for i in range(n):
-        for j in range(n):
-            if rotors[j] == j or (rotors[i] != i and i != j):  # it is moved as prescribed, or on another's spring
+    axes, count = rotors.size, dq.shape[1]
+    for i in range(axes):
+        for j in range(axes):
+            link = ends[j]
+            if rotors[j] == link or (rotors[i] != ends[i] and i != j):  # moved as prescribed, or on another's spring
                 continue
-            inert = M[i, j] / whole if rotors[i] == i else 0.0
+            inert = M[i, j] / whole if rotors[i] == ends[i] else 0.0
             damping = (C[i, j] if ties[i] < 0 else -f[_DAMP, ties[i]]) / whole
             stiffness = h / whole * (K[i, j] if ties[i] < 0 else -f[_PULL, ties[i]])
             for c in range(count):
-                middle = dq[j, c] - 0.5 * gone[j, c]
-                moved_links[i, c] += inert * gained[j, c] + damping * gone[j, c] + stiffness * middle
+                middle = dq[link, c] - 0.5 * gone[link, c] - h / 12.0 * gained[link, c]
+                moved_links[i, c] += inert * gained[link, c] + damping * gone[link, c] + stiffness * middle
 
 
 @inline_kernel
@@ -491,7 +492,7 @@ def follow(
     x = s.reshape((end + md, count))
     dq, dv, given, rate = x[:md], x[md:begin], x[begin : begin + every_row], x[begin + every_row : end - every_row]
     turned, gone, dw, dtau = x[end - every_row : end], x[end:], np.zeros((every_row, count)), np.zeros((axes, count))
-    lead, gained = np.zeros(count), np.zeros((n, count))
+    lead, gained = np.zeros(count), np.zeros((md, count))
     fresh, raw, taken = np.zeros((states_of_law, count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, drive, mobility = np.zeros((4, md)), np.zeros(md), np.zeros(md)
     f, k, later = (
@@ -502,13 +503,16 @@ def follow(
     room, Y, M, K, C = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     of_links, left, rows = np.zeros((n, 10 * n)), np.zeros((md, md)), np.zeros((md, count))
     kicks, of_edge, jumps = np.zeros((n, len(seeds.delays))), np.zeros((n, n)), np.zeros(axes, dtype=np.bool_)
-    ties = np.full(n, -1)
+    ties, ends = np.full(axes, -1), rotors.copy()
     for i in range(nd):
         mobility[i] = 1.0 / masses[i, 0, INERTIA]
         assign(dq[i], moved.dq[i])
         assign(dv[i], moved.dv[i])
-    for i in range(ns if tree is not None else 0):
-        ties[pairs[i, 0]] = nd + i
+    for i in range(ns if prescribed else 0):
+        for j in range(axes):
+            for side in range(2):
+                if pairs[i, side] == rotors[j]:
+                    ties[j], ends[j] = md + i, pairs[i, 1 - side]
     # A joint's law of two states at most has numbers that stay in registers.
     small = tree is None and controlled and states_of_law <= 2 and laws.D.size == 1
     scratch = aligned_zeros(SCRATCH)
@@ -557,7 +561,7 @@ def follow(
                 if row >= last_row:
                     return
                 h = tape[row, LENGTH]
-                for i in range(n if prescribed else 0):
+                for i in range(nd if prescribed else 0):
                     for c in range(count):
                         gained[i, c], gone[i, c] = -dv[i, c], 0.0
                 if h > 0.0:
@@ -625,8 +629,10 @@ def follow(
                 if tape[row, EVENT] >= 0.0:
                     _pass_event(tape, row, nd, pairs, seeds, md, dq, dv, lead)
                 if prescribed:
-                    for i in range(n):
+                    for i in range(nd):
                         for c in range(count):
                             gained[i, c] += dv[i, c]
-                    _add_moved_links(rotors, f, ties, M, C, K, h, lengths[part], dq, gone, gained, moved_links[:, at])
+                    _add_moved_links(
+                        rotors, ends, f, ties, M, C, K, h, lengths[part], dq, gone, gained, moved_links[:, at]
+                    )
                 row += 1

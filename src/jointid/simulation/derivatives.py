@@ -1,0 +1,397 @@
+"""Derivatives of a run's torques and positions by parameters: by variation of the run, or as columns at a known motion.
+
+Those of a joint of straight lines are exact (`kernels.drive_sensitivities`), others of order 2 in the pieces of the
+tape (`kernels.variation`). Derivatives by a controller's numbers are exact, too: the law, linear in its signals, is run
+on the simulated position at two neighbouring values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray, Room
+from jointid.common.errors import MethodError
+from jointid.common.parallel import in_threads, threads
+from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
+from jointid.models.controllers import run as run_law
+from jointid.models.controllers.sampled import LawRun
+from jointid.models.joints import Joint
+from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import Tree
+from jointid.records.record import Tap, Timing
+from jointid.simulation.kernels.drive import IntArray
+from jointid.simulation.kernels.drive_sensitivities import LANES, Moved
+from jointid.simulation.kernels.drive_sensitivities import Slopes as Written
+from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
+from jointid.simulation.plant import NO_LINKS, JointNumbers, pack_seeds
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
+from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, motion_at, run_loop
+from jointid.simulation.start import INITIAL, Initial, Keys, Slopes, start_slopes
+
+if TYPE_CHECKING:
+    from jointid.models.joints import ClosedLoop
+    from jointid.simulation.loop_input import LoopInput
+
+_STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
+_FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
+_ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
+_ROOM = Room()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """A joint's run and its derivatives, in the order of names.
+
+    Attributes:
+        run: that was differentiated.
+        torque: (samples, names) of the torque as the log shows it.
+        motor_position, load_position: (samples, names); empty where positions were not asked for, the second also for a
+            rigid joint.
+    """
+
+    run: Run
+    torque: FloatArray
+    motor_position: FloatArray
+    load_position: FloatArray
+
+    @property
+    def response(self) -> Simulation:
+        """The run at the log's instants."""
+        return Simulation.of(self.run)
+
+
+def simulate_sensitivities(
+    loop: ClosedLoop,
+    experiment: LoopInput,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    initial: Initial | None = None,
+    *,
+    positions: bool = False,
+) -> Sensitivities:
+    """Simulate a joint with derivatives by named parameters.
+
+    Args:
+        loop: joint and controller.
+        experiment: its inputs.
+        values: every parameter of the joint by name.
+        names: of parameters of the joint, "initial_position", "initial_velocity", "initial_torque", or numbers of the
+            controller ("position_gain", "velocity_gain", "gain", "limit", "delay", "velocity_filter.time_constant",
+            ...).
+        initial: where the motor is at the first sample.
+        positions: also return the derivatives of the positions.
+
+    Derivatives are 0 for a failed run, and for an unstable loop at its limit, whose trajectories diverge (above 1e100).
+    At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
+    velocity includes a load that moves along.
+    """
+    numbers = JointNumbers(loop.joint, values)
+    kept = run_loop(experiment, numbers, initial, keep=True, room=_ROOM)
+    (torque,), moved = differentiate(kept, names, positions=positions)
+    nothing = torque[:, :0]
+    return Sensitivities(kept, torque, moved[:, 0] if positions else nothing,
+                         moved[:, 1] if positions and moved.shape[1] > 1 else nothing)  # fmt: skip
+
+
+def differentiate(kept: Run, keys: Keys, *, positions: bool = False) -> tuple[list[FloatArray], FloatArray]:
+    """Return the derivatives of the torques as the log shows them, by axis, (samples, keys) each, and of positions.
+
+    Args:
+        kept: that was kept. Of one that failed, and of a loop that flies apart, all are 0.
+        keys: names of a joint's parameters, see `simulate_sensitivities`; or places of a robot's.
+        positions: of a joint's motor and load, (samples, masses, keys); else (samples, 0, keys).
+    """
+    experiment, clock = kept.experiment, kept.experiment.clock
+    of_law = [key for key in keys if _is_of_law(kept, key)]
+    for name in of_law:
+        number(experiment.axis.controller, name)
+    shown = min(kept.start.places.size, 2) if positions else 0
+    nothing = [np.zeros((clock.samples, len(keys))) for _ in experiment.axes]
+    still = np.zeros((clock.samples, shown, len(keys)))
+    if kept.outcome is not Outcome.FINISHED:
+        return nothing, still
+    own = [key for key in keys if key not in of_law]
+    order = [*own, *of_law]  # the law's own columns come last in a block
+    wide = LANES if experiment.tree is None else max(len(keys), 1)
+    commands, moved = [], []
+    for first in range(0, max(len(keys), 1), wide):
+        command, states = _propagate(kept, order[first : first + wide], positions)
+        commands.append(command)
+        moved.append(states[clock.log_index][:, : 2 * shown : 2] if shown else still[..., : command.shape[2]])
+    place = [order.index(key) for key in keys]
+    command = commands[0] if len(commands) == 1 else np.concatenate(commands, axis=2)
+    states = moved[0] if len(moved) == 1 else np.concatenate(moved, axis=2)
+    if place != sorted(place):
+        command, states = command[..., place], states[..., place]
+    torques = [_show(kept, j, command[j], keys) for j in range(len(experiment.axes))]
+    if experiment.tree is None and torques[0].size and not np.max(np.abs(torques[0])) < _ASTRAY:  # nor a NaN
+        return nothing, still
+    return torques, states
+
+
+def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return by how much other laws change a run's torques, to first order, as the log shows them.
+
+    A law of a joint that reads the motion of the run outputs another torque than that of the run. The response of the
+    loops to this difference is that of their derivatives.
+
+    Args:
+        kept: that finished, and whose tape was kept.
+        changes: axis and input of each other law, of the period of its own, and later by a period at most.
+
+    Returns:
+        Of each axis what its own law adds as the motion changes, (samples, changes); of each change the difference of
+        the two laws along the motion of the run, (samples,).
+    """
+    experiment, clock, count = kept.experiment, kept.experiment.clock, len(changes)
+    motors = kept.numbers.motors
+    position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, motors]
+    pushes, direct = np.zeros((count, clock.steps)), list[FloatArray]()
+    for push, (j, other) in zip(pushes, changes, strict=True):
+        own = experiment.axes[j]
+        path, speed = clock.own(j, position[:, j], own.periods), float(experiment.speeds[j])
+        before, after = (_run_law(one, path, speed) for one in (own, other))
+        late = (other.law.delay - own.law.delay) / own.law.period
+        acts = (1.0 - late) * after.output + late * np.append(after.output[0], after.output[:-1])
+        push[:] = clock.repeat(j, acts - before.output)
+        shown = (to_log(one, seen_torque(one, of.output)) for one, of in ((own, before), (other, after)))
+        direct.append(-np.subtract(*shown)[: clock.samples])
+    still = np.zeros((kept.start.places.size, count))
+    states = np.zeros((len(experiment.axes), kept.start.states.shape[1], count))
+    pushing = [(i, j) for i, (j, _) in enumerate(changes)]
+    command, _ = _follow(kept, (), Slopes(still, still, states), pushes=(pushing, pushes))
+    for column, j in pushing:
+        command[j, :, column] -= pushes[column]
+    return [_show(kept, j, command[j], ()) for j in range(len(experiment.axes))], direct
+
+
+def _run_law(axis: AxisInput, position: FloatArray, speed: float) -> LawRun:
+    """Return a law's run along a motor position, (periods,), that begins at a speed."""
+    law, inputs = axis.law, axis.inputs.copy()
+    inputs[:, POSITION] = position
+    return run_law(law, inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed))
+
+
+def _show(kept: Run, j: int, command: FloatArray, keys: Keys) -> FloatArray:
+    """Return derivatives of an axis' torque, (steps, keys), as the log shows them, (samples, keys)."""
+    axis, clock = kept.experiment.axes[j], kept.experiment.clock
+    logged = to_log(axis, clock.own(j, command, axis.periods))
+    late = [c for c, key in enumerate(keys) if _delays(key) == j]
+    if late and axis.tap is Tap.MEASURED and axis.timing is Timing.AVERAGED:
+        # An edge that moves takes its height from the mean over the sample time it stands in.
+        torque = acting(axis, seen_torque(axis, clock.own(j, kept.command[j], axis.periods)))
+        logged[:, late] += averages(axis, -np.diff(torque, prepend=kept.start.before[j]))[:, np.newaxis]
+    return logged[: clock.samples]
+
+
+def _delays(key: Any) -> int | None:
+    """Return the axis whose torque a parameter lets act later."""
+    if key == "delay":
+        return 0
+    return key.row if getattr(key, "of", None) is NumberOf.DELAY else None
+
+
+def _is_of_law(kept: Run, name: str | NumberPlace) -> bool:
+    of_joint = kept.experiment.tree is None
+    return of_joint and name not in (*INITIAL, "delay") and name not in kept.numbers.names
+
+
+def _propagate(kept: Run, keys: Keys, positions: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, lanes)."""
+    first = start_slopes(kept.experiment, kept.carried, kept.start, keys)
+    explicit = [_explicit(kept, name) for name in keys if _is_of_law(kept, name)]
+    return _follow(kept, keys, first, explicit, positions=positions)
+
+
+def _follow(
+    kept: Run, keys: Keys, first: Slopes, explicit: Sequence[tuple[FloatArray, FloatArray]] = (), *,
+    pushes: tuple[Sequence[tuple[int, int]], FloatArray | None] = ((), None), positions: bool = False,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
+    (n, elements, _), count = experiment.sampled.w.shape, first.places.shape[1]
+    width = LANES if experiment.tree is None else count
+    command = np.zeros((n, clock.steps, width))
+    rows = clock.steps * clock.lengths.size if positions else 0
+    states = _ROOM.array("moved", (rows, 4, width))
+    limits = np.zeros((n, elements, width))
+    for c, (_, of_limits) in enumerate(explicit, count - len(explicit)):
+        limits[0, :, c] = of_limits
+    of_law = np.stack([one for one, _ in explicit], axis=2)[np.newaxis] if explicit else np.zeros((n, 0, elements, 0))
+    places, speeds, states_of_law = (_widen(one, width) for one in first)
+    moved = Moved(places, speeds, states_of_law, of_law, count - len(explicit), limits)
+    written = Written(command, states, NO_LINKS)
+    delays = [(c, j) for c, key in enumerate(keys) if (j := _delays(key)) is not None]
+    if kept.lines is not None:
+        from jointid.simulation.kernels.drive_sensitivities import follow as follow_lines
+
+        by_name, seeds = _seeds(numbers.joint), np.zeros((14, width))
+        for c, key in enumerate(keys):
+            seeds[:, c] = by_name.get(str(key), 0.0)
+        later = np.array(delays, dtype=np.int64).reshape(-1, 2)
+        before, rows = float(kept.start.before[0]), len(kept.tape)
+        follow_lines(experiment.sampled, before, kept.lines, rows, numbers.drive, seeds, later, moved, written)
+    elif kept.plant is not None:
+        from jointid.simulation.kernels.variation import follow
+
+        packed = pack_seeds(
+            kept.plant, experiment.tree, numbers.blocks(keys), links=numbers.links(keys), delays=delays,
+            pushes=pushes[0], pushed=pushes[1],
+        )  # fmt: skip
+        follow(
+            kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
+            kept.excess, kept.tape, packed, moved, written,
+        )  # fmt: skip
+    return command[..., :count], states[..., :count]
+
+
+def _widen(slopes: FloatArray, width: int) -> FloatArray:
+    """Return derivatives, (..., keys), with columns of zeros up to a width."""
+    wide = np.zeros((*slopes.shape[:-1], width))
+    wide[..., : slopes.shape[-1]] = slopes
+    return wide
+
+
+@lru_cache(maxsize=64)
+def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
+    """Return the constant derivatives of the affine kernels' coefficients by a joint's parameters."""
+    nothing = dict.fromkeys((p.name for p in joint.parameters), 0.0)
+    constant = joint.coefficients(nothing)
+    return {name: joint.coefficients(nothing | {name: 1.0}) - constant for name in nothing}
+
+
+def _explicit(kept: Run, name: str) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of elements, (periods, elements), and limits by a law's number.
+
+    Position, and excesses of limits and gates, are held.
+    """
+    axis, clock = kept.experiment.axis, kept.experiment.clock
+    value = number(axis.controller, name)
+    if not math.isfinite(value):  # a limit that never acts
+        return np.zeros((axis.periods, axis.law.limits.size)), np.zeros(axis.law.limits.size)
+    unit = axis.law.period if name.endswith("delay") else 1.0
+    steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
+    inputs = axis.inputs.copy()
+    inputs[:, POSITION] = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, 0]
+    low, high = (axis.law_of(with_numbers(axis.controller, {name: value + by})) for by in steps)
+    if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
+        raise MethodError(
+            f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
+            "declare another."
+        )
+    held, width = _cut(kept, inputs), steps[1] - steps[0]
+    above, below = (respond(law, inputs, _start_states(law, inputs, kept), held) for law in (high, low))
+    with np.errstate(invalid="ignore"):
+        limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
+    return (above - below) / width, limits
+
+
+def _cut(kept: Run, inputs: FloatArray) -> FloatArray:
+    """Return the excess over limits and gates, (periods, elements)."""
+    law = kept.experiment.axis.law
+    if law.limits.size > 1 or law.phases > 1 or kept.experiment.axis.driven.size:
+        return np.asarray(kept.excess[0])
+    if not np.any(law.F):
+        return np.zeros_like(kept.excess[0])
+    # One limit that is fed back: what it cut off is the difference of the output from the law's own.
+    output: FloatArray = kept.command[0, :, np.newaxis]
+    back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
+    return np.asarray(output - respond(back, inputs, _start_states(law, inputs, kept), output))
+
+
+def _start_states(law: SampledLaw, inputs: FloatArray, kept: Run) -> FloatArray:
+    """States of a law at the first period of a run, (states,)."""
+    position, velocity = float(kept.start.places[0]), float(kept.start.speeds[0])
+    state, torque = law.known_memory(inputs) + law.memory(POSITION, position, velocity), kept.start.torques[0]
+    integral = law.integral() if torque is not None else None
+    if integral is None or torque is None:
+        return state
+    first = law.C[0, law.output] @ state + law.D[0, law.output] @ inputs[0]
+    return np.asarray(state + integral * (torque - first))
+
+
+def columns_of(
+    tree: Tree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion, rows: IntArray
+) -> list[tuple[IntArray, FloatArray]]:
+    """Return, for each of some masses, the derivatives of its equation by the parameters that act in it.
+
+    At a known motion, so these are the regressor's columns; their product with the parameters is the motor's torque,
+    and 0 for the link of a flexible joint. Each is the places of the parameters, (own,), and their columns,
+    (samples, own), which stand one after the other.
+
+    Args:
+        tree: of the links.
+        numbers: of which only the rotors are read, and the speeds below which friction rises.
+        places: of the parameters.
+        motion: of all masses.
+        rows: of the masses.
+    """
+    from jointid.models.robots.equations import regressor_columns
+
+    samples, n = len(motion.position), numbers.rotors.size
+    carried = _find_carriers(tree.parents) if tree.joints.size == 0 else np.ones((n, n), dtype=np.bool_)
+    felt = [np.array([c for c, p in enumerate(places) if _acts(p, int(row), numbers, carried)], int) for row in rows]
+    ends = np.cumsum([own.size for own in felt])
+    lines, of_links = np.empty((int(ends[-1]), samples)), []
+    position, velocity, acceleration = motion[:3]
+    for row, own, end in zip(rows, felt, ends, strict=True):
+        for line, place in zip(range(int(end) - own.size, int(end)), (places[c] for c in own), strict=True):
+            if place.of is NumberOf.LINK:
+                of_links.append((row, len(SYMBOLS) * place.row + place.column, line))
+            elif place.of is NumberOf.MASS:
+                lines[line] = _of_mass(motion, int(row), place.column, numbers)
+            else:
+                moved, motor = (velocity if place.column else position), numbers.rotors[place.row]
+                stretch = moved[:, motor] - moved[:, place.row]
+                lines[line] = stretch if row == motor else -stretch
+    if of_links:
+        q, v, a = (np.ascontiguousarray(values[:, :n]) for values in (position, velocity, acceleration))
+        whose, which, where = np.array(of_links, dtype=np.int64).T.copy()
+        spans = np.array_split(np.arange(samples), threads())
+
+        def fill(span: NDArray[np.intp]) -> None:
+            inside = slice(span[0], span[-1] + 1)
+            regressor_columns(tree, q[inside], v[inside], a[inside], whose, which, where, span[0], lines)
+
+        in_threads(fill, [span for span in spans if span.size])
+    return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]
+
+
+def _find_carriers(parents: IntArray) -> NDArray[np.bool_]:
+    """Return a matrix, (n, n), True where a link carries another or itself."""
+    found = np.eye(parents.size, dtype=np.bool_)
+    for i, parent in enumerate(parents):
+        if parent >= 0:
+            found[:, i] |= found[:, parent]
+    return found
+
+
+def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[np.bool_]) -> bool:
+    """True of a parameter that is in the equation of a mass."""
+    if place.of is NumberOf.DELAY:
+        return False
+    if place.of is NumberOf.LINK:
+        return row < len(carried) and bool(carried[row, place.row])
+    return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])
+
+
+def _of_mass(motion: MassMotion, row: int, column: int, numbers: RobotNumbers) -> FloatArray | float:
+    """Return the regressor column of a number of a mass, (samples,)."""
+    velocity = motion.velocity[:, row]
+    if column in (0, 2):
+        return motion.acceleration[:, row] if column == 0 else motion.direction[:, row]
+    if column == 3:
+        return 1.0
+    if column == 6:
+        return motion.direction[:, row] * stribeck_share(numbers.masses[row], velocity)
+    if column == 1:
+        return velocity
+    if column not in (4, 5):
+        raise NotImplementedError(f"the equations are not linear in number {column} of a mass")
+    return np.asarray(np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0))

@@ -1,0 +1,471 @@
+"""Simulation of one candidate, a joint or a robot, under its controllers along the references of its records.
+
+A joint whose laws are all lines has affine maps (`kernels.drive`). All else is integrated by `kernels.engine`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, Room
+from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.models.position_forces import Motion
+from jointid.models.robots.robot import Tree
+from jointid.records.record import Channel, Record, Timing
+from jointid.simulation.kernels import drive, engine
+from jointid.simulation.kernels.drive import IntArray, SampledLoop, passing
+from jointid.simulation.kernels.engine import (
+    COULOMB,
+    COULOMB_BACK,
+    CUBIC,
+    DAMPING,
+    FREE,
+    INERTIA,
+    OFFSET,
+    PART,
+    SLIDING,
+    SLIPS,
+    STATE,
+    STIFFNESS,
+    VISCOUS,
+    VISCOUS_BACK,
+    Plant,
+)
+from jointid.simulation.loop_input import LoopInput
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
+from jointid.simulation.start import Initial, Numbers, Start, begin
+
+FINE, COARSE = 0.5, 1.0
+"""Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
+TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
+"""Unit of a torque by the unit of the position it moves."""
+
+STEPS = 64
+"""Of a robot per part of a period, at most that are chosen."""
+_POSES = 5  # along the reference, at which the fastest motion is searched for
+_MORE = 2  # rows of a tape per step and part, beside a thousand
+_TAPED = 1000  # rows of the tape of a joint of lines to begin with, and one for 16 periods
+
+
+class Outcome(StrEnum):
+    """Outcome of a simulation; its value is the sentence to print."""
+
+    FINISHED = "the simulation finished"
+    DIVERGED = "the loop diverged: it is unstable under its controllers"
+    TOO_STIFF = "the motion is too fast for the period of controllers or log to be worth simulating"
+    CHATTERING = "a joint started and stopped more often within one period than a real one can"
+    NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
+    INVALID = (
+        "an inertia or the Coulomb friction is not positive, friction at rest or at the end of the record is less than "
+        "nothing, a Stribeck speed is 0, the torques of a spring's pieces do not rise, something winds up over less "
+        "than nothing, a share of the torque or of the load is 1 or more, or a value is not a number"
+    )
+
+
+OUTCOMES = tuple(Outcome)
+"""How a run ended, by the number that a kernel returns."""
+
+
+class _Ended(Protocol):
+    @property
+    def outcome(self) -> Outcome: ...
+
+    @property
+    def finished(self) -> float: ...
+
+
+Ended = TypeVar("Ended", bound=_Ended)
+
+
+def require_success(run: Ended, of_what: str = "The simulation") -> Ended:
+    """Return a run that finished.
+
+    Raises:
+        MethodError: it failed; the sentence states progress and reason.
+    """
+    if run.outcome is not Outcome.FINISHED:
+        raise MethodError(
+            f"{of_what} stopped after {100 * run.finished:.1f} % of the record because {run.outcome.value}; check the "
+            "controller's gains and the parameters' values."
+        )
+    return run
+
+
+class MassMotion(NamedTuple):
+    """The motion of all masses at some instants.
+
+    Attributes:
+        position, velocity, acceleration: (samples, masses) of a joint's motor and load; of a robot's links, where
+            motors are coupled of the shafts that these turn, then of the rotors of flexible joints.
+        direction: (samples, masses) in which each slides: 1 or -1, 0 of one at rest. Without Coulomb friction, that of
+            its velocity.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One candidate's run.
+
+    Attributes:
+        experiment: it was driven with. numbers: of the candidate.
+        plant: masses and springs as the kernels read them; None of a joint of straight lines.
+        start: its first state.
+        outcome: how it ended.
+        command: (n, clock) torques that act, the last held after a failure.
+        excess: (n, periods, elements) what limits and gates take away; tape: its steps. Both are empty unless they were
+            kept.
+        counts: (4,) events, rows of the tape, steps of the clock, and those at a limit.
+        lines: what the kernel wrote of a joint of straight lines; else None.
+    """
+
+    experiment: LoopInput
+    numbers: Any
+    plant: Plant | None
+    start: Start
+    outcome: Outcome
+    command: FloatArray
+    excess: FloatArray
+    tape: FloatArray
+    counts: IntArray
+    lines: drive.Trace | None = None
+
+    @property
+    def carried(self) -> Numbers:
+        """The numbers with what a robot carries beside them."""
+        return self.numbers.carrying(self.experiment.payload)
+
+    @property
+    def finished(self) -> float:
+        """Share of the experiment that was simulated."""
+        return int(self.counts[2]) / self.experiment.clock.steps
+
+    @property
+    def events(self) -> int:
+        """Reversals, stops and starts that were located."""
+        return int(self.counts[0])
+
+    @property
+    def at_limit(self) -> float:
+        """Share of the periods in which a controller was at its limit."""
+        return int(self.counts[3]) / max(int(self.counts[2]), 1)
+
+    @property
+    def torque(self) -> FloatArray:
+        """The torques as the log shows them, (samples, n); of a joint (samples,)."""
+        shown = self.experiment.to_log(self.command)
+        return shown if self.experiment.tree is not None else shown[:, 0]
+
+
+def run_loop(
+    experiment: LoopInput,
+    numbers: Numbers,
+    initial: Initial | None = None,
+    *,
+    keep: bool = False,
+    steps: int | None = None,
+    stride: float = FINE,
+    room: Room | None = None,
+) -> Run:
+    """Run one candidate; never raises for its numbers' sake: see the outcome.
+
+    Args:
+        experiment: what drives it.
+        numbers: of the candidate.
+        initial: where the motor of a joint is at the first sample.
+        keep: also the tape, and where limits act.
+        steps: of a robot's integrator per part of a step of the clock; None for as many as keep the fastest motion
+            within a stride.
+        stride: rad.
+        room: memory for what is kept.
+    """
+    carried = numbers.carrying(experiment.payload)
+    taken, outcome = steps or 0, Outcome.INVALID
+    if numbers.possible(experiment.clock.steps * float(np.sum(experiment.clock.lengths))):
+        outcome, experiment = Outcome.FINISHED, experiment.delayed(numbers.delays)
+        if experiment.tree is not None and steps is None:
+            clock = experiment.clock
+            taken = choose_steps(experiment.tree, experiment.references, float(np.max(clock.lengths)), carried)
+            # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
+            outcome = outcome if taken <= STEPS else Outcome.TOO_STIFF
+            taken = math.ceil(taken * FINE / stride)
+    n, elements, _ = experiment.sampled.w.shape
+    still, start = np.zeros(numbers.count), None
+    if outcome is Outcome.FINISHED:
+        start = begin(experiment, carried, initial)
+        outcome = outcome if np.all(np.isfinite([start.places, start.speeds])) else Outcome.INVALID
+    if start is None or outcome is not Outcome.FINISHED:
+        nowhere = Start(still, still, still, (None,) * n, np.zeros((n, 0)), np.zeros(n))
+        none, counts = np.zeros((n, 0, elements)), np.zeros(4, np.int64)
+        nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), counts
+        return Run(experiment, numbers, None, nowhere, outcome, *nothing)
+    far = np.array([each.far for each in experiment.axes]) + np.abs(start.places[numbers.motors])
+    if numbers.straight:
+        return _run_lines(experiment, numbers, start, far, keep, room or Room())
+    plant = carried.plant
+    found = integrate(
+        plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
+        start.speeds, start.wound, keep=keep, steps=taken, room=room,
+    )  # fmt: skip
+    return Run(experiment, numbers, plant, start, OUTCOMES[found.status], *found[1:])
+
+
+def _run_lines(
+    experiment: LoopInput, numbers: JointNumbers, start: Start, far: FloatArray, keep: bool, room: Room
+) -> Run:
+    """Run a joint of straight lines by its affine maps, again with a longer tape where it turns round all the time."""
+    clock, sampled = experiment.clock, experiment.sampled
+    kept, taped = (clock.steps * clock.lengths.size, _TAPED + clock.steps // 16) if keep else (0, 0)
+    elements, coefficients = sampled.w.shape[1], numbers.drive
+    while True:
+        trace = drive.Trace(
+            np.zeros(clock.steps),  # never in a room: it may be an answer
+            room.array("excess", (clock.steps if keep else 0, elements)),
+            room.array("states", (kept, 4)),
+            room.array("modes", (kept,), np.int16),
+            room.array("tape", (taped, drive.TAPE)),
+            np.zeros(4, dtype=np.int64),
+        )
+        x = np.zeros((2, 2))
+        x[: start.places.size] = np.column_stack([start.places, start.speeds])
+        before, states = float(start.before[0]), start.states.copy()
+        status = drive.run(coefficients, sampled, before, states, x.reshape(4), float(far[0]), trace)
+        if trace.counts[1] <= taped or not keep:
+            break
+        taped = int(trace.counts[1])
+    done = int(trace.counts[2])
+    trace.u[done:] = trace.u[done - 1] if done else 0.0
+    trace.excess[done:] = 0.0
+    for signal in (trace.u, trace.excess, trace.states[: done * clock.lengths.size]):
+        if status == drive.DIVERGED:  # divergence may overflow
+            np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    command, excess, tape = trace.u[np.newaxis], trace.excess[np.newaxis], trace.tape[: int(trace.counts[1])]
+    return Run(experiment, numbers, None, start, OUTCOMES[status], command, excess, tape, trace.counts, trace)
+
+
+class Integrated(NamedTuple):
+    """A run of `kernels.engine`: how it ended, then the attributes of `Run`."""
+
+    status: int
+    command: FloatArray
+    excess: FloatArray
+    tape: FloatArray
+    counts: IntArray
+
+
+def integrate(
+    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
+    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, steps: int = 0,
+    room: Room | None = None,
+) -> Integrated:  # fmt: skip
+    """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
+
+    The arguments are those of `kernels.engine.run`. Steps are those of the integrator in the longest part of a step of
+    the clock; 0 lets each choose its length.
+    """
+    axes, clock = loop.post.shape
+    parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
+    array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
+    excess = array("excess", (axes, periods if keep else 0, elements))
+    rows = _MORE * clock * parts * max(steps, 1) + 1000 if keep else 0
+    rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
+    while True:
+        tape = array("tape", (rows, engine.tape_width(len(plant.masses), len(plant.pairs))))
+        counts = np.zeros(4, np.int64)
+        status = engine.run(
+            plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
+            tape, counts,
+        )  # fmt: skip
+        if not keep or counts[1] <= rows:  # else joints that turn round and stick all the time
+            break
+        rows = int(counts[1])
+    done = int(counts[2])
+    command[:, done:] = command[:, done - 1 : done] if done else 0.0
+    for j, every in enumerate(loop.every):
+        excess[j, -(-done // int(every)) :] = 0.0
+    np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)  # divergence may overflow
+    return Integrated(status, command, excess, tape[: counts[1]], counts)
+
+
+def pass_on(torques: FloatArray, step: float) -> SampledLoop:
+    """Return torques, (joints, 1, parts), that each act in one part of `step` seconds, as the kernels take them."""
+    joints, _, parts = torques.shape
+    lags, every = np.zeros((joints, 1), dtype=np.int64), np.ones(joints, dtype=np.int64)
+    given = np.ascontiguousarray(torques)
+    return SampledLoop(np.array([step]), lags, every, passing(joints), given, np.zeros((joints, parts)))
+
+
+def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the motion as each part begins: positions, velocities, accelerations and modes, (parts, masses) each."""
+    first = tape[np.flatnonzero(np.diff(tape[:, PART], prepend=-1.0))[:parts]]
+    position, velocity, acceleration, _, modes = (
+        first[:, STATE + i * masses : STATE + (i + 1) * masses] for i in range(5)
+    )
+    return position, velocity, acceleration, modes
+
+
+def motion_at(run: Run, parts: IntArray) -> MassMotion:
+    """Return the motion as these parts of the clock's steps begin; the tape must have been kept."""
+    clock, masses = run.experiment.clock, run.start.places.size
+    done = int(run.counts[2]) * clock.lengths.size
+    if not done or not (len(run.tape) or run.lines):
+        held = np.tile(run.start.places, (parts.size, 1))
+        return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
+    at = np.minimum(parts, done - 1)
+    if run.lines is not None:
+        return _motion_of_lines(run, run.lines, at, masses)
+    position, velocity, acceleration, modes = (values[at] for values in motion_of(run.tape, masses, done))
+    found = MassMotion(position, velocity, acceleration, np.where(modes == FREE, np.sign(velocity), modes))
+    for values in found[:3]:
+        np.nan_to_num(values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return found
+
+
+def _motion_of_lines(run: Run, lines: drive.Trace, at: IntArray, masses: int) -> MassMotion:
+    """Return the motion of a joint of straight lines, its accelerations just after the torque of a part acts."""
+    clock, post, plant = run.experiment.clock, run.experiment.sampled.post[0], run.numbers.plant
+    position, velocity = (lines.states[at][:, i : 2 * masses : 2] for i in range(2))
+    modes = lines.modes[at].astype(np.int64)[:, np.newaxis] - 4
+    motor = np.sign(modes) * (np.abs(modes) > 1)
+    direction = np.hstack([motor, modes - 3 * motor])[:, :masses].astype(np.float64)
+    source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
+    held = np.maximum(source, 0)
+    push = np.zeros_like(position)
+    push[:, 0] = np.where(source >= 0, run.command[0, held] + post[held], run.start.before[0])
+    if masses > 1:
+        spring = plant.springs[0, 0]
+        apart = spring[STIFFNESS] * np.diff(position)[:, 0] + spring[DAMPING] * np.diff(velocity)[:, 0]
+        push[:, 0] += apart
+        push[:, 1] -= apart
+    rows = plant.masses[:, 0]
+    back = direction < 0
+    push -= rows[:, OFFSET] + np.where(back, rows[:, VISCOUS_BACK], rows[:, VISCOUS]) * velocity
+    push -= np.where(back, rows[:, COULOMB_BACK], rows[:, COULOMB]) * direction
+    return MassMotion(position, velocity, np.where(direction != 0.0, push / rows[:, INERTIA], 0.0), direction)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """One run at the log's instants; after a failure everything is held.
+
+    Arrays are (samples, n) of a robot, and (samples,) of a joint.
+
+    Attributes:
+        torque: as the records' torque channels would show them.
+        outcome: how the run ended. finished: share of the experiment that was simulated.
+        events: reversals, stops and starts that were located.
+        at_limit: share of the periods in which a controller was at its limit.
+        sample_time: of the log, s.
+        push: torque on each motor by controller and injection, before the delay, whatever the log shows.
+        motor_position, motor_velocity: of the motors.
+        load_position, load_velocity: of the links of a robot; of a joint's load, None for a rigid joint.
+        motion: of all masses at the instants at which each torque of the first axis begins to act, where its equation
+            ``torque = regressor . parameters`` holds exactly.
+    """
+
+    torque: FloatArray
+    outcome: Outcome
+    finished: float
+    events: int
+    at_limit: float
+    sample_time: float
+    push: FloatArray
+    motor_position: FloatArray
+    motor_velocity: FloatArray
+    load_position: FloatArray | None
+    load_velocity: FloatArray | None
+    motion: MassMotion
+
+    @classmethod
+    def of(cls, run: Run) -> Simulation:
+        """Return a run that was kept."""
+        experiment, clock = run.experiment, run.experiment.clock
+        seen, started = motion_at(run, clock.log_index), motion_at(run, clock.torque_index[0])
+        put_out = (run.command + experiment.sampled.post)[:, clock.log_index // clock.lengths.size].T
+        if experiment.tree is None:
+            push, motors = put_out[:, 0], [(x[:, 0]) for x in seen[:2]]
+            loads = [x[:, 1] if x.shape[1] > 1 else None for x in seen[:2]]
+        else:
+            n, joints = len(experiment.axes), experiment.tree.joints
+            push, motors = put_out, [x[:, run.numbers.motors] for x in seen[:2]]
+            loads = [x[:, :n] @ joints.T if joints.size else x[:, :n] for x in seen[:2]]
+        return cls(
+            run.torque, run.outcome, run.finished, run.events, run.at_limit, clock.sample_time, push, motors[0],
+            motors[1], loads[0], loads[1], started,
+        )  # fmt: skip
+
+    @property
+    def motor(self) -> Motion:
+        """Motion of a joint's motor, at the instants of `motion`."""
+        return Motion(*(one[:, 0] for one in self.motion[:3]))
+
+    @property
+    def load(self) -> Motion | None:
+        """Motion of a joint's load, at the instants of `motion`; None for a rigid joint."""
+        return None if self.load_position is None else Motion(*(one[:, 1] for one in self.motion[:3]))
+
+    def records(self, driven: Sequence[Record]) -> tuple[Record, ...]:
+        """Return the records that drove a robot, with its torques and motor positions as drives would log them."""
+        made = []
+        for record, torque, position in zip(driven, self.torque.T, self.motor_position.T, strict=True):
+            assert record.reference is not None
+            unit = record.reference.unit
+            logged = Channel(torque, TORQUE_OF[unit], self.sample_time, Timing.HELD, "simulated")
+            moved = Channel(position, unit, self.sample_time, source="simulated")
+            made.append(replace(record, torque=logged, motor_position=moved))
+        return tuple(made)
+
+
+def choose_steps(tree: Tree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
+    """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
+
+    Args:
+        tree: of the links.
+        references: (samples, n) where the shafts are about.
+        length: s.
+        numbers: of the robot.
+    """
+    from jointid.models.robots.equations import ROOM, equations_of_motion
+
+    n, rotors = numbers.rotors.size, numbers.rotors
+    still, room = np.zeros(n), np.empty((n, ROOM))
+    size, fastest = len(numbers.masses), 0.0
+    rise, below, over = numbers.masses[:, MassNumbers.RISE : MassNumbers.PRESLIDING + 1].T
+    steep = np.where(below > 0.0, rise / np.where(below > 0.0, below, 1.0), 0.0)  # some share less than the steepest
+    # What winds up is a spring, twice as stiff behind a reversal as where it is not wound up.
+    winding = np.where(over > 0.0, 2.0 * numbers.masses[:, MassNumbers.COULOMB] / np.where(over > 0.0, over, 1.0), 0.0)
+    springs = np.diag(winding)
+    dampers = np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:6], axis=1) + steep)
+    plant = numbers.plant
+    for spring, i in enumerate(np.flatnonzero(numbers.flexible)):
+        both = np.zeros(size)
+        both[i], both[rotors[i]] = 1.0, -1.0
+        # A cubic spring is four times as stiff where the cube carries as much as the line.
+        stiffest = np.max(plant.springs[spring], axis=0)
+        stiffness = stiffest[STIFFNESS] * (4.0 if stiffest[CUBIC] > 0.0 else 1.0)
+        springs += (stiffness + 2.0 * stiffest[SLIPS] * stiffest[SLIDING]) * np.outer(both, both)
+        dampers += stiffest[DAMPING] * np.outer(both, both)
+    for pose in references[:: max(len(references) // _POSES, 1)]:
+        M = np.zeros((size, size))
+        links = np.empty((n, n))
+        equations_of_motion(tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
+        M[:n, :n] = links
+        M[np.diag_indices(size)] += numbers.masses[:, 0]
+        lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
+        if not lowest > 0.0:  # the kernel says of it what is to be said
+            continue
+        each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
+        fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
+    return max(math.ceil(length * fastest / FINE), 1)

@@ -1,0 +1,369 @@
+"""How a simulation begins, and how that depends on its parameters.
+
+A joint's motor begins where it is said to be, or on its reference at rest, and the load hangs on it. At rest the
+controllers' torques hold a robot's weight, and friction holds none of it. In motion every shaft has the velocity and
+the acceleration of its reference, and the controllers' torques are those that this takes: the reference leads by what
+puts them out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import POSITION, REFERENCE
+from jointid.models.robots.robot import Tree
+from jointid.simulation.loop_input import AxisInput, LoopInput
+from jointid.simulation.plant import JointNumbers
+from jointid.simulation.robot_numbers import (
+    SPRING_NUMBERS,
+    Bools,
+    MassNumbers,
+    NumberPlace,
+    RobotNumbers,
+    stribeck_share,
+    with_values,
+)
+
+Numbers: TypeAlias = Any
+"""Of a joint `plant.JointNumbers`, of a robot, which has a tree, `robot_numbers.RobotNumbers`."""
+Keys: TypeAlias = Sequence[Any]
+"""Parameters: of a joint their names, of a robot their places among the numbers."""
+
+INITIAL = ("initial_position", "initial_velocity", "initial_torque")
+
+_HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
+_SETTLING = 200  # of the iterations that find where the robot begins
+_AT_REST = 1e-13  # of a position
+_NUDGE = 1e-3  # rad: a controller's stiffness is the slope over it, and its state, which is linear, too
+_SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
+_RELATIVE = 1e-5  # of a robot's number: differences of what balances at the first sample
+_SHIFT = 1e-7  # rad: differences of the load
+
+
+@dataclass(frozen=True, slots=True)
+class Initial:
+    """Motor position and velocity at the first sample; None: on the reference, at rest.
+
+    `torque` is the output of an integral there; None: its content is 0.
+    """
+
+    position: float | None = None
+    velocity: float | None = None
+    torque: float | None = None
+
+
+class Start(NamedTuple):
+    """The first state of a simulation.
+
+    Attributes:
+        places, speeds: (masses,) of all masses. wound: (masses,) the share of friction that is wound up, or the
+            direction in which each slides.
+        torques: (n,) that the motors put out, what is added behind the limits left out; None of a controller that puts
+            out what its own state says.
+        states: (n, states) of the controllers. before: (n,) torques that acted before the first period.
+    """
+
+    places: FloatArray
+    speeds: FloatArray
+    wound: FloatArray
+    torques: tuple[float | None, ...]
+    states: FloatArray
+    before: FloatArray
+
+
+class Slopes(NamedTuple):
+    """Derivatives of a first state by parameters: of places and speeds, (masses, parameters), and states, (n, ...)."""
+
+    places: FloatArray
+    speeds: FloatArray
+    states: FloatArray
+
+
+def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = None) -> Start:
+    """Return the first state; of a robot as its records say, of a joint as it is said."""
+    if experiment.tree is not None:
+        steady = Steady(experiment.tree, experiment.speeds, experiment.accelerations, numbers)
+        places, torques = _balance(experiment, steady)
+        speeds = steady.all_speeds
+        return _with_states(experiment, places, speeds, np.sign(speeds), numbers.motors, torques)
+    initial = initial or Initial()
+    position = float(experiment.axis.inputs[0, REFERENCE]) if initial.position is None else initial.position
+    velocity = initial.velocity or 0.0
+    sliding = wound_up(experiment.axis, velocity)
+    places, speeds = joint_state(numbers, position, velocity, sliding)
+    return _with_states(experiment, places, speeds, np.full(places.size, sliding), [0], (initial.torque,))
+
+
+def _with_states(
+    experiment: LoopInput, places: FloatArray, speeds: FloatArray, wound: FloatArray, motors: Sequence[int],
+    torques: tuple[float | None, ...],
+) -> Start:  # fmt: skip
+    states, before = np.zeros((len(motors), experiment.sampled.feedback.A.shape[-1])), np.zeros(len(motors))
+    for j, (each, motor) in enumerate(zip(experiment.axes, motors, strict=True)):
+        own, first = first_state(each, float(places[motor]), float(speeds[motor]), torques[j])
+        states[j, : own.size], before[j] = own, first + each.after_limit[0]
+    return Start(places, speeds, wound, torques, states, before)
+
+
+def first_state(axis: AxisInput, position: float, velocity: float, torque: float | None) -> tuple[FloatArray, float]:
+    """Feedback states at the first period, (states,), and the torque before it."""
+    law, integral = axis.feedback, axis.integral
+    state = axis.state + axis.memory @ np.array([position, velocity])
+    first = float(axis.feedforward[law.output, 0] + law.C[0, law.output] @ state)
+    first += float(law.D[0, law.output, POSITION] * position)
+    if integral is not None and torque is not None:
+        state = state + integral * (torque - first)
+        first = torque
+    return state, min(max(first, -law.limit), law.limit)
+
+
+def wound_up(axis: AxisInput, velocity: float) -> float:
+    """Direction of a motion before the first sample, 0 if negligible."""
+    reference = axis.inputs[:, REFERENCE]
+    fastest = float(np.max(np.abs(np.diff(reference)), initial=0.0)) / axis.law.period
+    return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest > 0.0 else 0.0
+
+
+def joint_state(
+    numbers: JointNumbers, position: float, velocity: float, sliding: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return positions and velocities of a joint's masses at rest or in steady motion.
+
+    Presliding friction has not wound up at rest. What swings begins with the load.
+    """
+    joint, values = numbers.joint, numbers.values
+    start = joint.start(values, position, velocity)
+    if joint.stepped and not sliding:
+        start[::2] = joint.start(values, position, 0.0)[::2]
+    side = 2 * np.minimum(np.arange(numbers.count), 1)
+    return start[side], start[side + 1]
+
+
+def start_slopes(experiment: LoopInput, numbers: Numbers, start: Start, keys: Keys) -> Slopes:
+    """Return the derivatives of the first state by parameters."""
+    if experiment.tree is not None:
+        return _slopes_of_robot(experiment, numbers, start, keys)
+    return _slopes_of_joint(experiment.axis, numbers, start, keys)
+
+
+def _slopes_of_joint(axis: AxisInput, numbers: JointNumbers, start: Start, names: Sequence[str]) -> Slopes:
+    """By differences; at rest on straight lines all but the motor's own state leaves it where it is."""
+    position, velocity, sliding = float(start.places[0]), float(start.speeds[0]), float(start.wound[0])
+    still, width = np.zeros((numbers.count, len(names))), start.states.shape[1]
+    found = Slopes(still, still.copy(), np.zeros((1, width, len(names))))
+    (torque,), known = start.torques, numbers.names
+    for j, name in enumerate(names):
+        if name in known and (velocity != 0.0 or not numbers.joint.straight):
+            found.places[:, j], found.speeds[:, j] = slope_of_joint(numbers, position, velocity, sliding, name)
+        elif name in INITIAL:
+            by = np.array(INITIAL) == name
+            if by[1] and velocity == 0.0:  # the drag of steady motion jumps there
+                found.speeds[:, j] = 1.0
+            elif not by[2]:  # affine on one side of 0 where all laws are lines
+                step = (1.0 if numbers.joint.straight else _SMALL) * (by[0] + by[1] * 0.5 * velocity)
+                moved = joint_state(numbers, position + by[0] * step, velocity + by[1] * step, sliding)
+                here = joint_state(numbers, position, velocity, sliding)
+                found.places[:, j], found.speeds[:, j] = ((b - a) / step for a, b in zip(here, moved, strict=True))
+            more = None if torque is None else torque + by[2]
+            high, low = (first_state(axis, position + x * by[0], velocity + x * by[1], t)[0]
+                         for x, t in ((1.0, more), (0.0, torque)))  # fmt: skip
+            found.states[0, :, j] = high - low
+    return found
+
+
+def slope_of_joint(
+    numbers: JointNumbers, position: float, velocity: float, sliding: float, name: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of positions and velocities of a joint's masses by a parameter."""
+    value = numbers.values[name]
+    step = _SMALL * (abs(value) or 1.0)
+    ends = (numbers.with_value(name, value + by) for by in (-step, step))
+    low, high = (joint_state(one, position, velocity, sliding) for one in ends)
+    return (high[0] - low[0]) / (2 * step), (high[1] - low[1]) / (2 * step)
+
+
+# A robot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steady:
+    """A robot as it moves at the first sample of what drives it: a closed loop, or a prescribed motion.
+
+    Attributes:
+        tree: of the links.
+        speeds, accelerations: (n,) of the shafts.
+        numbers: of the robot.
+    """
+
+    tree: Tree | None
+    speeds: FloatArray
+    accelerations: FloatArray
+    numbers: RobotNumbers
+
+    @property
+    def all_speeds(self) -> FloatArray:
+        """Velocities of all masses in steady motion, (masses,): of a link that of its motor."""
+        found = np.zeros(len(self.numbers.masses))
+        found[: self.speeds.size], found[self.numbers.rotors] = self.speeds, self.speeds
+        return found
+
+    @property
+    def friction(self) -> FloatArray:
+        """Friction of all masses at their velocities, (masses,)."""
+        masses, speeds = self.numbers.masses, self.all_speeds
+        viscous = masses[:, 1] + np.where(speeds < 0.0, masses[:, 5], masses[:, 4])
+        grip = masses[:, 2] + masses[:, 6] * stribeck_share(masses, speeds)
+        return np.asarray(viscous * speeds + grip * np.sign(speeds) + masses[:, 3])
+
+    @property
+    def own_torques(self) -> FloatArray:
+        """Torques of the rotors' own inertia and friction, (n,)."""
+        rotors = self.numbers.rotors
+        return np.asarray(self.numbers.masses[rotors, 0] * self.accelerations + self.friction[rotors])
+
+    def load(self, links: FloatArray) -> FloatArray:
+        """Return the torques through the springs, of rigid joints the motors' beside `own_torques`, (n,).
+
+        Args:
+            links: (n,) positions. Friction may grow with what is carried; at rest it may carry any part of the load,
+                and is taken to carry nothing.
+        """
+        from jointid.models.robots.equations import ROOM, equations_of_motion
+
+        numbers, n = self.numbers, links.size
+        taken, M, room = np.empty(n), np.empty((n, n)), np.empty((n, ROOM))
+        assert self.tree is not None
+        equations_of_motion(self.tree, numbers.inertials, links, self.speeds, self.accelerations, room, M, taken)
+        own = np.where(numbers.flexible, 0.0, self.own_torques)
+        carried = taken + own + np.where(numbers.flexible & (self.speeds != 0.0), self.friction[:n], 0.0)
+        lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(self.speeds)
+        return np.asarray(carried / (1.0 - lost * np.sign(carried)) - own)
+
+    def deflections(self, torques: FloatArray) -> FloatArray:
+        """Return how far torques deflect the springs, (n,); 0 of rigid joints."""
+        numbers = self.numbers
+        found = np.asarray(torques / np.where(numbers.flexible, numbers.springs[:, 0], np.inf))
+        for i, (_, law) in enumerate(numbers.laws):
+            if law is not None and not law.linear:
+                found[i] = law.deflection(dict(zip(SPRING_NUMBERS, numbers.springs[i], strict=True)), float(torques[i]))
+        return found
+
+    def settle(
+        self, motors: FloatArray, soft: FloatArray | float = -math.inf, beside: FloatArray | float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the positions of all masses, (masses,), and the load on each motor, (n,).
+
+        Args:
+            motors: (n,) where the motors stand without a torque.
+            soft: (n,) the torque that moves each by 1 from there, negative; minus infinity of one that does not give
+                way.
+            beside: (n,) torque of each motor beside the load.
+        """
+        n, rotors = motors.size, self.numbers.rotors
+        free, load = motors, np.zeros(motors.size)
+        for _ in range(_SETTLING):
+            load = self.load(motors - self.deflections(load))
+            after = free + (load + beside) / soft
+            moved = float(np.max(np.abs(after - motors)))
+            motors = after
+            if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
+                break
+        places = np.zeros(len(self.numbers.masses))
+        places[:n], places[rotors] = motors - self.deflections(load), motors
+        return places, load
+
+    def slopes(
+        self, start: FloatArray, soft: FloatArray | float, places: Sequence[NumberPlace]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of the positions, (masses, parameters), and of the motors' torques, (n, parameters).
+
+        Args:
+            start: (masses,) positions.
+            soft: (n,) how far a torque of 1 moves each motor; 0 of one that does not give way.
+            places: of the parameters.
+        """
+        numbers, n = self.numbers, self.speeds.size
+        links = start[:n]
+        load = self.load(links)
+
+        def balance(other: RobotNumbers) -> FloatArray:
+            there = Steady(self.tree, self.speeds, self.accelerations, other)
+            return np.stack([there.load(links), there.own_torques, there.deflections(load)])
+
+        turning = np.column_stack([(self.load(links + _SHIFT * unit) - load) / _SHIFT for unit in np.eye(n)])
+        step = _RELATIVE * np.maximum(np.abs(load), 1.0)
+        compliance = (self.deflections(load + step) - self.deflections(load - step)) / (2.0 * step)
+        moved = np.zeros((3, n, len(places)))
+        for c, place in enumerate(places):
+            if not place.is_of_record:
+                value = place.read(numbers)
+                by = _RELATIVE * max(abs(value), 0.1)
+                low, high = (balance(with_values(numbers, (place,), np.array([value + d]))) for d in (-by, by))
+                moved[:, :, c] = (high - low) / (2.0 * by)
+        direct, own, stretched = moved
+        yielding = np.broadcast_to(soft, n)
+        given = turning @ (yielding[:, np.newaxis] * own - stretched) + direct
+        torque = np.linalg.solve(np.eye(n) - turning * (yielding - compliance), given)
+        dq = np.zeros((start.size, len(places)))
+        of_motor = yielding[:, np.newaxis] * (torque + own)
+        dq[:n] = of_motor - compliance[:, np.newaxis] * torque - stretched
+        dq[numbers.rotors] = of_motor
+        return dq, torque + own
+
+
+def _controllers_at(experiment: LoopInput, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the torques of controllers without memory of a load at positions of the motors, and their slopes, (n,)."""
+    torques = np.array(
+        [
+            [first_state(each, at, speed, None)[1] for at in (place, place + _NUDGE)]
+            for each, place, speed in zip(experiment.axes, places, experiment.speeds, strict=True)
+        ]
+    )
+    return torques[:, 0], (torques[:, 1] - torques[:, 0]) / _NUDGE
+
+
+def _integrates(experiment: LoopInput) -> Bools:
+    return np.array([each.integral is not None for each in experiment.axes])
+
+
+def _balance(experiment: LoopInput, steady: Steady) -> tuple[FloatArray, tuple[float | None, ...]]:
+    """Return all positions at the first sample, and the torques that integrators hold.
+
+    A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
+    stretched by the load.
+    """
+    references = np.array([each.inputs[0, REFERENCE] for each in experiment.axes])
+    at_reference, slope = _controllers_at(experiment, references)
+    added = experiment.sampled.post[:, 0]
+    integrates = _integrates(experiment)
+    soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
+    places, load = steady.settle(references, soft, steady.own_torques - at_reference - added)
+    holding = load + steady.own_torques - added
+    return places, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True))
+
+
+def _slopes_of_robot(
+    experiment: LoopInput, numbers: RobotNumbers, start: Start, places: Sequence[NumberPlace]
+) -> Slopes:
+    """Of ``load(q) + own = torque(qm)`` without an integral, with one qm the reference; ``K (qm - q) = load(q)``."""
+    steady = Steady(experiment.tree, experiment.speeds, experiment.accelerations, numbers)
+    motors, integrates = start.places[numbers.rotors], _integrates(experiment)
+    # States of the controllers: at the start, further, with more torque.
+    states = np.zeros((*start.states.shape, 3))
+    for j, each in enumerate(experiment.axes):
+        for i, (at, torque) in enumerate(((0.0, 0.0), (_NUDGE, 0.0), (0.0, 1.0))):
+            state, _ = first_state(each, motors[j] + at, steady.speeds[j], torque if integrates[j] else None)
+            states[j, : state.size, i] = state
+    steep = _controllers_at(experiment, motors)[1]
+    soft = np.where(integrates | (steep >= 0.0), 0.0, 1.0 / np.where(steep == 0.0, -1.0, steep))
+    dq, load = steady.slopes(start.places, soft, places)
+    by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
+    dz = by_place[:, :, np.newaxis] * dq[numbers.rotors][:, np.newaxis]
+    dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load, 0.0)[:, np.newaxis]
+    return Slopes(dq, np.zeros_like(dq), dz)
