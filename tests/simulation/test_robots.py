@@ -105,7 +105,7 @@ def test_no_mass_slides_against_its_friction() -> None:
     run = run_loop(prepare(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
     assert run.outcome is Outcome.FINISHED
     assert run.events > 500
-    n = len(run.start)
+    n = run.numbers.count
     speeds, modes = (run.tape[:, STATE + i * n : STATE + (i + 1) * n] for i in (1, 4))
     assert np.min(speeds * np.where(modes == FREE, 0.0, modes)) >= 0.0
     assert np.all(run.tape[1:, LENGTH] > 0.0)
