@@ -18,9 +18,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import join, number
+from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.models.robots.base_parameters import base_parameters, inverse_columns
-from jointid.models.robots.friction_terms import friction_columns
+from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
@@ -188,8 +188,7 @@ class _Solver:
     def __init__(self, declared: _Case) -> None:
         # Of any gravity and coupling: some of these columns are sums of others then.
         robot = declared.robot
-        self.chosen = base_parameters(replace(robot, gravity=np.array([3.0, 5.0, -7.0]))).chosen
-        self.chosen = np.union1d(self.chosen, np.arange(10 * len(robot), 11 * len(robot)))
+        self.parameters = robot_parameters(replace(robot.rigid, gravity=np.array([3.0, 5.0, -7.0])), whole=False)
         self.sizes = np.ones(len(robot))
         for _ in range(3):
             error = self.error(declared).reshape(len(robot), -1)
@@ -198,7 +197,8 @@ class _Solver:
     def error(self, case: _Case) -> FloatArray:
         """Return the residual, joint after joint, in units of that of the declared case."""
         q, v, a = (one @ np.linalg.inv(case.robot.coupling).T for one in (case.q, case.v, case.a))
-        columns = [inverse_columns(case.robot, q, v, a)[:, :, self.chosen], friction_columns(case.robot, v)]
+        rotors = inverse_columns(case.robot, q, v, a)[:, :, -len(case.robot) :]
+        columns = [self.parameters.columns(case.robot, q, v, a), rotors]
         W = np.concatenate(columns, axis=2) * case.moving[:, :, np.newaxis]
         Y = case.torque * case.moving
         by = self.sizes * np.maximum(np.linalg.norm(Y, axis=0), np.finfo(float).tiny)

@@ -28,13 +28,11 @@ from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
-from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
 from jointid.estimation.robots.simulated import nominal_numbers, parameter_units
 from jointid.models.limits import AxisLimits
-from jointid.models.robots.base_parameters import BaseParameters, base_parameters, inverse_columns
-from jointid.models.robots.friction_terms import friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import DesignedAxis
 from jointid.planning.goals import ALL, Goal
@@ -71,7 +69,7 @@ class RobotModel:
 
     Attributes:
         robots: that it may be; first the one that is roughly known.
-        base: its base parameters.
+        base: its parameters by the equations of rigid joints.
         loop: that one under its controllers, for a test by DIDIM; None for one by IDIM.
         samples, sample_time: of a test and its log, s.
         filtering: of the identification.
@@ -85,7 +83,7 @@ class RobotModel:
     needed = ("lower", "upper", "speed")
     kept = needed
     robots: tuple[Robot, ...]
-    base: BaseParameters
+    base: RobotParameters
     loop: RobotLoop | None
     samples: int
     sample_time: float
@@ -114,12 +112,9 @@ class RobotModel:
     @property
     def units(self) -> dict[str, str]:
         """Units of the parameters that a test is identified for, by name."""
-        if self.loop is not None:
-            parameters = robot_parameters(self.robot)
-            units = parameter_units(self.robot, parameters)
-            return {name: units[name] for name in parameters.names}
-        friction = {term.name(self.robot): term.unit(self.robot) for term in friction_terms(self.robot)}
-        return dict(zip(self.base.names, self.base.units, strict=True)) | friction
+        parameters = self.base if self.loop is None else robot_parameters(self.robot)
+        units = parameter_units(self.robot, parameters)
+        return {name: units[name] for name in parameters.names}
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -200,9 +195,7 @@ class RobotModel:
 
     def columns(self, motion: Motion) -> FloatArray:
         """Columns of a rigid robot's torques at instants, (instants, n, parameters)."""
-        q, v, a = motion
-        links = inverse_columns(self.robot, q, v, a)[:, :, self.base.chosen]
-        return np.concatenate([links, friction_columns(self.robot, v)], axis=2)
+        return self.base.columns(self.robot, *motion)
 
     def _apply_equations(self, motion: Motion, step: float) -> Iterator[PredictedTest]:
         """Predict a motion whose instants may each stand for several samples."""
@@ -211,7 +204,7 @@ class RobotModel:
         J = (columns * weights[:, np.newaxis]).reshape(-1, columns.shape[2])
         units = replace(self, loop=None).units
         for robot in self.robots:
-            values = self.base.with_friction(robot)
+            values = self.base.group(RobotNumbers.of(robot.rigid))
             torque = columns @ values
             reached = find_maxima((motion[0],), (motion[1],), motion[2], torque, step, self.sizes)
             yield _predicted(units, values, J, torque, step, reached)
@@ -290,13 +283,15 @@ def robot_model(
             "The intervals of springs are predicted under the controllers, and there are none; give every joint its "
             "controller, or leave the springs out."
         )
+    if loop is None:
+        robot.require_linear("IDIM of a robot takes", "give every joint its controller")
     loop = None if loop is None else replace(loop, robot=robot)
     drawn = () if not within else _draw_robots(robot, within, _SIMULATED if loop is not None else _DRAWN, seed)
-    base, sizes = base_parameters(robot), np.ones(len(robot)) if noise is None else noise
+    base, sizes = robot_parameters(robot.rigid, whole=False), np.ones(len(robot)) if noise is None else noise
     found = RobotModel((robot, *drawn), base, loop, *times, filtering, feed_forward, present, sizes, noise is None)
     if noise is None:
         q, v, a = np.random.default_rng(seed).standard_normal((3, _INSTANTS, len(robot))) * _USUAL
-        torque = found.columns((q, v, a)) @ base.with_friction(robot)
+        torque = found.columns((q, v, a)) @ base.group(RobotNumbers.of(robot.rigid))
         found = replace(found, sizes=_NOISE * np.sqrt(np.mean(torque**2, axis=0)))
     return found
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from operator import call
 
@@ -48,7 +47,7 @@ def compile_joint(joint: Joint, *, derivatives: bool = True) -> None:
 
 def compile_robot() -> None:
     """Compile the simulation of a robot, its derivatives and its regressor."""
-    from jointid.models.robots.base_parameters import base_parameters
+    from jointid.models.robots.base_parameters import inverse_columns
     from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 
     body = np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.1])
@@ -58,7 +57,7 @@ def compile_robot() -> None:
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
     numbers = RobotNumbers.of(robot)
     differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), all_places(numbers))
-    base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
+    inverse_columns(robot, *np.zeros((3, 2, 2)))
 
 
 def _at_rest(unit: str) -> Record:

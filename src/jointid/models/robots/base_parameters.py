@@ -8,21 +8,15 @@ that neither units nor the size of a robot decide what is 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.text import number
-from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_values, offset_indices
-from jointid.models.robots.inertial import SYMBOLS, UNITS
+from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 
-_POSES = 60  # random ones, times the joints in rows
 _ZERO = 1e-8  # of a column: what is left of one that is a sum of others
-_NOTHING = 1e-11  # of the largest column in its unit: the rounding of one that is 0
 INERTIAL_ORDER = (4, 5, 6, 8, 9, 7, 1, 2, 3, 0)
 """Inertial parameters of a link, those first that are kept: m, mz and Iyy are passed on to its parent."""
 
@@ -49,85 +43,6 @@ def standard_symbols(robot: Robot) -> tuple[str, ...]:
     numbers = range(len(robot))
     links = (inertial_symbol(symbol, k) for k in numbers for symbol in SYMBOLS)
     return (*links, *(symbol_of("rotor_inertia", k) for k in numbers))
-
-
-def standard_values(robot: Robot) -> FloatArray:
-    """Return the standard parameters of a robot, (11 n,)."""
-    return np.concatenate([robot.inertials.ravel(), robot.of_joints("rotor_inertia")])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BaseParameters:
-    """The base parameters of a robot: sums of its standard parameters.
-
-    Attributes:
-        names: (base,) of the sums: the symbol of an inertial parameter, or "elbow.rotor_inertia" of a rotor alone.
-        symbols: (base,) of the parameter that names each sum.
-        formulas: (base,) the sums, as text. offset_formulas: (n,) likewise of the offsets of the motors' friction.
-        units: (base,).
-        chosen: (base,) which standard parameters come first; their columns are those of the base parameters.
-        grouping: (base, 11 n) takes the standard parameters to the base parameters.
-        offsets: (n, 11 n) takes them to what they add to the motors' offsets.
-    """
-
-    names: tuple[str, ...]
-    symbols: tuple[str, ...]
-    formulas: tuple[str, ...]
-    offset_formulas: tuple[str, ...]
-    units: tuple[str, ...]
-    chosen: NDArray[np.intp]
-    grouping: FloatArray
-    offsets: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.symbols)
-
-    def of(self, robot: Robot) -> FloatArray:
-        """Return the base parameters, (base,), of a robot of this tree."""
-        return np.asarray(self.grouping @ standard_values(robot))
-
-    def with_friction(self, robot: Robot) -> FloatArray:
-        """Return the base parameters of a robot of this tree, then the numbers of the motors' friction.
-
-        See `friction_terms.friction_terms`; of the links' side there are none.
-        """
-        friction = friction_values(robot)
-        friction[offset_indices(robot)] += self.offsets @ standard_values(robot)
-        return np.concatenate([self.of(robot), friction])
-
-
-def base_parameters(robot: Robot) -> BaseParameters:
-    """Return the base parameters of links and rotors; only tree, gravity and coupling are read."""
-    n = len(robot)
-    random = np.random.default_rng(0)
-    q, v, a = random.uniform(-np.pi, np.pi, (_POSES, n)), *random.normal(0.0, 3.0, (2, _POSES, n))
-    columns = inverse_columns(robot, q, v, a).reshape(_POSES * n, -1)
-    norms = np.linalg.norm(columns, axis=0)
-    dimensions = np.array([*n * ([0] + 3 * [1] + 6 * [2]), *n * [3]])  # columns of one number are in one unit
-    largest = np.array([norms[dimensions == kind].max() for kind in range(4)])
-    columns[:, norms <= _NOTHING * largest[dimensions]] = 0.0
-    # Rotors first, as in a simulation: what a slide lifts is then its mass, and the rotor no part of other sums.
-    order = np.array([*range(10 * n, 11 * n), *(10 * k + i for k in range(n) for i in INERTIAL_ORDER)])
-    kept, sums = group_columns(np.column_stack([np.tile(np.eye(n), (_POSES, 1)), columns[:, order]]))
-    first = order[np.array(kept[n:]) - n]
-    grouping, offsets = np.zeros((first.size, 11 * n)), np.zeros((n, 11 * n))
-    grouping[:, order], offsets[:, order] = sums[n:, n:], sums[:n, n:]
-    rotors = tuple("kg" if link.kind == "prismatic" else "kg m2" for link in robot.links)
-    symbols, units = standard_symbols(robot), (*n * UNITS, *rotors)
-    of_offsets = tuple(FrictionTerm(k, Friction.OFFSET).symbol for k in range(n))
-    names, own, begins = zip(
-        *(name_sum(robot, row, int(i)) for row, i in zip(grouping, first, strict=True)), strict=True
-    )
-    return BaseParameters(
-        names,
-        own,
-        tuple(formula_of(row, i, symbols) for row, i in zip(grouping, begins, strict=True)),
-        tuple(formula_of(row, k, (*of_offsets, *symbols)) for k, row in enumerate(np.hstack([np.eye(n), offsets]))),
-        tuple(units[i] for i in first),
-        first,
-        grouping,
-        offsets,
-    )
 
 
 def name_sum(robot: Robot, weights: FloatArray, kept: int) -> tuple[str, str, int]:

@@ -242,12 +242,6 @@ class RobotJoint:
         """Numbers of the motor's side, by the names of a rigid joint's parameters, and those of the spring."""
         return {name.removeprefix("motor_"): value for name, value in self.values.items()}
 
-    @property
-    def constant_torque(self) -> float:
-        """Constant part of the motor's torque, with half of what Coulomb friction has more forwards than backwards."""
-        _, _, forwards, backwards = self.law.directions(self.motor)
-        return self.offset + 0.5 * (forwards - backwards)
-
 
 def _sides(prefix: str, viscous: float, back: float, coulomb: float, held: float) -> dict[str, float]:
     """Return the lines of a side's friction by the names that they have in any law."""
