@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from jointid.simulation.closed_loop import simulate as simulate_exactly
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
@@ -42,6 +41,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.synthesis import simulate as simulate_exactly
 from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled
 from tests.estimates import identify

@@ -406,11 +406,13 @@ def _shift_edges(
 @compile_kernel
 def _add_moved_links(
     rotors: IndexArray, ends: IndexArray, f: FloatArray, ties: IntArray, M: FloatArray, C: FloatArray, K: FloatArray,
-    h: float, whole: float, dq: FloatArray, gone: FloatArray, gained: FloatArray, moved_links: FloatArray,
+    h: float, whole: float, dq: FloatArray, gone: FloatArray, bent: FloatArray, gained: FloatArray,
+    moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
 
-    A motor feels them by its spring, or, of a rigid joint, by the links that hang on others.
+    A motor feels them by its spring, or, of a rigid joint, by the links that hang on others. What velocities gained
+    before the event that ended the piece is `bent`.
     """
     axes, count = rotors.size, dq.shape[1]
     for i in range(axes):
@@ -422,7 +424,7 @@ def _add_moved_links(
             damping = (C[i, j] if ties[i] < 0 else -f[_DAMP, ties[i]]) / whole
             stiffness = h / whole * (K[i, j] if ties[i] < 0 else -f[_PULL, ties[i]])
             for c in range(count):
-                middle = dq[link, c] - 0.5 * gone[link, c] - h / 12.0 * gained[link, c]
+                middle = dq[link, c] - 0.5 * gone[link, c] - h / 12.0 * bent[link, c]
                 moved_links[i, c] += inert * gained[link, c] + damping * gone[link, c] + stiffness * middle
 
 
@@ -492,7 +494,7 @@ def follow(
     x = s.reshape((end + md, count))
     dq, dv, given, rate = x[:md], x[md:begin], x[begin : begin + every_row], x[begin + every_row : end - every_row]
     turned, gone, dw, dtau = x[end - every_row : end], x[end:], np.zeros((every_row, count)), np.zeros((axes, count))
-    lead, gained = np.zeros(count), np.zeros((md, count))
+    lead, gained, bent = np.zeros(count), np.zeros((md, count)), np.zeros((md, count))
     fresh, raw, taken = np.zeros((states_of_law, count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, drive, mobility = np.zeros((4, md)), np.zeros(md), np.zeros(md)
     f, k, later = (
@@ -626,6 +628,9 @@ def follow(
                                 stretched = gone[two, c] - gone[one, c]
                                 dw[i, c] = f[_LEFT, i] * dw[i, c] + (f[_GAINS, i] * stretched + turned[i, c])
                 time += h
+                for i in range(nd if prescribed else 0):
+                    for c in range(count):
+                        bent[i, c] = gained[i, c] + dv[i, c]
                 if tape[row, EVENT] >= 0.0:
                     _pass_event(tape, row, nd, pairs, seeds, md, dq, dv, lead)
                 if prescribed:
@@ -633,6 +638,6 @@ def follow(
                         for c in range(count):
                             gained[i, c] += dv[i, c]
                     _add_moved_links(
-                        rotors, ends, f, ties, M, C, K, h, lengths[part], dq, gone, gained, moved_links[:, at]
+                        rotors, ends, f, ties, M, C, K, h, lengths[part], dq, gone, bent, gained, moved_links[:, at]
                     )
                 row += 1
