@@ -100,10 +100,10 @@ def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
         problem = like if whole else begin_window(like, records[0])
         response, columns = problem.sensitivities(x)
         _require_finished(response.outcome, records[0])
-        experiment = problem.experiment
-        position = experiment.inputs[experiment.log_index // experiment.lengths.size, REFERENCE]
+        experiment = problem.axis
+        position = experiment.inputs[experiment.clock.log_index // experiment.clock.lengths.size, REFERENCE]
         return Seen(
-            problem.error(response)[np.newaxis],
+            problem.filter_error(response)[0][np.newaxis],
             -problem.filter(columns)[np.newaxis],
             problem.filter(problem.measured)[np.newaxis],
             problem.kept,
@@ -135,17 +135,18 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     """
     assert record.torque is not None
     experiment = prepare(like.loop, record)
-    problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment, seen=None)
+    problem = replace(like, measured=record.torque.values[: experiment.clock.samples], experiment=experiment, seen=None)
     # What an integral holds is one constant along the log, and no window's own.
-    seen = None if experiment.law.integrates else seen_position(record, like.loop)
+    seen = None if experiment.axis.law.integrates else seen_position(record, like.loop)
     torque = float(problem.filter(problem.measured)[0])  # a single sample has all of the noise
-    inputs, period = experiment.inputs, experiment.law.period
+    inputs, period = experiment.axis.inputs, experiment.axis.law.period
     velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
     torque += disturbed * float(np.std(problem.measured))
     velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
     position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
     if seen is not None and record.motor_position is not None:
-        problem = replace(problem, seen=seen, measured=seen.torque(record.motor_position.values)[: experiment.samples])
+        shown = seen.torque(record.motor_position.values)[: experiment.clock.samples]
+        problem = replace(problem, seen=seen, measured=shown)
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 
