@@ -17,8 +17,7 @@ from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.drive import SampledLoop
-from jointid.simulation.kernels.engine import Plant
+from jointid.simulation.kernels.tables import Plant, SampledLoop
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.start import Initial, Numbers, begin
 from tests.models.robots.trees import mass_matrix_by_regressor, torque_by_regressor

@@ -12,6 +12,7 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.simulation.kernels import drive
+from jointid.simulation.kernels.tables import FINISHED, TAPE, TOO_STIFF, Trace
 from jointid.simulation.plant import JointNumbers
 from jointid.simulation.simulate import integrate, motion_of, pass_on
 from tests.simulation.reference import simulate
@@ -43,8 +44,8 @@ def free(
         )  # fmt: skip
         return found.status, *motion_of(found.tape, n, torque.size)[:2], int(found.counts[0])
     states, counts = np.zeros((torque.size, 4)), np.zeros(4, dtype=np.int64)
-    tape, modes = np.zeros((0, drive.TAPE)), np.zeros(torque.size, dtype=np.int16)
-    trace = drive.Trace(np.zeros(torque.size), np.zeros((0, 1)), states, modes, tape, counts)
+    tape, modes = np.zeros((0, TAPE)), np.zeros(torque.size, dtype=np.int16)
+    trace = Trace(np.zeros(torque.size), np.zeros((0, 1)), states, modes, tape, counts)
     x = np.append(x0, np.zeros(4 - x0.size))
     status = drive.run(joint.coefficients(values), loop, float(before[0]), none, x, math.inf, trace)
     return status, states[:, : 2 * n : 2], states[:, 1 : 2 * n : 2], int(counts[0])
@@ -58,7 +59,7 @@ def test_stands_exactly_still_at_rest_and_comes_loose_beyond_the_cone(way: str) 
     force = np.linspace(-13.0, 6.8, 300)  # within the motor's cone, shifted by the offset
     x0 = np.array([0.1234567, 0.0, 0.1234567, 0.0])
     status, q, v, events = free(JOINT, SLIDER, force, x0, way=way)
-    assert (status, events) == (drive.FINISHED, 0)
+    assert (status, events) == (FINISHED, 0)
     assert np.all(q == q[0]) and not np.any(v)
     values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 5.0, "offset": 0.5}
     for push, moves in ((5.5, False), (5.5 + 1e-7, True), (-4.5, False), (-4.5 - 1e-7, True)):
@@ -91,7 +92,7 @@ def test_a_stop_at_the_end_of_a_period_ends_no_simulation() -> None:
             status, _, v, _ = free(
                 RigidJoint("prismatic"), values, np.zeros(periods + 3), np.array([0.0, speed]), way="steps"
             )
-            assert status == drive.FINISHED and abs(v[-1, 0]) < 1e-12
+            assert status == FINISHED and abs(v[-1, 0]) < 1e-12
 
 
 def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:
@@ -118,4 +119,4 @@ def test_a_joint_far_too_stiff_returns_a_status_in_bounded_work() -> None:
         values = SLIDER | {"stiffness": stiffness, "damping": 0.0}
         status, q, _, _ = free(JOINT, values, force, np.array([0.0, 0.1, 0.0, -0.1]))
         assert np.all(np.isfinite(q))
-    assert status == drive.TOO_STIFF
+    assert status == TOO_STIFF

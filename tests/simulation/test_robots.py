@@ -10,11 +10,7 @@ import pytest
 
 from jointid.models.controllers import PD, PID
 from jointid.records.record import Channel, Record
-from jointid.simulation.kernels.engine import (
-    FREE,
-    LENGTH,
-    STATE,
-)
+from jointid.simulation.kernels.tables import FREE, LENGTH, STATE
 from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.simulate import Outcome, Run, motion_at, run_loop

@@ -26,9 +26,8 @@ from jointid.models.joints import Joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
-from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.drive_sensitivities import LANES, Moved
-from jointid.simulation.kernels.drive_sensitivities import Slopes as Written
+from jointid.simulation.kernels.tables import LANES, IntArray, Moved
+from jointid.simulation.kernels.tables import Slopes as Written
 from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
 from jointid.simulation.plant import NO_LINKS, JointNumbers, pack_seeds
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share

@@ -25,9 +25,7 @@ from jointid.models.joints import Joint
 from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.drive_sensitivities import LANES, Moved, Slopes
-from jointid.simulation.kernels.engine import STATE
+from jointid.simulation.kernels.tables import LANES, STATE, IntArray, Moved, Slopes
 from jointid.simulation.plant import HEAVY, pack_seeds
 from jointid.simulation.robot_numbers import Bools, NumberOf
 from jointid.simulation.simulate import (

@@ -38,7 +38,7 @@ from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_
 from jointid.records.resampling import at_period, period_ratio, running_mean
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.drive import SampledLoop
+    from jointid.simulation.kernels.tables import SampledLoop
 
 _FEWEST = 10  # periods that can be simulated to any purpose
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
@@ -286,7 +286,7 @@ class LoopInput:
     sampled: SampledLoop = field(init=False)
 
     def __post_init__(self) -> None:
-        from jointid.simulation.kernels.drive import SampledLoop
+        from jointid.simulation.kernels.tables import SampledLoop
 
         clock = _share_clock(self.axes, self.names)
         post = _fill_up([clock.repeat(j, each.after_limit) for j, each in enumerate(self.axes)])
@@ -440,7 +440,7 @@ def _pack_laws(axes: Sequence[AxisInput]) -> tuple[Any, FloatArray]:
 
     States that are filled up stay 0, as elements do; the answers are (n, elements, periods), each of its own periods.
     """
-    from jointid.simulation.kernels.drive import Feedback
+    from jointid.simulation.kernels.tables import Feedback
 
     laws = [each.feedback for each in axes]
     phases = math.lcm(*(law.phases for law in laws))

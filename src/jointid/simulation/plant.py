@@ -17,20 +17,22 @@ from jointid.models.friction import Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.robot import Tree
 from jointid.models.springs import LinearSpring, Spring
-from jointid.simulation.kernels import engine
-from jointid.simulation.kernels.engine import (
+from jointid.simulation.kernels.tables import (
     BEGIN,
     COULOMB,
     COULOMB_BACK,
     COULOMB_DRIFT,
     HIGH,
     INERTIA,
+    MASSES,
     PER_TORQUE,
     SLIPS,
+    SPRINGS,
+    WAVE,
     WINDING,
     Plant,
+    Seeds,
 )
-from jointid.simulation.kernels.variation import MASSES, SPRINGS, Seeds
 
 AnyArray: TypeAlias = NDArray[Any]
 Blocks: TypeAlias = list[tuple[int, int, FloatArray]]
@@ -215,7 +217,7 @@ class JointNumbers:
             if name not in self.names:
                 continue
             moved = self.with_value(name, complex(self.values[name], IMAGINARY)).plant
-            places = moved.places[:, np.newaxis, : engine.WAVE]
+            places = moved.places[:, np.newaxis, :WAVE]
             for first, rows in ((0, moved.masses[..., :HIGH]), (MASSES, moved.springs), (MASSES + SPRINGS, places)):
                 found += [(column, first + row, slope(own)) for row, own in enumerate(rows)]
         return found

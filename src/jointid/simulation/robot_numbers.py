@@ -15,8 +15,7 @@ from jointid.common.parameters import Parameter
 from jointid.models.friction import BESIDE, Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import LinearSpring, Spring
-from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.engine import HIGH, Plant
+from jointid.simulation.kernels.tables import HIGH, IntArray, Plant
 from jointid.simulation.plant import (
     IMAGINARY,
     AnyArray,

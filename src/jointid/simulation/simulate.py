@@ -19,13 +19,12 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.kernels import drive, engine
-from jointid.simulation.kernels.drive import IntArray, SampledLoop, passing
-from jointid.simulation.kernels.engine import (
+from jointid.simulation.kernels.tables import (
     COULOMB,
     COULOMB_BACK,
     CUBIC,
     DAMPING,
+    DIVERGED,
     FREE,
     INERTIA,
     OFFSET,
@@ -34,9 +33,15 @@ from jointid.simulation.kernels.engine import (
     SLIPS,
     STATE,
     STIFFNESS,
+    TAPE,
     VISCOUS,
     VISCOUS_BACK,
+    IntArray,
     Plant,
+    SampledLoop,
+    Trace,
+    passing,
+    tape_width,
 )
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.plant import JointNumbers
@@ -140,7 +145,7 @@ class Run:
     excess: FloatArray
     tape: FloatArray
     counts: IntArray
-    lines: drive.Trace | None = None
+    lines: Trace | None = None
 
     @property
     def carried(self) -> Numbers:
@@ -226,16 +231,18 @@ def _run_lines(
     experiment: LoopInput, numbers: JointNumbers, start: Start, far: FloatArray, keep: bool, room: Room
 ) -> Run:
     """Run a joint of straight lines by its affine maps, again with a longer tape where it turns round all the time."""
+    from jointid.simulation.kernels import drive
+
     clock, sampled = experiment.clock, experiment.sampled
     kept, taped = (clock.steps * clock.lengths.size, _TAPED + clock.steps // 16) if keep else (0, 0)
     elements, coefficients = sampled.w.shape[1], numbers.drive
     while True:
-        trace = drive.Trace(
+        trace = Trace(
             np.zeros(clock.steps),  # never in a room: it may be an answer
             room.array("excess", (clock.steps if keep else 0, elements)),
             room.array("states", (kept, 4)),
             room.array("modes", (kept,), np.int16),
-            room.array("tape", (taped, drive.TAPE)),
+            room.array("tape", (taped, TAPE)),
             np.zeros(4, dtype=np.int64),
         )
         x = np.zeros((2, 2))
@@ -249,7 +256,7 @@ def _run_lines(
     trace.u[done:] = trace.u[done - 1] if done else 0.0
     trace.excess[done:] = 0.0
     for signal in (trace.u, trace.excess, trace.states[: done * clock.lengths.size]):
-        if status == drive.DIVERGED:  # divergence may overflow
+        if status == DIVERGED:  # divergence may overflow
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     command, excess, tape = trace.u[np.newaxis], trace.excess[np.newaxis], trace.tape[: int(trace.counts[1])]
     return Run(experiment, numbers, None, start, OUTCOMES[status], command, excess, tape, trace.counts, trace)
@@ -275,6 +282,8 @@ def integrate(
     The arguments are those of `kernels.engine.run`. Steps are those of the integrator in the longest part of a step of
     the clock; 0 lets each choose its length.
     """
+    from jointid.simulation.kernels import engine
+
     axes, clock = loop.post.shape
     parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
     array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
@@ -282,7 +291,7 @@ def integrate(
     rows = _MORE * clock * parts * max(steps, 1) + 1000 if keep else 0
     rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
     while True:
-        tape = array("tape", (rows, engine.tape_width(len(plant.masses), len(plant.pairs))))
+        tape = array("tape", (rows, tape_width(len(plant.masses), len(plant.pairs))))
         counts = np.zeros(4, np.int64)
         status = engine.run(
             plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
@@ -333,7 +342,7 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
     return found
 
 
-def _motion_of_lines(run: Run, lines: drive.Trace, at: IntArray, masses: int) -> MassMotion:
+def _motion_of_lines(run: Run, lines: Trace, at: IntArray, masses: int) -> MassMotion:
     """Return the motion of a joint of straight lines, its accelerations just after the torque of a part acts."""
     clock, post, plant = run.experiment.clock, run.experiment.sampled.post[0], run.numbers.plant
     position, velocity = (lines.states[at][:, i : 2 * masses : 2] for i in range(2))

@@ -22,17 +22,13 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root, value_at
+from jointid.simulation.kernels.tables import CHATTERING, DIVERGED, FINISHED, TOO_STIFF, Feedback, SampledLoop, Trace
 
-IntArray: TypeAlias = NDArray[np.int64]
 State: TypeAlias = tuple[float, float, float, float]
-
-# How a simulation ended.
-FINISHED, DIVERGED, TOO_STIFF, CHATTERING = 0, 1, 2, 3
 
 _MAP = 24  # one mode's map: five columns of four, then what its proofs need
 _MAP_ORDER = 14  # of its Taylor series
@@ -42,10 +38,6 @@ _STEP = 0.25
 _EVENTS = 200  # per period; a physical drive has a handful
 _PIECES = 4096  # Taylor steps per period at most: a drive faster than that is no drive under this controller
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
-
-# One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
-# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
-TAPE = 10
 
 _SPRING = 4  # row of the event solver's scratch after the states: the spring's force
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
@@ -97,80 +89,6 @@ class SmallLaw(NamedTuple):
     limit: float
     lag: int
     before: float
-
-
-class Feedback(NamedTuple):
-    """Sampled laws with what does not depend on the motion taken out (`jointid.models.controllers.SampledLaw`).
-
-    The first axis of all arrays is that of the joints, which are filled up with zeros to equal sizes. Then they come by
-    the phase of the law's cycle: A (phases, nz, nz), Bq (phases, nz) from the position, F (phases, nz, elements) from
-    what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the position, E (phases,
-    elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is what else goes into
-    the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts, the torque's limit.
-    """
-
-    A: FloatArray
-    Bq: FloatArray
-    F: FloatArray
-    C: FloatArray
-    D: FloatArray
-    E: FloatArray
-    limits: FloatArray
-    gates: IntArray
-    driven: FloatArray
-    output: IntArray
-
-
-class SampledLoop(NamedTuple):
-    """Sampled controllers and inputs, independent of the joints; the first axis of arrays is theirs.
-
-    Attributes:
-        lengths: (parts,) seconds of each part of a step of the controllers' clock, first to last.
-        lags: (joints, parts) how many steps ago the torque that acts in each part was put out.
-        every: (joints,) the period of each controller, in steps of the clock.
-        feedback: the controllers.
-        w: (joints, elements, periods) response of their elements to the references and to what is added before the
-            limits, each of its own periods.
-        post: (joints, clock) what is added after the limits.
-    """
-
-    lengths: FloatArray
-    lags: IntArray
-    every: IntArray
-    feedback: Feedback
-    w: FloatArray
-    post: FloatArray
-
-
-def passing(joints: int) -> Feedback:
-    """Return laws of torques that are prescribed: their responses are all there is."""
-    square, row, none = np.zeros((joints, 1, 1, 1)), np.zeros((joints, 1, 1)), np.zeros((joints, 1, 0))
-    gates, first = np.full((joints, 1), -1, dtype=np.int64), np.zeros(joints, dtype=np.int64)
-    return Feedback(
-        np.zeros((joints, 1, 0, 0)), none, np.zeros((joints, 1, 0, 1)), np.zeros((joints, 1, 1, 0)), row, square,
-        np.full((joints, 1), np.inf), gates, np.zeros((joints, 0, 0)), first,
-    )  # fmt: skip
-
-
-class Trace(NamedTuple):
-    """Output arrays of a simulation, filled by `run`.
-
-    Attributes:
-        u: (periods,) the torque that acts.
-        excess: (periods, elements) what limits and gates took away; or (0, elements). Not of a law of one limit, at
-            most two states and one phase, where `u` says it.
-        states: (periods * parts, 4) states at the start of every part; or (0, 4).
-        modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
-        tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted above the rows, too.
-        counts: (4,) events, Taylor steps, periods simulated, periods at the limit.
-    """
-
-    u: FloatArray
-    excess: FloatArray
-    states: FloatArray
-    modes: NDArray[np.int16]
-    tape: FloatArray
-    counts: IntArray
 
 
 @inline_kernel

@@ -18,53 +18,18 @@ length: only then the compiler knows that nothing overlaps, and keeps to vector 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.drive import Feedback, IntArray, SampledLoop, SmallLaw, Trace, observe
+from jointid.simulation.kernels.drive import SmallLaw, observe
+from jointid.simulation.kernels.tables import LANES, Feedback, IntArray, Moved, SampledLoop, Slopes, Trace
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
 
-
-class Moved(NamedTuple):
-    """Derivatives of a run's first state and of its controllers, (..., parameters) each.
-
-    Attributes:
-        dq, dv: (masses, ...) of positions and velocities.
-        dz: (axes, states, ...) of the controllers' states, overwritten.
-        explicit: (axes, periods, elements, n) of the controllers' elements, the motion and what limits take away held,
-            by n parameters from column `first` on.
-        limits: (axes, elements, ...).
-    """
-
-    dq: FloatArray
-    dv: FloatArray
-    dz: FloatArray
-    explicit: FloatArray
-    first: int
-    limits: FloatArray
-
-
-class Slopes(NamedTuple):
-    """Derivatives of a run, filled.
-
-    Attributes:
-        command: (axes, clock, parameters) of the torques that act; or (axes, clock, 0) of motors that are moved.
-        states: (parts of all steps, 4, parameters) of position and velocity of two masses as each begins; or none.
-        links: (axes, parts of all steps, parameters) mean over each: what the links' change of motion adds to the
-            torque that a prescribed motion takes of a motor; or none.
-    """
-
-    command: FloatArray
-    states: FloatArray
-    links: FloatArray
-
-
-LANES = 8  # columns followed at a time: one vector of a wide machine, two of others
 
 _ORDER = 11  # of the Taylor series
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)

@@ -30,49 +30,56 @@ complementarity problem, Opsearch 11, 1974), which ends for every positive defin
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.drive import (
+from jointid.simulation.kernels.drive import control_any
+from jointid.simulation.kernels.tables import (
+    BEGIN,
     CHATTERING,
+    COS,
+    COULOMB,
+    COULOMB_BACK,
+    COULOMB_DRIFT,
+    CUBIC,
+    DAMPING,
     DIVERGED,
+    EVENT,
     FINISHED,
+    FREE,
+    HELD,
+    HIGH,
+    INERTIA,
+    LENGTH,
+    MASS,
+    NOT_POSITIVE,
+    OFFSET,
+    PART,
+    PER_TORQUE,
+    RATE,
+    SIN,
+    SLIDING,
+    SLIPS,
+    SPRING,
+    STATE,
+    STIFFNESS,
     TOO_STIFF,
+    VISCOUS,
+    VISCOUS_BACK,
+    VISCOUS_DRIFT,
+    WAVE,
+    WHERE,
+    WINDING,
+    IndexArray,
     IntArray,
+    Plant,
     SampledLoop,
-    control_any,
 )
 
-IndexArray: TypeAlias = NDArray[np.uint64]
-NOT_POSITIVE = 4
-"""How a run ended beside the ways of `kernels.drive`: the mass matrix is not positive definite in a pose."""
-
-# Columns of a mass in a band of its speed: inertia, constant friction, viscous coefficients and Coulomb forces of both
-# directions, the inverse of the displacement over which the latter wind up (0 of one that sticks), what both grow by
-# per second, what the second grows by per torque that the mass carries, and the speed at which the band ends.
-INERTIA, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, WINDING, VISCOUS_DRIFT, COULOMB_DRIFT, PER_TORQUE = (
-    range(10)
-)
-MASS, HIGH = 10, 10
-# Columns of a spring in a piece of its deflection, of either sign: stiffness, damping, cubic stiffness, limit of its
-# slider, the stiffness of that over it, the torque of the piece's line at no deflection, and where the piece begins.
-STIFFNESS, DAMPING, CUBIC, SLIPS, SLIDING, HELD, BEGIN = range(7)
-SPRING = 7
-# Columns of a force that follows a position: of its cosine, of its sine, of the position, phase per position, mass.
-COS, SIN, RATE, WAVE, WHERE = range(5)
-
-# The tape has a row for each step: the part of a period (-1 before the first), the length, the guard whose event ended
-# it (or -1); of the masses positions, velocities and accelerations as it begins, and accelerations as it ends; then of
-# masses and springs the modes, the bands and pieces, and what is wound up as it begins.
-PART, LENGTH, EVENT, STATE = range(4)
-
-FREE = 2.0  # the mode of a mass that no friction holds
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
 _MANY = 4096.0  # steps of a part that show a drive that is too stiff
 _WORK = 30.0  # rad that a simulation may take, per part: bounds the time an absurd candidate can cost
@@ -84,31 +91,6 @@ _CLOSER = 80  # steps at most to locate it
 _WOUND_UP = 1e-8  # of a limit: what is nearer to it than that is at it
 _WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: above it cannot be told from Coulomb's
-
-
-class Plant(NamedTuple):
-    """The numbers of a joint, or of what a robot has beside its links.
-
-    Attributes:
-        masses: (masses, bands, MASS + 1) in each band of the speed; a band that is not there ends where the last does.
-        springs: (springs, pieces, SPRING) in each piece; one that is not there begins at infinity.
-        places: (forces, 5) that follow a position.
-        pairs: (springs, 2) the masses that each ties.
-        motors: (axes,) the mass that each motor drives.
-        carriers: (masses,) the spring whose torque a mass's friction grows with; -1 of its own motor's.
-    """
-
-    masses: FloatArray
-    springs: FloatArray
-    places: FloatArray
-    pairs: IndexArray
-    motors: IndexArray
-    carriers: IntArray
-
-
-def tape_width(masses: int, springs: int) -> int:
-    """Return the columns of a tape."""
-    return STATE + 4 * masses + 3 * (masses + springs)
 
 
 @inline_kernel

@@ -20,7 +20,7 @@ are linear between limits, and where one acts its element follows the limit.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +30,19 @@ from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.drive import IntArray, SampledLoop
 from jointid.simulation.kernels.drive_sensitivities import (
-    LANES,
     MEMORY,
     NOTHING,
     OFTEN,
     POSITION,
     SCRATCH,
-    Moved,
-    Slopes,
     aligned_zeros,
     begin_small,
     control_slopes,
     control_small,
 )
-from jointid.simulation.kernels.engine import (
+from jointid.simulation.kernels.engine import place_force, spring_torque, winding
+from jointid.simulation.kernels.tables import (
     BEGIN,
     COS,
     COULOMB,
@@ -56,8 +53,10 @@ from jointid.simulation.kernels.engine import (
     FREE,
     HELD,
     INERTIA,
+    LANES,
     LENGTH,
     MASS,
+    MASSES,
     OFFSET,
     PART,
     PER_TORQUE,
@@ -65,6 +64,7 @@ from jointid.simulation.kernels.engine import (
     SIN,
     SLIDING,
     SLIPS,
+    SPRINGS,
     STATE,
     STIFFNESS,
     VISCOUS,
@@ -73,13 +73,14 @@ from jointid.simulation.kernels.engine import (
     WHERE,
     WINDING,
     IndexArray,
+    IntArray,
+    Moved,
     Plant,
-    place_force,
-    spring_torque,
-    winding,
+    SampledLoop,
+    Seeds,
+    Slopes,
 )
 
-MASSES, SPRINGS = 3, 2  # of a joint at most: its rows are as many
 # Rows of a joint's derivatives, LANES long: positions and velocities of the masses; the forces that are given on masses
 # and in springs in the middle of a step, their rates, and what is wound up otherwise; how far the masses have gone.
 _Q, _V, _GIVEN, _RATE, _GONE = (LANES * row for row in (0, 3, 6, 11, 21))
@@ -94,28 +95,6 @@ _PLACE, _SPEED, _CHANGE, _JERK = range(4)
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
 Three: TypeAlias = tuple[float, float, float]
-
-
-class Seeds(NamedTuple):
-    """How the numbers of a plant depend on parameters: a list of derivatives that are not 0.
-
-    Attributes:
-        begin: (masses, springs and places, bands + 1) the first of a mass in a band, a spring in a piece, a place.
-        numbers, columns, values: (derivatives,) of which number by which parameter.
-        links: (some parameters, 3) which is the number of which link, in which column of its inertial ones.
-        delays: (some parameters, 2) which is by how much the torque of which axis acts later.
-        pushes: (some parameters, 2) which is a torque added to the output of which axis' controller.
-        pushed: (the same, clock) that torque.
-    """
-
-    begin: IntArray
-    numbers: IntArray
-    columns: IntArray
-    values: FloatArray
-    links: IntArray
-    delays: IntArray
-    pushes: IntArray
-    pushed: FloatArray
 
 
 @inline_kernel

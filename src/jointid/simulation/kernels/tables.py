@@ -1,0 +1,198 @@
+"""What kernels take and fill: rows of numbers and of tapes, by their columns. No kernel is loaded with them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+
+IndexArray: TypeAlias = NDArray[np.uint64]
+IntArray: TypeAlias = NDArray[np.int64]
+
+FINISHED, DIVERGED, TOO_STIFF, CHATTERING, NOT_POSITIVE = range(5)
+"""How a run ended; the last: the mass matrix is not positive definite in a pose."""
+LANES = 8
+"""Columns followed at a time: one vector of a wide machine, two of others."""
+MASSES, SPRINGS = 3, 2  # of a joint at most: its rows are as many
+
+# Columns of a mass in a band of its speed: inertia, constant friction, viscous coefficients and Coulomb forces of both
+# directions, the inverse of the displacement over which the latter wind up (0 of one that sticks), what both grow by
+# per second, what the second grows by per torque that the mass carries, and the speed at which the band ends.
+INERTIA, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, WINDING, VISCOUS_DRIFT, COULOMB_DRIFT, PER_TORQUE = (
+    range(10)
+)
+MASS, HIGH = 10, 10
+# Columns of a spring in a piece of its deflection, of either sign: stiffness, damping, cubic stiffness, limit of its
+# slider, the stiffness of that over it, the torque of the piece's line at no deflection, and where the piece begins.
+STIFFNESS, DAMPING, CUBIC, SLIPS, SLIDING, HELD, BEGIN = range(7)
+SPRING = 7
+# Columns of a force that follows a position: of its cosine, of its sine, of the position, phase per position, mass.
+COS, SIN, RATE, WAVE, WHERE = range(5)
+
+# The tape has a row for each step: the part of a period (-1 before the first), the length, the guard whose event ended
+# it (or -1); of the masses positions, velocities and accelerations as it begins, and accelerations as it ends; then of
+# masses and springs the modes, the bands and pieces, and what is wound up as it begins.
+PART, LENGTH, EVENT, STATE = range(4)
+
+FREE = 2.0  # the mode of a mass that no friction holds
+# One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
+# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
+TAPE = 10
+
+
+class Plant(NamedTuple):
+    """The numbers of a joint, or of what a robot has beside its links.
+
+    Attributes:
+        masses: (masses, bands, MASS + 1) in each band of the speed; a band that is not there ends where the last does.
+        springs: (springs, pieces, SPRING) in each piece; one that is not there begins at infinity.
+        places: (forces, 5) that follow a position.
+        pairs: (springs, 2) the masses that each ties.
+        motors: (axes,) the mass that each motor drives.
+        carriers: (masses,) the spring whose torque a mass's friction grows with; -1 of its own motor's.
+    """
+
+    masses: FloatArray
+    springs: FloatArray
+    places: FloatArray
+    pairs: IndexArray
+    motors: IndexArray
+    carriers: IntArray
+
+
+def tape_width(masses: int, springs: int) -> int:
+    """Return the columns of a tape."""
+    return STATE + 4 * masses + 3 * (masses + springs)
+
+
+class Feedback(NamedTuple):
+    """Sampled laws with what does not depend on the motion taken out (`jointid.models.controllers.SampledLaw`).
+
+    The first axis of all arrays is that of the joints, which are filled up with zeros to equal sizes. Then they come by
+    the phase of the law's cycle: A (phases, nz, nz), Bq (phases, nz) from the position, F (phases, nz, elements) from
+    what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the position, E (phases,
+    elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is what else goes into
+    the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts, the torque's limit.
+    """
+
+    A: FloatArray
+    Bq: FloatArray
+    F: FloatArray
+    C: FloatArray
+    D: FloatArray
+    E: FloatArray
+    limits: FloatArray
+    gates: IntArray
+    driven: FloatArray
+    output: IntArray
+
+
+class SampledLoop(NamedTuple):
+    """Sampled controllers and inputs, independent of the joints; the first axis of arrays is theirs.
+
+    Attributes:
+        lengths: (parts,) seconds of each part of a step of the controllers' clock, first to last.
+        lags: (joints, parts) how many steps ago the torque that acts in each part was put out.
+        every: (joints,) the period of each controller, in steps of the clock.
+        feedback: the controllers.
+        w: (joints, elements, periods) response of their elements to the references and to what is added before the
+            limits, each of its own periods.
+        post: (joints, clock) what is added after the limits.
+    """
+
+    lengths: FloatArray
+    lags: IntArray
+    every: IntArray
+    feedback: Feedback
+    w: FloatArray
+    post: FloatArray
+
+
+def passing(joints: int) -> Feedback:
+    """Return laws of torques that are prescribed: their responses are all there is."""
+    square, row, none = np.zeros((joints, 1, 1, 1)), np.zeros((joints, 1, 1)), np.zeros((joints, 1, 0))
+    gates, first = np.full((joints, 1), -1, dtype=np.int64), np.zeros(joints, dtype=np.int64)
+    return Feedback(
+        np.zeros((joints, 1, 0, 0)), none, np.zeros((joints, 1, 0, 1)), np.zeros((joints, 1, 1, 0)), row, square,
+        np.full((joints, 1), np.inf), gates, np.zeros((joints, 0, 0)), first,
+    )  # fmt: skip
+
+
+class Trace(NamedTuple):
+    """Output arrays of a simulation, filled by `run`.
+
+    Attributes:
+        u: (periods,) the torque that acts.
+        excess: (periods, elements) what limits and gates took away; or (0, elements). Not of a law of one limit, at
+            most two states and one phase, where `u` says it.
+        states: (periods * parts, 4) states at the start of every part; or (0, 4).
+        modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
+        tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted above the rows, too.
+        counts: (4,) events, Taylor steps, periods simulated, periods at the limit.
+    """
+
+    u: FloatArray
+    excess: FloatArray
+    states: FloatArray
+    modes: NDArray[np.int16]
+    tape: FloatArray
+    counts: IntArray
+
+
+class Moved(NamedTuple):
+    """Derivatives of a run's first state and of its controllers, (..., parameters) each.
+
+    Attributes:
+        dq, dv: (masses, ...) of positions and velocities.
+        dz: (axes, states, ...) of the controllers' states, overwritten.
+        explicit: (axes, periods, elements, n) of the controllers' elements, the motion and what limits take away held,
+            by n parameters from column `first` on.
+        limits: (axes, elements, ...).
+    """
+
+    dq: FloatArray
+    dv: FloatArray
+    dz: FloatArray
+    explicit: FloatArray
+    first: int
+    limits: FloatArray
+
+
+class Slopes(NamedTuple):
+    """Derivatives of a run, filled.
+
+    Attributes:
+        command: (axes, clock, parameters) of the torques that act; or (axes, clock, 0) of motors that are moved.
+        states: (parts of all steps, 4, parameters) of position and velocity of two masses as each begins; or none.
+        links: (axes, parts of all steps, parameters) mean over each: what the links' change of motion adds to the
+            torque that a prescribed motion takes of a motor; or none.
+    """
+
+    command: FloatArray
+    states: FloatArray
+    links: FloatArray
+
+
+class Seeds(NamedTuple):
+    """How the numbers of a plant depend on parameters: a list of derivatives that are not 0.
+
+    Attributes:
+        begin: (masses, springs and places, bands + 1) the first of a mass in a band, a spring in a piece, a place.
+        numbers, columns, values: (derivatives,) of which number by which parameter.
+        links: (some parameters, 3) which is the number of which link, in which column of its inertial ones.
+        delays: (some parameters, 2) which is by how much the torque of which axis acts later.
+        pushes: (some parameters, 2) which is a torque added to the output of which axis' controller.
+        pushed: (the same, clock) that torque.
+    """
+
+    begin: IntArray
+    numbers: IntArray
+    columns: IntArray
+    values: FloatArray
+    links: IntArray
+    delays: IntArray
+    pushes: IntArray
+    pushed: FloatArray
