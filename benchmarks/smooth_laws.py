@@ -2,8 +2,7 @@
 
     python -m benchmarks.smooth_laws
 
-On a prismatic and a rotary axis of 22 to 24 s, each law large enough to show. The ratio is that of the shortest of
-several turns, which plain joint and law take one after the other.
+On a prismatic and a rotary axis of 22 to 24 s, each law large enough to show: of the shortest of several turns.
 """
 
 from __future__ import annotations
@@ -16,8 +15,6 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import JointNumbers
 from jointid.simulation.simulate import run_loop
 from tests.plants import LAWS, prismatic, rotary, with_law
-
-TURNS, DERIVED = 7, 3
 
 
 def ratio(law: Callable[[], object], plain: Callable[[], object], turns: int) -> float:
@@ -44,12 +41,12 @@ def main() -> None:
             whole = ratio(
                 lambda: run_loop(experiment, JointNumbers(loop.joint, values)),  # noqa: B023
                 lambda: run_loop(experiment, JointNumbers(case.loop.joint, case.truth)),  # noqa: B023
-                TURNS,
+                7,
             )
             slopes = ratio(
                 lambda: simulate_sensitivities(loop, experiment, values, names),  # noqa: B023
                 lambda: simulate_sensitivities(case.loop, experiment, case.truth, own),  # noqa: B023
-                DERIVED,
+                3,
             )
             print(f"{make.__name__}, {name}: {whole:.1f}, {slopes:.1f}", flush=True)
 
