@@ -54,6 +54,8 @@ def resting() -> None:
         # filters
         (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(cutoff=60.0, decimation=12)), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(cutoff=600.0)), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(cutoff=1e-9)), ji.MethodError),
+        (lambda: ji.identify(RECORD, RIGID, filtering=ji.Filtering(position_cutoff=1e-4)), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(borders=(5000, 5000))), ji.RecordError),
         # settings of methods
         (lambda: ji.identify(RECORD, RIGID, ji.DIDIM()), ji.MethodError),

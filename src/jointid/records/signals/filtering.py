@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # Default cut-offs of positions and of the decimation, as fractions of the sampling frequency: at 1 kHz 100 and 40 Hz
 # for a rigid joint, and for a flexible one 150 and 60 Hz, five times and twice the mode of the paper's axis.
 _CUTOFFS = {"rigid": (0.1, 0.04), "flexible": (0.15, 0.06)}
+_SLOWEST = 1e-5  # of the Nyquist frequency: a cut-off below is a wrong number
 _ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
 _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
@@ -102,14 +103,14 @@ class Filtering:
         widest, by_rate = default_cutoffs(sample_time, model)
         allowed = by_rate if model == "flexible" else min(by_rate, limit)
         cutoff = self.cutoff or allowed
-        lowered = max(cutoff, allowed) / by_rate
-        position = self.position_cutoff or (widest if lowered >= 1.0 else lowered * widest)
+        position = self.position_cutoff or widest * min(max(cutoff, allowed) / by_rate, 1.0)
         most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
-        if max(position, cutoff) >= nyquist or (self.decimation or 1) > most:
+        slow = min(position, cutoff) < _SLOWEST * nyquist
+        if slow or max(position, cutoff) >= nyquist or (self.decimation or 1) > most:
             raise MethodError(
-                f"Cut-offs are below the Nyquist frequency, {nyquist:g} Hz, and the decimation is at most {most} for "
-                f"this cut-off; got position_cutoff = {position:g} Hz, cutoff = {cutoff:g} Hz and decimation = "
-                f"{self.decimation}: lower what is above."
+                f"Cut-offs are below the Nyquist frequency, {nyquist:g} Hz, and above {_SLOWEST * nyquist:g} Hz; the "
+                f"decimation is at most {most} for this cut-off; got position_cutoff = {position:g} Hz, cutoff = "
+                f"{cutoff:g} Hz and decimation = {self.decimation}: correct what is beyond."
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
