@@ -135,10 +135,10 @@ def test_one_identification_runs_at_a_time(asker: Asker, log: bytes) -> None:
 def test_an_identification_that_takes_too_long_is_stopped(
     asker: Asker, log: bytes, processes: list[Process], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(folder_module, "IDENTIFYING", 0.5)
+    monkeypatch.setattr(folder_module, "IDENTIFYING", 1)
     run = asker.identify(log)
     assert asker.ended(run) == "refused"
-    assert "took longer than" in asker.page.jobs.state(run)["sentence"]
+    assert "1 s of processor" in asker.page.jobs.state(run)["sentence"]
     assert not alive(processes[-1].pid)
 
 

@@ -10,6 +10,7 @@ from urllib.parse import urlencode
 
 import pytest
 
+from jointid.common.files import lock
 from tests.apps.web.asking import MULTIPART, TOKEN, UNITS, Served, parts
 from tests.rigid_axis import run
 
@@ -28,6 +29,12 @@ def test_a_port_or_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
         assert run("serve", "--port", taken.getsockname()[1], "--folder", tmp_path / "page") == 2
     assert run("serve", "--port", 99999, "--folder", tmp_path / "page") == 2
     assert run("serve", "--folder", tmp_path / "file" / "page") == 2
+
+
+def test_a_second_page_in_a_folder_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "_lock").open("a") as held:
+        assert lock(held.fileno())
+        assert run("serve", "--port", 0, "--folder", tmp_path) == 2
 
 
 def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jointid.apps.cli.console import show, tell
 from jointid.common.errors import JointidError, extra
-from jointid.common.files import explain, require_room
+from jointid.common.files import explain, lock, require_room
 
 _HOST = "127.0.0.1"  # which no other machine reaches
 _TOKEN = 24  # bytes that nobody guesses
@@ -38,7 +38,9 @@ def serve(
     with explain(folder):
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
-    with socket.socket() as listening:
+    with socket.socket() as listening, (folder / "_lock").open("a") as held:
+        if not lock(held.fileno()):
+            raise JointidError(f"Another page works in {folder}; close it, or choose another --folder.")
         try:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind((_HOST, port))

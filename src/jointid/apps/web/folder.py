@@ -24,7 +24,7 @@ from jointid.common.files import write_whole
 
 UPLOAD = 256 * 2**20  # bytes of one upload
 MEMORY = 5 * 2**30  # bytes of addresses of each process that reads or identifies, on Linux
-READING, IDENTIFYING = 300.0, 3600.0  # seconds after which reading, and each command of an identification, is stopped
+READING, IDENTIFYING = 300, 3600  # seconds of processor that reading, and each command of an identification, may take
 MODELS = (".urdf", ".xml", ".mjcf")  # suffixes of a robot's model
 
 
@@ -148,16 +148,16 @@ async def _identify(run: Draft, learn: bool) -> None:
         run.write_json("_run.json", {"state": "done" if run.has("answer.json") else state, "sentence": sentence})
 
 
-async def work(place: Path, seconds: float, out: str, *words: str) -> None:
+async def work(place: Path, seconds: int, out: str, *words: str) -> None:
     """Run a command, or an action of the worker, in a folder to its end; what leaves this early ends it.
 
     Raises:
-        PageError: it was refused, in its own sentences, ended otherwise, or took longer than so many seconds.
+        PageError: it was refused, in its own sentences, ended otherwise, or, on Linux, took more processor time.
     """
     with (place / "_progress.txt").open("ab") as progress, (place / out).open("wb") as answer:
         begun = progress.tell()
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "jointid.apps.web.worker", str(MEMORY), *words),
+            *(sys.executable, "-m", "jointid.apps.web.worker", str(MEMORY), str(seconds), *words),
             stdin=PIPE,  # whose end tells the worker that the page has ended
             stdout=answer,
             stderr=progress,
@@ -165,10 +165,7 @@ async def work(place: Path, seconds: float, out: str, *words: str) -> None:
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"},
         )
     try:
-        async with asyncio.timeout(seconds):
-            code = await process.wait()
-    except TimeoutError:
-        raise PageError(f"It took longer than {seconds:g} s and was stopped; use a shorter record.") from None
+        code = await process.wait()
     finally:
         if process.returncode is None:
             process.kill()
@@ -176,8 +173,8 @@ async def work(place: Path, seconds: float, out: str, *words: str) -> None:
     said = (place / "_progress.txt").read_bytes()[begun:].decode("utf-8", "replace")
     if code < 0 or (code and "MemoryError" in said):
         raise PageError(
-            "It takes more memory than this page gives one run, or was ended from outside; cut the record or resample "
-            "it slower, or use the command line, which has no such bound: jointid identify --window."
+            f"It takes more memory than this page gives one run or {seconds} s of processor, or was ended outside; "
+            "cut the record, resample it slower, or use a command, without such bounds: jointid identify --window."
         )
     if code:
         raise PageError("\n".join(re.findall("^jointid: (.*)$", said, re.MULTILINE)) or f"It failed: {said[-500:]}")

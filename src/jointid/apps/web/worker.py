@@ -1,8 +1,8 @@
-"""A process that works for the page: `python -m jointid.apps.web.worker MEMORY WORDS`.
+"""A process that works for the page: `python -m jointid.apps.web.worker MEMORY SECONDS WORDS`.
 
 The words are those of a command of jointid, or one of the actions below, in the current folder. A file may be damaged
-and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is bounded. It ends when
-the page does, whose end it hears on its standard input.
+and a fit may take hours: whatever becomes of the process, the page stays up, and its memory and time are bounded. It
+ends when the page does, whose end it hears on its standard input.
 """
 
 from __future__ import annotations
@@ -100,8 +100,9 @@ if __name__ == "__main__":
     if sys.platform == "linux":
         import resource
 
-        bounds = (int(sys.argv[1]), resource.getrlimit(resource.RLIMIT_AS)[1])
-        resource.setrlimit(resource.RLIMIT_AS, (min(one for one in bounds if one != resource.RLIM_INFINITY), bounds[1]))
+        for limit, least in zip((resource.RLIMIT_AS, resource.RLIMIT_CPU), map(int, sys.argv[1:3]), strict=True):
+            bounds = (least, most := resource.getrlimit(limit)[1])
+            resource.setrlimit(limit, (min(one for one in bounds if one != resource.RLIM_INFINITY), most))
     for _action in (preview, example, check):
         app.command(_action, show=False)
-    run(sys.argv[2:])
+    run(sys.argv[3:])
