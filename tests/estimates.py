@@ -8,9 +8,15 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
+from jointid.diagnostics.diagnosis import diagnose_joint
+from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.search_state import LoopTests
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
 from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 
 T = TypeVar("T", bound=ji.Estimate)
@@ -32,3 +38,8 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
         return [axis.nominal_error for axis in ji.validate(replace(estimate, robot=other), records).axes]
     problem: Any = problem_of(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
     return [*errors_of(problem, RobotNumbers.of(bodies))]
+
+
+def faults_of(estimate: Estimate, record: Record, tests: LoopTests | None = None) -> AxisFaults:
+    """Return the faults that were tested of a joint's loop, log and mechanics."""
+    return diagnose_joint(estimate, record, rebuild_problem(estimate, record), tests)[0].axes[0].faults

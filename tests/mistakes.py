@@ -1,4 +1,4 @@
-"""Twenty-one mistakes a user makes in telling of his drive, on two axes and on four more that nothing was tuned on.
+"""Twenty-one mistakes a user makes in telling of his drive, on two axes and on three more that nothing was tuned on.
 
 The truth is the package's own simulation: noise inside the loop and on the log, and what no model of the package has, a
 friction that rises towards standstill and a ripple along the way, so that the right loop leaves a few percent. A
@@ -25,7 +25,7 @@ from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from tests.edits import Edit, changes, declares, has, log, slower, swap
 
-AxisName: TypeAlias = Literal["rigid", "flexible", "direct", "screw", "fast", "table", "lift"]
+AxisName: TypeAlias = Literal["rigid", "flexible", "direct", "screw", "fast", "lift"]
 
 RATE = 1e-3  # s
 
@@ -47,7 +47,7 @@ class Axis:
 
 @cache
 def axis(name: AxisName) -> Axis:
-    """A geared rigid axis under P-PI, the paper's flexible axis under P-P, a direct drive under PD; and four more."""
+    """A geared rigid axis under P-PI, the paper's flexible axis under P-P, a direct drive under PD; and three more."""
     if name in _OTHERS:
         return _OTHERS[name]()
     if name == "direct":
@@ -122,24 +122,6 @@ def _fast() -> Axis:
     return Axis(joint, law, values, reference, 1.0, 0.07, 1.5, 1.0, rate=2.5e-4)
 
 
-def _table() -> Axis:
-    """A flexible direct drive under PD at 2 kHz."""
-    law = PD(
-        position_gain=350.0,
-        derivative_gain=8.0,
-        gain=1.3,
-        limit=60.0,
-        velocity_filter=FirstOrder(0.6e-3),
-        delay=0.25e-3,
-    )
-    values = {
-        "motor_inertia": 0.05, "motor_viscous": 0.1, "motor_coulomb": 0.3, "stiffness": 900.0, "damping": 0.25,
-        "load_inertia": 0.05, "load_viscous": 0.1, "load_coulomb": 0.2, "offset": 0.05,
-    }  # fmt: skip
-    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 30.0, 1.5, 5e-4, duration=6.0)
-    return Axis(FlexibleJoint("revolute"), law, values, reference, 0.02, 0.3, 0.02, 0.01, rate=5e-4)
-
-
 def _lift() -> Axis:
     """A PID at 1 kHz behind a 200:1 gear, with much friction."""
     law = PID(
@@ -158,7 +140,7 @@ def _lift() -> Axis:
     return Axis(joint, law, values, reference, 8.0, 0.02, 6.0, 3.0)
 
 
-_OTHERS: Mapping[str, Callable[[], Axis]] = {"screw": _screw, "fast": _fast, "table": _table, "lift": _lift}
+_OTHERS: Mapping[str, Callable[[], Axis]] = {"screw": _screw, "fast": _fast, "lift": _lift}
 
 
 def run(made: Axis, controller: Controller, joint: Joint | None = None, seed: int = 1) -> ji.Record:

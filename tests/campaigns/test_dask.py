@@ -73,31 +73,6 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield Cluster(tmp_path, stack)
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    return tmp_path / "log"
-
-
-def test_workers_that_come_and_go_give_what_processes_give(cluster: Cluster, log: Path, tmp_path: Path) -> None:
-    count = 200
-    first, _ = cluster.add_worker(), cluster.add_worker()
-
-    def come_and_go() -> None:
-        while len(ends(log)) < count // 4:
-            time.sleep(0.01)
-        first.kill()
-        cluster.add_worker()
-
-    mover = threading.Thread(target=come_and_go)
-    mover.start()
-    run_all(tmp_path / "dask", log, count, dask(cluster.address))
-    mover.join()
-    run_all(tmp_path / "here", log, count, TWO)
-    here = results(tmp_path / "here", log, count)
-    assert results(tmp_path / "dask", log, count) == here
-    assert len(here) == count
-
-
 def test_a_poisonous_case_is_set_aside(cluster: Cluster, log: Path, tmp_path: Path) -> None:
     for _ in range(2):
         cluster.add_worker(nanny=True)
@@ -152,5 +127,7 @@ def test_nothing_is_lost_or_kept_twice_at_any_moment(
         assert kept <= {row.content_hash for row in results(path, log, count)}, "a result was lost"
         assert not kept & set(ends(log)[before:]), "a finished case was made again"
     run_all(path, log, count, dask(cluster.address))
-    assert len(results(path, log, count)) == count
+    run_all(tmp_path / "here", log, count, TWO)
+    here = results(tmp_path / "here", log, count)
+    assert results(path, log, count) == here and len(here) == count
     assert "Traceback" not in capfd.readouterr().err

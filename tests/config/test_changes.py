@@ -11,21 +11,11 @@ from jointid.config import loads
 from jointid.config.toml import apply_changes
 from tests.joint_files import BOTH_ENCODERS, CASCADE, CHANNELS, FLEXIBLE, JOINT, SMALLEST
 
-FILE = """
-[joint]
-kind = "prismatic"
-model = "flexible"
-[record.channels]
-torque = { column = "i" }
-reference = { column = "r" }
-[controller]
-law = "cascade"
-position_gain = 100.0
-velocity_gain = 2000.0
-torque_filters = [{ kind = "notch", frequency = 80.0, bandwidth = 20.0 }, { kind = "second_order", frequency = 300.0 }]
-[parameters]
-offset = 0.0
-"""
+FILE = (
+    FLEXIBLE
+    + 'torque_filters = [{ kind = "notch", frequency = 80.0, bandwidth = 20.0 }, [0.5, 0.5]]\n'
+    + "[parameters]\noffset = 0.0\n"
+)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from jointid.diagnostics.suspects import COGGING
 from jointid.estimation.result.verdict import Reason
 from jointid.models.position_forces import PositionHarmonics
 from studies.mechanics import spoiled
-from tests.estimates import identify
-from tests.tested import faults_of
+from tests.estimates import faults_of, identify
 
 
 @pytest.mark.slow

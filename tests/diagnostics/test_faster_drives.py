@@ -19,9 +19,8 @@ from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import at_period
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from tests.estimates import identify
+from tests.estimates import faults_of, identify
 from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
-from tests.tested import faults_of
 
 
 def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[AxisFaults, float, float, float]:

@@ -44,9 +44,8 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate as simulate_exactly
 from studies.healthy import drive
 from studies.mechanics import Spoiled, simulate, spoiled
-from tests.estimates import identify
+from tests.estimates import faults_of, identify
 from tests.faults import problem, setting
-from tests.tested import faults_of
 
 MECHANICS = {one for one in FAULTS if one.mechanical}
 

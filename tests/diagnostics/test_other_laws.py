@@ -34,9 +34,8 @@ from jointid.models.controllers import (
 )
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from tests.estimates import identify
+from tests.estimates import faults_of, identify
 from tests.mistakes import Axis, axis, run
-from tests.tested import faults_of
 
 T = 1e-3
 

@@ -23,10 +23,9 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.uncertainty.position_dependent_error import cells
-from tests.estimates import identify
+from tests.estimates import faults_of, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import FAULTS, problem, setting, solved
-from tests.tested import faults_of
 
 SIZES = {
     "position_gain": 0.03 * 160.18,

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
+import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from itertools import count
+from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -14,7 +19,7 @@ import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
 from jointid.common.messages import Detail, follow, ignore_progress
-from tests.rigid_axis import LOOP, TRUTH
+from tests.rigid_axis import LOOP, TRUTH, run, write_axis
 
 
 def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,3 +71,66 @@ def test_details_are_for_who_asks_for_them(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(console, "details", True)
     told = search(console.listen(quiet=False))
     assert told[1] == "iteration 0: torque error 17 %" and told[2].endswith("check the gain.")
+
+
+def interrupt(*_: Any, **__: Any) -> Any:
+    raise KeyboardInterrupt
+
+
+def test_an_estimate_is_printed_whose_checks_are_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("jointid.diagnostics.identify.run_checks", interrupt)
+    assert run("identify", write_axis(tmp_path), "-q") == 130
+    said = capsys.readouterr().out
+    assert re.match(r"Inertia (29|30)\.\d+ ± ", said)
+    assert "which was not checked" in " ".join(said.split())
+
+
+PROGRAM = """
+import signal, sys
+from pathlib import Path
+from jointid.apps.cli import main
+from jointid.common.files import beside
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
+
+def end(*_, **__):
+    with beside(Path("o.json")) as fresh:
+        fresh.write_text("half")
+        signal.raise_signal(int(sys.argv[2]))
+
+if sys.argv[1] == "loaded":
+    from jointid.apps.cli import app
+    app.app = end
+else:
+    sys.addaudithook(lambda event, words: words[:1] == ("jointid.apps.cli.app",) and signal.raise_signal(signal.SIGINT))
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process can send itself these signals")
+@pytest.mark.parametrize(
+    ("when", "number", "code"),
+    [("loading", signal.SIGINT, -2), ("loaded", signal.SIGINT, 130), ("loaded", signal.SIGTERM, 143)],
+)
+def test_a_signal_ends_the_program_without_a_traceback(
+    when: str, number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    words = [sys.executable, "-c", PROGRAM, when, str(int(number))]
+    ran = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ran.returncode == code and "Traceback" not in ran.stderr
+    assert number == signal.SIGTERM or list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell")
+@pytest.mark.parametrize(
+    ("ending", "code"), [("| true", 0), ("2>&1 | true", 0), (">&-", 0), (">&- 2>&-", 0), (">/dev/full", 2)]
+)
+def test_an_output_that_takes_nothing_costs_no_file(ending: str, code: int, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text("t,i\n" + "".join(f"{i},{i % 7}\n" for i in range(400)), encoding="utf-8")
+    program = f"{sys.executable} -c 'from jointid.apps.cli import main; main()'"
+    line = f"set -o pipefail; {program} inspect table.csv --json o.json {ending}"
+    ended = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, check=False)
+    assert ended.returncode == code and b"Traceback" not in ended.stderr
+    assert (tmp_path / "o.json").read_bytes().rstrip().endswith(b"}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -27,7 +26,6 @@ LAW = {
 }
 PATIENCE = 240_000  # ms
 DESK, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
-SHOTS = os.environ.get("JOINTID_SHOTS")  # a folder: pictures of each step are left there
 
 
 @pytest.fixture
@@ -52,14 +50,12 @@ class Visit:
     size: dict[str, int]
 
     def looked_at(self, name: str) -> None:
-        """Nothing is wider than the screen, of a desk or of a phone; a picture is left where one is wanted."""
+        """Nothing is wider than the screen, of a desk or of a phone."""
         for size in (DESK, PHONE):
             self.page.set_viewport_size(size)
             wide, screen = self.page.evaluate("[document.documentElement.scrollWidth, window.innerWidth]")
             assert wide <= screen, (name, size)
             self.assert_whole()
-            if SHOTS:
-                self.page.screenshot(path=Path(SHOTS) / f"{size['width']}-{name}.png", full_page=True)
         self.page.set_viewport_size(self.size)
 
     def assert_whole(self) -> None:
@@ -152,8 +148,6 @@ def test_emps_end_to_end(visit: Visit, emps_path: Path, tmp_path: Path) -> None:
     visit.looked_at("6-report")
     page.locator("iframe").evaluate("frame => frame.scrollIntoView()")
     frame.get_by_role("heading", level=2).first.wait_for()
-    if SHOTS:
-        page.screenshot(path=Path(SHOTS) / "7-frame.png")
     with page.expect_download() as downloading:
         page.get_by_role("link", name="Joint file").click()
     joint = tmp_path / "joint.toml"

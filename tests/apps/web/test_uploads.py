@@ -89,25 +89,6 @@ def test_a_name_is_not_looked_for_on_this_machine(
     assert not asker.kept
 
 
-@pytest.mark.parametrize(
-    ("body", "kind", "said"),
-    [
-        (b"file=1", "application/x-www-form-urlencoded", "Expected records"),
-        (
-            b'--x\r\nContent-Disposition: form-data; name="file"; filename=""\r\n\r\n\r\n--x--\r\n',
-            "multipart/form-data; boundary=x",
-            "Expected records",
-        ),
-        (b"rubbish", "multipart/form-data; boundary=x", "did not arrive whole"),
-        (b"", "multipart/form-data", "did not arrive whole"),
-    ],
-)
-def test_damaged_forms_are_refused_in_a_sentence(client: TestClient, body: bytes, kind: str, said: str) -> None:
-    answer = client.post("/record", content=body, headers={"content-type": kind})
-    assert answer.status_code == 422
-    assert said in answer.text
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
 def test_a_file_that_is_cut_off_leaves_nothing(client: TestClient, asker: Asker) -> None:
     body = b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n1,2\n3,4\n'

@@ -12,8 +12,8 @@ from scipy.io import loadmat
 from scipy.signal import StateSpace, dlsim, lsim
 
 import jointid as ji
-from jointid.paper.twin import CONTROLLERS, TABLE_2
-from tests.output.export.models import apart, model, pushed, servo, simulated
+from jointid.paper.twin import TABLE_2
+from tests.output.export.models import apart, model, pushed
 
 control = pytest.importorskip("control")
 
@@ -49,26 +49,6 @@ def test_continuous_scipy_gives_the_same_motion() -> None:
     system = scipys(ji.state_space(model(JOINT, VISCOUS)))
     _, found, _ = lsim(system, TORQUE, np.arange(TORQUE.size) * T, interp=False)
     assert apart(found[:, 0], pushed(JOINT, VISCOUS, TORQUE, T)) < 1e-9
-
-
-@pytest.mark.parametrize("made", ["from the file", "from the object"])
-def test_python_control_closes_the_loop_with_our_torque(made: str, tmp_path: Path) -> None:
-    told = model(JOINT, VISCOUS)
-    system = ji.state_space(told, period=T)
-    assert system.state_labels[:2] == ["motor_position", "motor_velocity"] and system.input_labels == ["torque"]
-    if made == "from the file":
-        sampled = of_file(told, tmp_path)["sampled"]
-        matrices = (np.reshape(sampled[name], getattr(system, name).shape) for name in "ABCD")
-        system = control.ss(*matrices, sampled["period"])
-    law, reference = CONTROLLERS["L19"], ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.1, T, duration=3.0)
-    state = np.array([reference[0], 0.0, reference[0], 0.0])
-
-    def plant(torque: float) -> float:
-        nonlocal state
-        state = np.asarray(system.dynamics(0.0, state, np.array([torque])))
-        return float(system.output(0.0, state, np.array([torque]))[0])
-
-    assert apart(servo(law, reference, T, plant), simulated(JOINT, law, reference, VISCOUS)) < 1e-9
 
 
 def test_on_the_other_side_of_a_transmission_the_motion_is_the_same(tmp_path: Path) -> None:
