@@ -98,11 +98,11 @@ def test_nothing_in_a_file_is_executed(name: str, tmp_path: Path, monkeypatch: p
     path, content = tmp_path / name, EXECUTING[name]
     path.write_bytes(content) if isinstance(content, bytes) else content(path)
     for read in (read_table, ji.inspect, lambda one: list(read_blocks(one, 10))):
-        refused(lambda read=read: read(path))  # type: ignore[misc]
+        refused(lambda read=read: read(path))
     for name_of_other, load_other in (("joint.toml", ji.load), ("estimate.json", answers.read_report)):
         other = tmp_path / name_of_other
         other.write_bytes(path.read_bytes())
-        assert refused(lambda load_other=load_other, other=other: load_other(other))  # type: ignore[misc]
+        assert refused(lambda load_other=load_other, other=other: load_other(other))
     assert not list(tmp_path.rglob("executed"))
 
 

@@ -75,7 +75,7 @@ def test_of_twenty_fleets_without_drift_at_most_one_has_an_alarm(scatter: float,
 def test_the_chance_of_an_alarm_is_not_more_than_it_says(stated: float) -> None:
     """Deviations that are stated too small do not make alarms, and those that are too large make fewer."""
     dice = np.random.default_rng(4)
-    chances = np.array([best_change(series(dice.standard_normal(20), stated)).p_value for _ in range(4000)])  # type: ignore[union-attr]
+    chances = np.array([best_change(series(dice.standard_normal(20), stated)).p_value for _ in range(4000)])
     for chance in (0.1, 0.01):
         share = float(np.mean(chances < chance))
         assert share <= chance + 3 * np.sqrt(chance / chances.size)
@@ -149,7 +149,7 @@ def test_a_day_that_is_none_does_not_hide_a_drift() -> None:
 
 
 def spoilt(rows: list[Row], joint: str, since: str, **more: object) -> list[Row]:
-    return [replace(row, **more) if row.joint == joint and row.day >= since else row for row in rows]  # type: ignore[arg-type]
+    return [replace(row, **more) if row.joint == joint and row.day >= since else row for row in rows]
 
 
 def test_a_joint_that_lost_its_value_is_named_and_one_spoilt_day_is_no_loss() -> None:

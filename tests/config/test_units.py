@@ -59,7 +59,7 @@ def test_a_number_is_taken_to_si_by_its_unit(line: str, name: str, value: float)
     text = "\n".join(one for one in TURNING.splitlines() if not one.startswith(key)) + f"\n{line}"
     file = loads(text)
     assert getattr(file.controller, name) == pytest.approx(value, rel=1e-14)
-    assert file.controller.gain == 0.72  # type: ignore[attr-defined]
+    assert file.controller.gain == 0.72
     written = dumps(file)
     assert line in written or '"' not in line
     assert loads(written) == file
@@ -124,16 +124,16 @@ def test_a_unit_that_does_not_fit_is_one_fault(changes: list[tuple[str, str]], s
 )
 def test_the_torque_constant_is_said_once(changes: list[tuple[str, str]], gain: float) -> None:
     file = loads(changed(*[change for change in changes if change[0]]))
-    assert file.controller.gain == pytest.approx(gain, rel=1e-14)  # type: ignore[attr-defined]
+    assert file.controller.gain == pytest.approx(gain, rel=1e-14)
     assert file.joint.torque_unit == ("A" if ("torque_constant", "#") in changes else None)
     assert loads(dumps(file)) == file
 
 
 def test_behind_a_screw_the_torque_constant_is_the_motors() -> None:
     screw = [('"revolute"', '"prismatic"'), ("[controller]", '[transmission]\nlead = "10 mm"\n[controller]')]
-    assert loads(changed(*screw)).controller.gain == 0.72  # type: ignore[union-attr]
+    assert loads(changed(*screw)).controller.gain == 0.72
     there = changed(*screw, ("A s/rad", "A s/m")).replace("[controller]", '[controller]\nside = "load"')
-    assert loads(there).controller.gain == pytest.approx(0.72 * 2 * math.pi / 0.01)  # type: ignore[union-attr]
+    assert loads(there).controller.gain == pytest.approx(0.72 * 2 * math.pi / 0.01)
     assert told(changed(*screw, ("N m/A", "N/A"))) == ["joint.torque_constant unit"]
 
 
@@ -142,7 +142,7 @@ def test_a_torque_in_volts_takes_the_constant_of_the_amplifier() -> None:
     file = loads(text)
     assert file.joint.torque_unit is None
     assert file.axis.drive.torque_per_volt == 35.0
-    assert file.controller.gain == 35.0  # type: ignore[union-attr]
+    assert file.controller.gain == 35.0
     assert loads(dumps(file)) == file
 
 
@@ -156,7 +156,7 @@ def test_a_torque_in_volts_takes_the_constant_of_the_amplifier() -> None:
     ],
 )
 def test_a_filter_is_said_by_its_cutoff_its_time_constant_or_its_taps(said: str, made: object) -> None:
-    assert loads(f"{SMALLEST}velocity_filter = {said}").controller.velocity_filter == made  # type: ignore[union-attr]
+    assert loads(f"{SMALLEST}velocity_filter = {said}").controller.velocity_filter == made
 
 
 def test_units_are_those_of_the_declaration() -> None:
@@ -169,7 +169,7 @@ def test_amperes_of_a_controller_on_the_load_are_the_motors() -> None:
     gear = "[controller]", '[transmission]\nratio = 10\n[controller]\nside = "load"'
     file = loads(changed(gear, ('torque_constant = "0.72 N m/A"', "")))
     assert file.joint.torque_unit == "A"
-    assert file.controller.gain == 10.0  # type: ignore[union-attr]
+    assert file.controller.gain == 10.0
     assert loads(dumps(file)) == file
 
 

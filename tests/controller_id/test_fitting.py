@@ -36,7 +36,7 @@ T = 1e-3
 def test_columns_make_the_torque_of_the_law_itself(seed: int) -> None:
     """Filters, clocks, delays, feed-forwards: two writings of one equation, on noisy twins of all laws."""
     twin = loop_twin(seed)
-    fitter, size = Fitter(prepare_loop_record(twin.record)), np.std(twin.record.torque.values)  # type: ignore[union-attr]
+    fitter, size = Fitter(prepare_loop_record(twin.record)), np.std(twin.record.torque.values)
     law = fitter.law(twin.structure, twin.numbers)
     exact = run_law(fitter.log, twin.structure, twin.numbers)
     assert np.std((exact - fitter.predict(law)) * fitter.log.kept) < 1e-8 * size
@@ -124,7 +124,7 @@ def test_every_law_has_one_name_and_every_part_can_go() -> None:
     assert {one.law for one in near} == {"P-P", "P-PI", "PD", "PID"}
     assert all(canonical(one) == one != filtered for one in near)
     for less in ({"law": "PD"}, {"feedforward": frozenset()}, {"torque_filter": "none"}, {"reference_delay": False}):
-        assert replace(filtered, **less) in near  # type: ignore[arg-type]
+        assert replace(filtered, **less) in near
     plain = Structure("P-P", "full", torque_filter="first order")  # also a PD with its filter on the difference
     assert Structure("PD", "difference", "first order") in list_frames(plain)
 

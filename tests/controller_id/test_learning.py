@@ -218,4 +218,4 @@ def test_a_unit_of_the_drive_is_the_same_on_the_load(declared: Controller | None
 def test_a_declared_limit_stays_the_torque_that_it_is() -> None:
     amperes, _ = fill_from_declaration(Cascade(position_gain=1.0, velocity_gain=1.0, gain=5.0), MOTOR)
     newtons, _ = fill_from_declaration(Cascade(position_gain=1.0, velocity_gain=1.0), MOTOR)
-    assert (amperes.limit, newtons.limit) == (40.0, 200.0)  # type: ignore[attr-defined]
+    assert (amperes.limit, newtons.limit) == (40.0, 200.0)

@@ -47,7 +47,7 @@ def run_program(*words: object, **how: object) -> Ended:
         sys.argv = ["jointid", *map(str, words)]
         main()
 
-    return run_copy(program, **how)  # type: ignore[arg-type]
+    return run_copy(program, **how)
 
 
 def run_copy(

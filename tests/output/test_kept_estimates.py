@@ -49,7 +49,7 @@ def found(kind: str) -> ji.Estimate:
 
 def setup_of(kind: str) -> Any:
     loop = found(kind).settings.loop if kind == "joint" else logged(0)[0]
-    return loop.robot if kind == "idim" else loop  # type: ignore[union-attr]
+    return loop.robot if kind == "idim" else loop
 
 
 def motion(n: int) -> list[np.ndarray]:

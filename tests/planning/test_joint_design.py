@@ -13,9 +13,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.limits import AxisLimits
-from jointid.output.json import to_dict
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import search as search_module
 from jointid.planning.designed import Design
@@ -26,8 +23,6 @@ from jointid.planning.objective import Objective
 from jointid.planning.plans import Plan, families_in
 from jointid.planning.predict import Noise
 from jointid.planning.search import search
-from jointid.records.signals.filtering import Filtering
-from jointid.records.writing import write
 from jointid.simulation import excitation
 from jointid.tuning.margins import joint_set
 from tests.planning.planned import LOOP, TRUTH, T, planned_record, predict_test
@@ -66,7 +61,7 @@ def designed() -> Design:
 
 
 def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> None:
-    answer = json.loads(json.dumps(to_dict(designed), allow_nan=False))
+    answer = json.loads(json.dumps(ji.to_dict(designed), allow_nan=False))
     assert answer["schema"] == "jointid.Design/2"
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
@@ -81,21 +76,21 @@ def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> No
 
 def test_without_a_record_a_test_keeps_limits_of_jerk_and_positions(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
+    limits = ji.AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
     asked = {"values": TRUTH, "noise": {"log": 0.02}, "duration": 4.0, "sample_time": 1e-3, "limits": limits}
-    found = ji.design(LOOP, search_time=30.0, **asked)  # type: ignore[call-overload]
+    found = ji.design(LOOP, search_time=30.0, **asked)
     (reached,) = (axis.reached for axis in found.axes)
     assert reached["lower"] >= 1.0 and reached["upper"] <= 2.5 and reached["jerk"] < 400.0 * 1.05
     assert found.axes[0].limits.given["stroke"] == 1.5 and not found.passed
     assert found.present is None and found.floor is None
     outside = planned_record(LOOP, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
-    told = ji.design(LOOP, motion=outside, **asked)  # type: ignore[call-overload]
+    told = ji.design(LOOP, motion=outside, **asked)
     assert told.passed
 
 
 def test_no_plan_comes_below_the_floor() -> None:
     """Of tests that keep the axis moving, as the floor has it."""
-    limits, hertz = AxisLimits(stroke=0.2, rms_torque=50.0), 60.0
+    limits, hertz = ji.AxisLimits(stroke=0.2, rms_torque=50.0), 60.0
     for name in ("stiffness", "motor_viscous - load_viscous", "motor_inertia"):
         goal = parse_goal(name, {p.name: AXIS.loop.joint.unit(p) for p in AXIS.loop.joint.parameters})
         floor = least_deviation(
@@ -110,7 +105,7 @@ def test_no_plan_comes_below_the_floor() -> None:
         signals = excitation.sines(*at, (16.5, 29.8), (25.0, 60.0)), excitation.multisine(*at, 40.0, 8.0, 40.0), None
         for (k, reference), injected in itertools.product(enumerate(motions), signals):
             test = planned_record(AXIS.loop, reference, SAMPLE_TIME, injected)
-            told = predict_test(AXIS.loop, AXIS.truth, test, NOISE, filtering=Filtering(cutoff=hertz), runs=60)
+            told = predict_test(AXIS.loop, AXIS.truth, test, NOISE, filtering=ji.Filtering(cutoff=hertz), runs=60)
             size = math.sqrt(float(np.mean(told.torques**2)))
             assert told.std_of(goal.weights) * max(size / 50.0, 1.0) > floor.deviation, (name, k)
 
@@ -119,17 +114,17 @@ def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
     """What is told of the two viscous frictions is told at antiresonance and resonance, not between them."""
     goal = parse_goal("motor_viscous - load_viscous", {"motor_viscous": "N s/m", "load_viscous": "N s/m"})
     floor = least_deviation(
-        AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal, AxisLimits(stroke=0.2, rms_torque=50.0), samples=SHORT,
+        AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal, ji.AxisLimits(stroke=0.2, rms_torque=50.0), samples=SHORT,
         sample_time=SAMPLE_TIME, cutoff=60.0,
     )  # fmt: skip
-    modes = FlexibleJoint.frequencies(AXIS.truth)
+    modes = ji.FlexibleJoint.frequencies(AXIS.truth)
     strong = [f for f, size in floor.lines if size > 0.1]
     assert strong == pytest.approx([modes["motor_locked"], modes["free_free"]], rel=0.03)
 
 
 def test_the_floor_knows_what_the_sampled_loop_leaves_of_a_force() -> None:
     floor = least_deviation(
-        AXIS.loop, AXIS.truth, NOISE, parse_goal("stiffness", {"stiffness": "N/m"}), AxisLimits(rms_torque=50.0),
+        AXIS.loop, AXIS.truth, NOISE, parse_goal("stiffness", {"stiffness": "N/m"}), ji.AxisLimits(rms_torque=50.0),
         samples=SHORT, sample_time=SAMPLE_TIME, cutoff=60.0,
     )  # fmt: skip
     law = AXIS.loop.controller.law(SAMPLE_TIME)
@@ -138,13 +133,13 @@ def test_the_floor_knows_what_the_sampled_loop_leaves_of_a_force() -> None:
     np.testing.assert_allclose(floor.sensitivity, left, rtol=0.01)
 
 
-WIDE = AxisLimits(lower=0.0, stroke=0.3, speed=0.2, acceleration=2.0, torque=300.0)
+WIDE = ji.AxisLimits(lower=0.0, stroke=0.3, speed=0.2, acceleration=2.0, torque=300.0)
 
 
 def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
-    limits = AxisLimits(stroke=0.1, torque=300.0)
+    limits = ji.AxisLimits(stroke=0.1, torque=300.0)
     families = families_in(WIDE, 60.0, 29.5, ((30.0, 1.0),))
-    model = JointModel(AXIS.loop, (AXIS.truth,), NOISE, SHORT, SAMPLE_TIME, Filtering(), {}, True, ())
+    model = JointModel(AXIS.loop, (AXIS.truth,), NOISE, SHORT, SAMPLE_TIME, ji.Filtering(), {}, True, ())
     asked = Objective(model, parse_goal("all", model.units), (limits,), families)
     far, near = [0.9, 0.9, 0.9, 0.5, 0.83, 0.0], [0.9, 0.9, 0.9, 0.5, 0.4, 0.0]
     by_added = {one.added: one for one in families if one.motion == "trapezoids"}
@@ -172,7 +167,7 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
 def test_every_family_plays_within_its_ranges() -> None:
     samples = 8000
     time, hertz = np.arange(samples) * T, np.fft.rfftfreq(samples, T)
-    room = AxisLimits(lower=0.0, stroke=1.0, speed=1.0, acceleration=1.0, jerk=20.0, torque=1.0, lowest=20.0)
+    room = ji.AxisLimits(lower=0.0, stroke=1.0, speed=1.0, acceleration=1.0, jerk=20.0, torque=1.0, lowest=20.0)
     families = families_in(room, 60.0, 30.0, ((30.0, 1.0),))
     kinds = itertools.product(("trapezoids", "sines"), ("nothing", "sines", "lines"))
     assert {(one.motion, one.added) for one in families} == set(kinds)
@@ -195,7 +190,7 @@ def test_every_family_plays_within_its_ranges() -> None:
 @pytest.mark.slow
 def test_the_command_plans_from_a_record(tmp_path: Path) -> None:
     axis = twin("L19")
-    write(replace(axis.record, motor_position=None, load_position=None), tmp_path / "record.csv")
+    ji.write(replace(axis.record, motor_position=None, load_position=None), tmp_path / "record.csv")
     (tmp_path / "joint.toml").write_text(f'{JOINT_FILE}[limits]\nspeed = "300 mm/s"\nwindup = 0.5\n')
     asked = ("design", tmp_path / "joint.toml", "-q", "--goal", "stiffness")
     out = ("--out", tmp_path / "next", "--json", tmp_path / "next.json", "--set", "limits.windup=0.001")
@@ -216,8 +211,8 @@ def test_the_command_plans_from_a_record(tmp_path: Path) -> None:
 def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
     count_trials(monkeypatch)
-    loop = ClosedLoop(
-        RigidJoint("revolute", gravity=ji.Gravity("constant")),
+    loop = ji.ClosedLoop(
+        ji.RigidJoint("revolute", gravity=ji.Gravity("constant")),
         ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
     )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0, "gravity_constant": -0.8}

@@ -37,7 +37,7 @@ def test_the_noise_of_a_first_record_gives_its_own_intervals_back() -> None:
     told = predict_test(axis.loop, estimate.values, record, noise, filtering=estimate.settings.filtering)
     for name in told.joint:
         assert told.std[name] == pytest.approx(estimate[name].stderr, rel=0.02), name
-    twice = predict_test(axis.loop, estimate.values, record, replace(noise, left=2 * noise.left))  # type: ignore[operator]
+    twice = predict_test(axis.loop, estimate.values, record, replace(noise, left=2 * noise.left))
     assert twice.std["stiffness"] == pytest.approx(2 * told.std["stiffness"], rel=0.02)
 
 
@@ -62,4 +62,4 @@ def test_the_pulsed_record_of_a_real_axis_is_predicted_from_the_other(data_dir: 
     told = predict_test(file.loop, known.values, second, Noise.of(known, first), filtering=file.filtering)
     for name in told.joint:
         assert told.std[name] == pytest.approx(given[name].stderr, rel=0.1), name
-    assert told.std["inertia"] < 0.85 * known["inertia"].stderr  # type: ignore[operator]
+    assert told.std["inertia"] < 0.85 * known["inertia"].stderr

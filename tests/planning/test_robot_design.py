@@ -185,8 +185,8 @@ def test_slow_controllers_are_predicted_with_their_feed_forward() -> None:
         "noise": (0.4, 0.2),
         "motion": references(loop.robot, q, 1e-3),
     }
-    bare = design(loop.robot, limits=LIMITS, **asked)  # type: ignore[arg-type]
-    fed = design(loop.robot, limits=LIMITS, feed_forward="inverse-model", **asked)  # type: ignore[arg-type]
+    bare = design(loop.robot, limits=LIMITS, **asked)
+    fed = design(loop.robot, limits=LIMITS, feed_forward="inverse-model", **asked)
     swings = [np.ptp(simulate(loop, one).motor_position) for one in (bare.records(), q_fed(loop, q))]
     assert swings[0] > 1.1 * swings[1], "without it they overshoot"
     assert np.mean(np.log(stds(fed) / stds(bare))) > 0.3, "and would tell more of a motion that will not be made"
@@ -207,8 +207,8 @@ def test_the_intervals_of_a_spring_that_was_guessed_hold_over_the_guess() -> Non
     ripple = 2e-3 * sum(np.sin(2 * np.pi * hertz * t + hertz) for hertz in (6.0, 9.0, 12.0))
     q = (0.3 * np.sin(1.6 * np.pi * t) + ripple) * np.sin(0.4 * np.pi * t) ** 2
     asked = {"limits": LIMITS[1:], "noise": (0.05,), "motion": references(guess.robot, q[:, np.newaxis], 1e-3)}
-    found = design(guess, within=40.0, **asked)  # type: ignore[arg-type]
-    played = design(truth, **asked)  # type: ignore[arg-type]
+    found = design(guess, within=40.0, **asked)
+    played = design(truth, **asked)
     assert found.proposed.std["joint2.stiffness"] < played.proposed.std["joint2.stiffness"] / 1.3, "of the guess itself"
     worst = np.array(list(found.tests["at worst"].std.values()))
     assert np.all(worst > stds(played) / 1.3)

@@ -28,7 +28,7 @@ def good(**changes: Channel | Injection | Tap | None) -> Record:
         "motor_position": channel(np.roll(POSITION, 2)),
         "reference_velocity": channel(np.gradient(POSITION, RATE), "m/s"),
     }
-    return Record(**{**parts, **changes})  # type: ignore[arg-type]
+    return Record(**{**parts, **changes})
 
 
 SLOW = channel(POSITION[::200], sample_time=0.2)

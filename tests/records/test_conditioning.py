@@ -9,12 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jointid.common.errors import RecordError
+import jointid as ji
 from jointid.records.checks import find_encoder_lag, find_encoder_step, find_record_warnings
 from jointid.records.columns import Column, find_wrap, unwrap
-from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
-from jointid.records.reading import read
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import Resampling, update_interval
 
@@ -48,17 +46,17 @@ def test_a_wrap_that_is_not_declared_is_found(tmp_path: Path, channel: str, unit
     whole = DEGREES / 360 * turn * gear
     wrapped = np.mod(np.round(whole) if unit == "counts" else whole, turn)
     path = saved(tmp_path / "run.csv", q=wrapped)
-    drive = Drive(counts_per_turn=turn, load_counts_per_turn=turn) if unit == "counts" else Drive()
-    record = read(path, {channel: Column("q", unit=unit)}, drive=drive)
+    drive = ji.Drive(counts_per_turn=turn, load_counts_per_turn=turn) if unit == "counts" else ji.Drive()
+    record = ji.read(path, {channel: Column("q", unit=unit)}, drive=drive)
     found = getattr(record, channel).values
     np.testing.assert_allclose(found - found[0], np.radians(DEGREES - DEGREES[0]), atol=2 * np.pi / turn)
     assert np.abs(np.diff(found)).max() < 0.03
     assert len(record.remarks) == 1
-    kept = read(path, {channel: Column("q", unit=unit, wrap=1e9)}, drive=drive)
+    kept = ji.read(path, {channel: Column("q", unit=unit, wrap=1e9)}, drive=drive)
     assert kept.remarks == ()
     assert np.abs(np.diff(getattr(kept, channel).values)).max() > 0.1
-    with pytest.raises(RecordError):
-        read(path, {channel: Column("q", unit=unit, wrap=0.5 * turn)}, drive=drive)
+    with pytest.raises(ji.RecordError):
+        ji.read(path, {channel: Column("q", unit=unit, wrap=0.5 * turn)}, drive=drive)
 
 
 def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> None:
@@ -67,7 +65,7 @@ def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> Non
 
     def logged(remarks: int, **values: np.ndarray) -> list[np.ndarray]:
         path = saved(tmp_path / "run.csv", **values)
-        record = read(path, {name: column for name, column in columns.items() if column in values})
+        record = ji.read(path, {name: column for name, column in columns.items() if column in values})
         assert len(record.remarks) == remarks
         return [channel.values for _, channel in record.items()]
 
@@ -87,10 +85,10 @@ def test_whole_numbers_that_lost_their_sign_have_it_again(tmp_path: Path, size: 
     lost = np.where(torque < 0, size / 2 - torque if bit else size + torque, torque)
     path = saved(tmp_path / "run.csv", i=lost, up=np.abs(torque), half=lost + 0.5)
     for column in ("i", Column("i", wrap=size)) if not bit else ("i",):
-        record = read(path, {"torque": column})
+        record = ji.read(path, {"torque": column})
         np.testing.assert_array_equal(record.torque.values, torque)
     for column in ("up", "half"):
-        assert read(path, {"torque": column}).remarks == ()
+        assert ji.read(path, {"torque": column}).remarks == ()
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.1])
@@ -106,15 +104,15 @@ def test_whole_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
     rows = np.repeat(np.arange(1000), np.where(np.isin(np.arange(1000), [100, 700]), 2, 1))
     path = tmp_path / "run.csv"
     write_table(path, Table({"t": TIME[rows], "q": MOTION[rows]}))
-    record = read(path, {"motor_position": "q"})
+    record = ji.read(path, {"motor_position": "q"})
     np.testing.assert_allclose(record.motor_position.values, MOTION, rtol=1e-6)
     (said,) = record.remarks
     assert said in find_record_warnings(record, ("motor_position",))
     moved = MOTION[rows] + np.arange(rows.size)  # the stamps are repeated, and not the rows
     write_table(path, Table({"t": TIME[rows], "q": moved}))
-    with pytest.raises(RecordError):
-        read(path, {"motor_position": "q"})
-    alone = read(path, {"motor_position": "q"}, sample_time=T)
+    with pytest.raises(ji.RecordError):
+        ji.read(path, {"motor_position": "q"})
+    alone = ji.read(path, {"motor_position": "q"}, sample_time=T)
     np.testing.assert_allclose(alone.motor_position.values, moved, rtol=1e-6)
 
 
@@ -132,17 +130,17 @@ def test_the_remedies_that_a_broken_clock_names_work(
     path = tmp_path / "run.csv"
     write_table(path, Table({"t": stamps, "q": np.sin(stamps), "i": np.cos(stamps)}))
     columns = {"motor_position": "q", "torque": "i"}
-    with pytest.raises(RecordError):
-        read(path, columns)
+    with pytest.raises(ji.RecordError):
+        ji.read(path, columns)
     for part in (2, 0):
-        record = read(path, columns, part=part)
+        record = ji.read(path, columns, part=part)
         np.testing.assert_allclose(record.motor_position.values, np.sin(stamps[slice(*longest)]), atol=1e-6)
     if stamps.size == TIME.size - 1:
-        record = read(path, columns, resample=Resampling(T, "cubic"))
+        record = ji.read(path, columns, resample=Resampling(T, "cubic"))
         np.testing.assert_allclose(record.motor_position.values, np.sin(TIME), atol=1e-5)
-    assert read(path, columns, sample_time=T).motor_position.values.size == stamps.size
-    with pytest.raises(RecordError):
-        read(path, columns, part=7)
+    assert ji.read(path, columns, sample_time=T).motor_position.values.size == stamps.size
+    with pytest.raises(ji.RecordError):
+        ji.read(path, columns, part=7)
 
 
 def test_nanoseconds_beside_a_column_of_seconds_are_a_clock(tmp_path: Path) -> None:
@@ -155,12 +153,12 @@ def test_nanoseconds_beside_a_column_of_seconds_are_a_clock(tmp_path: Path) -> N
 def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     write_table(path, Table({"t [ms]": 5e3 + 1e3 * TIME, "q": MOTION}))
-    record = read(path, {"motor_position": "q"}, start=5.1, stop=5.3)
+    record = ji.read(path, {"motor_position": "q"}, start=5.1, stop=5.3)
     np.testing.assert_allclose(record.motor_position.values, MOTION[100:301], rtol=1e-6)
-    record = read(path, {"motor_position": "q"}, sample_time=T, start=0.1)
+    record = ji.read(path, {"motor_position": "q"}, sample_time=T, start=0.1)
     np.testing.assert_allclose(record.motor_position.values, MOTION[100:], rtol=1e-6)
-    with pytest.raises(RecordError):
-        read(path, {"motor_position": "q"}, start=0.1, stop=0.3)
+    with pytest.raises(ji.RecordError):
+        ji.read(path, {"motor_position": "q"}, start=0.1, stop=0.3)
 
 
 def slow(every: int, phase: int) -> np.ndarray:
@@ -172,7 +170,7 @@ def slow(every: int, phase: int) -> np.ndarray:
 @pytest.mark.parametrize("phase", [0, 1, 3])
 def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) -> None:
     path = saved(tmp_path / "run.csv", i=slow(4, phase), q=MOTION)
-    record = read(
+    record = ji.read(
         path, {"torque": Column("i", sample_time=4 * T), "motor_position": Column("q", unit="um")}, kind="prismatic"
     )
     assert (record.torque.sample_time, record.torque.timing) == (4 * T, Timing.HELD)
@@ -184,19 +182,19 @@ def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) ->
 
 def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
     columns = {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}
-    record = read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1)), columns, kind="prismatic")
+    record = ji.read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1)), columns, kind="prismatic")
     np.testing.assert_allclose(record.torque.values, TORQUE[3::4])
     np.testing.assert_allclose(record.reference.values, TORQUE[3::2])
     assert record.begin == pytest.approx(3 * T)
-    other = read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0)), columns, kind="prismatic")
+    other = ji.read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0)), columns, kind="prismatic")
     assert other.resampled is not None and other.resampled.sample_time == pytest.approx(2 * T)
 
 
 def test_another_rhythm_than_the_stated_one_is_refused(tmp_path: Path) -> None:
     path = saved(tmp_path / "run.csv", i=slow(4, 0))
     for stated in (3 * T, 3.5 * T, 8 * T):
-        with pytest.raises(RecordError):
-            read(path, {"torque": Column("i", sample_time=stated)})
+        with pytest.raises(ji.RecordError):
+            ji.read(path, {"torque": Column("i", sample_time=stated)})
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:
@@ -228,5 +226,5 @@ def test_an_encoder_that_is_late_is_found() -> None:
 def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
     for name in ("rec_A", "rec_B"):
         for axis in (1, 2, 3):
-            lag = find_encoder_lag(read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis)))
+            lag = find_encoder_lag(ji.read(data_dir / "kr300" / f"{name}.mat", drive=ji.Drive("kuka", axis=axis)))
             assert lag is not None and lag.share > 0.935 and 2.65e-3 < lag.lag < 3.25e-3

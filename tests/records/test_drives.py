@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import RecordError
-from jointid.common.transmission import Transmission
+import jointid as ji
 from jointid.common.units import COUNTS, SHARE, unit
 from jointid.config import loads
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive, index_columns, load_profile, place_of, profile_names
-from jointid.records.reading import read
 from jointid.records.record import CHANNELS, Tap, Timing
 
 T = 1e-3
@@ -37,7 +35,7 @@ def trace(tmp_path: Path, name: str = "trace.csv", **columns: np.ndarray) -> Pat
 
 def test_a_cia402_trace_needs_two_numbers(tmp_path: Path) -> None:
     path = trace(tmp_path, t=TIME, **{"0x6077": PER_MILLE, "0x6062": COUNTED, "0x6064": COUNTED})
-    record = read(path, drive=Drive("cia402", rated_torque=RATED, counts_per_turn=COUNTS_PER_TURN), kind="revolute")
+    record = ji.read(path, drive=Drive("cia402", rated_torque=RATED, counts_per_turn=COUNTS_PER_TURN), kind="revolute")
     assert record.channels == ("torque", "reference", "motor_position")
     assert (record.torque.unit, record.torque.timing, record.tap) == ("N m", Timing.SAMPLED, Tap.MEASURED)
     np.testing.assert_allclose(record.torque.values, TORQUE, atol=RATED / 2e3 * 1.001)
@@ -49,7 +47,7 @@ def test_a_cia402_trace_needs_two_numbers(tmp_path: Path) -> None:
 )
 def test_case_and_punctuation_of_a_name_do_not_matter(tmp_path: Path, name: str) -> None:
     path = trace(tmp_path, t=TIME, **{name: PER_MILLE})
-    record = read(path, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
+    record = ji.read(path, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
     assert record.channels == ("torque",)
 
 
@@ -59,7 +57,7 @@ def test_what_is_declared_wins(tmp_path: Path) -> None:
         "torque": Column("0x6077", timing=Timing.AVERAGED, sign=-1),
         "motor_position": Column("enc", unit="mrad"),
     }
-    record = read(path, declared, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
+    record = ji.read(path, declared, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
     assert (record.torque.timing, record.tap) == (Timing.AVERAGED, Tap.MEASURED)
     np.testing.assert_allclose(record.torque.values, -PER_MILLE / 1e3 * RATED)
     np.testing.assert_allclose(record.motor_position.values, COUNTED * 1e-3)
@@ -71,28 +69,28 @@ LOAD_COUNTS = 20_000
 @pytest.mark.parametrize("ratio", [1.0, 50.0])
 def test_two_encoders_have_their_own_counts(tmp_path: Path, ratio: float) -> None:
     """Behind a gear the counts of the motor's turn say nothing of the load's encoder: without its own it is refused."""
-    gear = Transmission(load="revolute", ratio=ratio)
+    gear = ji.Transmission(load="revolute", ratio=ratio)
     turned = np.round(ANGLE / ratio / (2 * math.pi) * LOAD_COUNTS)
     path = trace(tmp_path, t=TIME, motor=COUNTED, load=turned)
     columns = {"motor_position": Column("motor", unit="counts"), "load_position": Column("load", unit="counts")}
     one, two = (Drive(counts_per_turn=COUNTS_PER_TURN, load_counts_per_turn=own) for own in (None, LOAD_COUNTS))
-    record = read(path, columns, drive=two, kind="revolute", transmission=gear)
+    record = ji.read(path, columns, drive=two, kind="revolute", transmission=gear)
     for channel, step in ((record.motor_position, ratio * COUNTS_PER_TURN), (record.load_position, LOAD_COUNTS)):
         np.testing.assert_allclose(channel.values, ANGLE / ratio, atol=1.001 * math.pi / step)
     if ratio == 1.0:  # two encoders of one kind
-        assert read(path, columns, drive=one, kind="revolute", transmission=gear).load_position is not None
+        assert ji.read(path, columns, drive=one, kind="revolute", transmission=gear).load_position is not None
         return
-    with pytest.raises(RecordError, match="load_counts_per_turn"):
-        read(path, columns, drive=one, kind="revolute", transmission=gear)
+    with pytest.raises(ji.RecordError, match="load_counts_per_turn"):
+        ji.read(path, columns, drive=one, kind="revolute", transmission=gear)
 
 
 def test_a_torque_constant_takes_ampere_to_newton_metres(tmp_path: Path) -> None:
     path = trace(tmp_path, t=TIME, i=TORQUE, q=ANGLE)
     columns = {"torque": Column("i", unit="mA")}
-    record = read(path, columns, drive=Drive(torque_constant=0.5), kind="revolute")
+    record = ji.read(path, columns, drive=Drive(torque_constant=0.5), kind="revolute")
     assert record.torque.unit == "N m"
     np.testing.assert_allclose(record.torque.values, TORQUE * 0.5e-3)
-    plain = read(path, columns, kind="revolute").torque
+    plain = ji.read(path, columns, kind="revolute").torque
     assert plain.unit == "A"
 
 
@@ -112,10 +110,10 @@ def test_every_unit_of_a_drive_comes_out_in_si() -> None:
 
 def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
     path = trace(tmp_path, t=TIME, **{f"AIPos.A{k}": np.degrees(k * ANGLE) for k in (1, 2, 3)})
-    record = read(path, drive=Drive("kuka", axis=2), kind="revolute")
+    record = ji.read(path, drive=Drive("kuka", axis=2), kind="revolute")
     np.testing.assert_allclose(record.motor_position.values, 2 * ANGLE)
-    with pytest.raises(RecordError, match="the axis"):
-        read(path, drive=Drive("kuka"), kind="revolute")
+    with pytest.raises(ji.RecordError, match="the axis"):
+        ji.read(path, drive=Drive("kuka"), kind="revolute")
 
 
 # The profiles as data
@@ -161,5 +159,5 @@ def test_a_joint_file_with_a_profile_needs_no_channels(tmp_path: Path) -> None:
     assert file.record(path).channels == ("torque", "reference", "motor_position")
     alone = loads(text + '[method]\nname = "drive_side"\n', tmp_path)
     only_torque = trace(tmp_path, "other.csv", t=TIME, **{"6077h": PER_MILLE})
-    with pytest.raises(RecordError, match="knows as motor_position"):
+    with pytest.raises(ji.RecordError, match="knows as motor_position"):
         alone.record(only_torque)

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import RecordError
+import jointid as ji
 from jointid.records.chunks import InMemory, Log
-from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
 from jointid.records.formats.table import join_tables
-from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, Record
 
 CHANNELS = {"torque": "torque", "reference": "reference"}
@@ -60,13 +58,13 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
     made.write_text("\n".join(lines) + "\n", encoding="utf-8")
     log = Log(made, CHANNELS)
     with pytest.raises(
-        RecordError, match=f"line {line} has"
+        ji.RecordError, match=f"line {line} has"
     ):  # row 50 is the last of a block of ten, and not of the file
         list(log.chunks(10, 2))
 
 
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
-    whole, log = read(path, CHANNELS), Log(path, CHANNELS)
+    whole, log = ji.read(path, CHANNELS), Log(path, CHANNELS)
     assert log.sample_time == pytest.approx(0.01)
     assert log.name == "day"
     pieces, same = list(log.chunks(20, 6)), list(InMemory(whole).chunks(20, 6))
@@ -92,7 +90,7 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
     log = Log(made, CHANNELS, clock)
     for pieces in (
         list(log.chunks(20, overlap)),
-        list(InMemory(read(made, CHANNELS)).chunks(20, overlap)),
+        list(InMemory(ji.read(made, CHANNELS)).chunks(20, overlap)),
     ):
         assert [p.last for p in pieces] == [False] * (count - 1) + [True]
         torque = pieces[-1].record.torque
@@ -122,14 +120,14 @@ def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
     columns["t"] = np.where(np.arange(2000) < 1555, columns["t"], columns["t"] + 3.0)
     made = tmp_path / "day.npy"
     write_table(made, Table(columns))
-    with pytest.raises(RecordError, match=r"rows from 1501 on: .*\(t = 15.54 s;"):
+    with pytest.raises(ji.RecordError, match=r"rows from 1501 on: .*\(t = 15.54 s;"):
         list(Log(made, CHANNELS).chunks(100, 4))
 
 
 def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
-    with pytest.raises(RecordError):
-        Log("day.csv", {**CHANNELS, "torque": Column("torque", sample_time=0.02)})
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
+        Log("day.csv", {**CHANNELS, "torque": ji.Column("torque", sample_time=0.02)})
+    with pytest.raises(ji.RecordError):
         list(Log(tmp_path / "none.csv", CHANNELS).chunks(20, 4))
 
 

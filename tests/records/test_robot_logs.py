@@ -14,12 +14,10 @@ import tomlkit
 from scipy.interpolate import CubicSpline
 
 import jointid as ji
-from jointid.common.errors import RecordError
 from jointid.config import loads
 from jointid.config.logged import describe_log
 from jointid.records.formats import read_table
 from jointid.records.recognition import recognise
-from jointid.records.record import Record
 from tests.records.logged import stamped, write_bag
 
 T = 0.005
@@ -106,7 +104,7 @@ def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
     info.write_text(json.dumps({"features": {"action": {"names": ["j", "j"]}}}))
     np.testing.assert_array_equal(read_table(tmp_path / "set").columns["action[1]"], alone.columns["action[1]"])
     info.write_text("[]")
-    with pytest.raises(RecordError):
+    with pytest.raises(ji.RecordError):
         read_table(tmp_path / "set")
 
 
@@ -192,7 +190,7 @@ URDF = f"""<robot name="leg"><link name="base"/><link name="thigh">{BODY}</link>
 <joint name="knee" type="continuous"><parent link="thigh"/><child link="shank"/></joint></robot>"""
 
 
-def compared(record: Record, joint: int, name: str) -> None:
+def compared(record: ji.Record, joint: int, name: str) -> None:
     """Compare the channels of a joint at the record's own instants, which a log with several clocks begins later."""
     steps = (3e-4, 1e-3)  # of straight lines between samples of 5 and 10 ms
     made = {"motor_position": MOTION, "reference": COMMAND} | ({} if name == "pace" else {"torque": TORQUE})
@@ -250,7 +248,7 @@ LAW = '[controller]\nlaw = "pd"\nposition_gain = "40 N m/rad"\nderivative_gain =
 def test_a_data_set_needs_its_unit(tmp_path: Path) -> None:
     lerobot(tmp_path / "set")
     drive = ji.Drive("lerobot", joint="knee")
-    with pytest.raises(RecordError) as error:
+    with pytest.raises(ji.RecordError) as error:
         ji.read(tmp_path / "set", drive=drive, part=2)
     assert len(error.value.faults) == 2
     columns = {name: ji.Column(unit="deg") for name in ("reference", "motor_position")}

@@ -9,18 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointid.common.errors import RecordError
-from jointid.common.transmission import Transmission
-from jointid.records.columns import Column
+import jointid as ji
 from jointid.records.drives import Drive, profile_names
 from jointid.records.formats import read_table
-from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.records.writing import write
 
 T = 1e-3
 TIME = np.arange(500) * T
-GEAR = Transmission(load="revolute", ratio=30.0, sign=-1)
+GEAR = ji.Transmission(load="revolute", ratio=30.0, sign=-1)
 NUMBERS: dict[str, Any] = {"rated_torque": 1.27, "counts_per_turn": 2**20, "load_counts_per_turn": 2**17}
 
 
@@ -47,7 +43,7 @@ def same(one: Record, other: Record, names: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.MEASURED])
 @pytest.mark.parametrize("profile", profile_names())
 def test_a_profile_reads_back_what_is_written_for_it(
-    profile: str, tap: Tap, transmission: Transmission | None, tmp_path: Path
+    profile: str, tap: Tap, transmission: ji.Transmission | None, tmp_path: Path
 ) -> None:
     """Each channel that it knows, under a name, in a unit and on a side that it finds; the torque's tap as well."""
     drive = Drive(profile, axis=2, joint="elbow", **NUMBERS)
@@ -55,11 +51,13 @@ def test_a_profile_reads_back_what_is_written_for_it(
     record = record if tap is Tap.COMMAND else record.without("injected")
     said: dict[str, Any] = {"drive": drive, "kind": "revolute", "transmission": transmission}
     in_ampere = (profile == "generic" and tap is Tap.MEASURED) or profile in ("epos", "ur-rtde")
-    columns = {"torque": Column(unit="N m")} if in_ampere else {}
+    columns = {"torque": ji.Column(unit="N m")} if in_ampere else {}
     if profile == "lerobot":  # whose files do not state units
-        columns = {"torque": Column(unit="N m")} | {n: Column(unit="deg") for n in ("reference", "motor_position")}
-    write(record, tmp_path / "run.csv", columns, **said)
-    found = read(tmp_path / "run.csv", columns, **said)
+        columns = {"torque": ji.Column(unit="N m")} | {
+            n: ji.Column(unit="deg") for n in ("reference", "motor_position")
+        }
+    ji.write(record, tmp_path / "run.csv", columns, **said)
+    found = ji.read(tmp_path / "run.csv", columns, **said)
     known = tuple(name for name in record.channels if drive.traces is not None and name in drive.traces.channels)
     assert {"reference", "motor_position"} <= set(known) <= set(found.channels)
     traces = drive.traces
@@ -80,18 +78,18 @@ def test_a_profile_reads_back_what_is_written_for_it(
     ],
 )
 def test_columns_units_signs_and_the_clock_are_those_declared(said: dict[str, Any], line: str, tmp_path: Path) -> None:
-    columns: dict[str, str | Column] = {
-        "torque": Column("tau [mN m]", sign=-1),
-        "reference": Column("r", unit="deg", side="load"),
-        "motor_position": Column("q", unit="counts", wrap=4096),
-        "load_position": Column("p", unit="deg", gain=0.1, wrap=3600.0),
-        "injected": Column("f", unit="N m", side="load"),
+    columns: dict[str, str | ji.Column] = {
+        "torque": ji.Column("tau [mN m]", sign=-1),
+        "reference": ji.Column("r", unit="deg", side="load"),
+        "motor_position": ji.Column("q", unit="counts", wrap=4096),
+        "load_position": ji.Column("p", unit="deg", gain=0.1, wrap=3600.0),
+        "injected": ji.Column("f", unit="N m", side="load"),
     }
     drive = Drive(counts_per_turn=4096)
     said = {"drive": drive, "kind": "revolute", "transmission": GEAR, **said}
     record = made()
-    write(record, tmp_path / "run.csv", columns, **said)
-    found = read(tmp_path / "run.csv", columns, **said)
+    ji.write(record, tmp_path / "run.csv", columns, **said)
+    found = ji.read(tmp_path / "run.csv", columns, **said)
     same(record, found, record.channels)
     text = (tmp_path / "run.csv").read_text(encoding="utf-8")
     assert text.splitlines()[0] == line
@@ -103,20 +101,20 @@ def test_numbered_columns_are_written_in_their_order(tmp_path: Path) -> None:
     record = made().without("load_position", "injected", "motor_position")
     columns = {"torque": "3", "reference": "2"}
     said: dict[str, Any] = {"time": "1", "kind": "revolute", "header": False}
-    write(record, tmp_path / "run.csv", columns, **said)
-    same(record, read(tmp_path / "run.csv", columns, **said), record.channels)
+    ji.write(record, tmp_path / "run.csv", columns, **said)
+    same(record, ji.read(tmp_path / "run.csv", columns, **said), record.channels)
 
 
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
         ({"reference": "x", "motor_position": "x"}, {}), ({"reference": "t"}, {}), ({}, {"sample_time": 2e-3}),
-        ({"torque": Column("i", unit="A")}, {}), ({"torque": "i"}, {"delimiter": ",", "decimal": ","}),
+        ({"torque": ji.Column("i", unit="A")}, {}), ({"torque": "i"}, {"delimiter": ",", "decimal": ","}),
     ],
 )  # fmt: skip
 def test_what_would_not_come_back_is_refused(
-    columns: dict[str, str | Column], said: dict[str, Any], tmp_path: Path
+    columns: dict[str, str | ji.Column], said: dict[str, Any], tmp_path: Path
 ) -> None:
-    with pytest.raises(RecordError):
-        write(made(), tmp_path / "run.csv", columns, kind="revolute", **said)
+    with pytest.raises(ji.RecordError):
+        ji.write(made(), tmp_path / "run.csv", columns, kind="revolute", **said)
     assert list(tmp_path.iterdir()) == []

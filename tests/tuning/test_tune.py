@@ -92,7 +92,7 @@ integral_gain = "20000 A/(m s)"
     assert [gain.key for gain in tuned.gains] == ["position_gain", "derivative_gain", "integral_gain"]
     assert [gain.unit for gain in tuned.gains] == ["A per m", "A per m/s", "A per m s"]
     [_, derivative, integral] = [(gain.before, gain.after) for gain in tuned.gains]
-    law = tuned.proposed.controller  # type: ignore[union-attr]
+    law = tuned.proposed.controller
     assert derivative == (pytest.approx(400.0), pytest.approx(law.derivative_gain))
     assert integral == (pytest.approx(20000.0), pytest.approx(law.integral_gain))
     assert tuned.feedforward[0].after == pytest.approx(estimate.values["inertia"] / 5.0)
@@ -214,7 +214,7 @@ def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) ->
 @pytest.mark.parametrize(
     "asked",
     [
-        lambda found: tune(identify(twin().record, twin().loop.joint.rigid, IDIM())),  # type: ignore[union-attr]
+        lambda found: tune(identify(twin().record, twin().loop.joint.rigid, IDIM())),
         lambda found: tune(amended(found, params={"correlation": np.zeros((0, 0))})),
         lambda found: tune(amended(found, checks={"bounds": (StiffnessBound(0.3, 8e5, 30.0),)})),
         lambda found: tune(found, gain_margin=0.5),

@@ -321,7 +321,7 @@ def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], m
     monkeypatch.setattr(jointid, "tune", fails)
     loop = SimpleNamespace(controller=SimpleNamespace(limit=1.0))
     estimate = SimpleNamespace(settings=SimpleNamespace(loop=loop))
-    assert "by design" in str(tune_to_limit(estimate))  # type: ignore[arg-type]
+    assert "by design" in str(tune_to_limit(estimate))
 
 
 def test_versions_are_those_of_what_computes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import JointFileError, JointidError, MethodError, RecordError
 from jointid.config import File, load
 from jointid.controller_id.structures import Structure
 from jointid.models.robots.inertial import MassProperties
-from jointid.models.robots.robot import Robot
-from jointid.output.export import export
 from tests.estimation.robots.twin import arm, records_of, with_payload
 from tests.joint_files import EXAMPLE as EMPS
 from tests.learned_once import find_law
@@ -41,12 +38,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_robot(tmp_path_factory.mktemp("robot"), arm(3))
 
 
-def write_robot(place: Path, truth: Robot) -> Path:
+def write_robot(place: Path, truth: ji.robots.Robot) -> Path:
     """Write records of a robot, and its file, whose nominal links are a fifth too heavy."""
     count = range(1, len(truth) + 1)
     links = tuple(replace(link, inertial=1.2 * link.inertial) for link in truth.links)
     joints = tuple(replace(joint, offset=0.0) for joint in truth.joints)
-    (place / "arm.xml").write_text(export(replace(truth, links=links, joints=joints), "mjcf").text, encoding="utf-8")
+    (place / "arm.xml").write_text(ji.export(replace(truth, links=links, joints=joints), "mjcf").text, encoding="utf-8")
     text = HEAD + "".join(f'[[joints]]\nname = "joint{k}"\n' for k in count)
     (place / "robot.toml").write_text(text, encoding="utf-8")
     carrying = with_payload(truth, MassProperties(3.0, np.array([0.02, -0.03, 0.08]), 0.01 * np.eye(3)).inertial)
@@ -79,7 +76,7 @@ def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         ("validate", EMPS, "--estimate", found),
         ("export", EMPS, "--estimate", found, "--out", tmp_path / "a.xml"),
     ):
-        with pytest.raises(RecordError):
+        with pytest.raises(ji.RecordError):
             run(*words)
 
 
@@ -141,11 +138,11 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     alone = json.loads(found.read_text(encoding="utf-8"))["rows"]["mass"]
     assert (alone["value"], alone["std"]) == pytest.approx((mass["value"], mass["std"]), rel=1e-3)
     for given in ((*records, "--estimate", saved), records[2:]):
-        with pytest.raises(MethodError):
+        with pytest.raises(ji.MethodError):
             run("payload", joint, *given)
     kept = folder / "kept.toml"
     kept.write_text(joint.read_text(encoding="utf-8") + "parameters.viscous.value = 3.0\n", encoding="utf-8")
-    with pytest.raises(MethodError):
+    with pytest.raises(ji.MethodError):
         run("payload", kept, *records)
 
 
@@ -166,7 +163,7 @@ def test_what_a_robot_has_not_is_refused_before_it_identifies(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(File, "identify", None)
-    with pytest.raises(JointidError):
+    with pytest.raises(ji.JointidError):
         run(words[0], folder / "robot.toml", *words[1:])
 
 
@@ -243,9 +240,9 @@ def test_the_method_of_one_joint_is_set_as_of_a_joint_file(robot: Path) -> None:
     assert load(robot, changed, axis="base").method == ji.IDIM(estimator="ols")
     assert load(robot, changed).method == ji.IDIM()
     assert load(robot, ["joint.friction=asymmetric"], axis="base").joint.friction.name == "asymmetric"
-    with pytest.raises(JointFileError, match=r"joints\.1\.method\.frequency"):
+    with pytest.raises(ji.JointFileError, match=r"joints\.1\.method\.frequency"):
         load(robot, ["method.frequency=30.0"], axis="base")
-    with pytest.raises(JointFileError, match=r"method\.fixed"):
+    with pytest.raises(ji.JointFileError, match=r"method\.fixed"):
         load(robot, ["method.fixed={a=1.0}"], axis="base")
 
 
@@ -256,9 +253,9 @@ def test_a_report_of_one_joint_is_repeated_for_that_joint(robot: Path, tmp_path:
 
 
 def test_a_joint_that_is_not_there(robot: Path) -> None:
-    with pytest.raises(MethodError, match='The axis is "elbow"; expected "base" or "wrist"'):
+    with pytest.raises(ji.MethodError, match='The axis is "elbow"; expected "base" or "wrist"'):
         run("tune", robot, "--axis", "elbow")
-    with pytest.raises(MethodError, match=r"takes one joint, .*; name one of its joints by --axis\."):
+    with pytest.raises(ji.MethodError, match=r"takes one joint, .*; name one of its joints by --axis\."):
         run("tune", robot)
-    with pytest.raises(MethodError, match=r"--write is for a joint file; write the learned \[controller\]"):
+    with pytest.raises(ji.MethodError, match=r"--write is for a joint file; write the learned \[controller\]"):
         run("learn-controller", robot, "--axis", "base", "--write", robot.parent / "new.toml")

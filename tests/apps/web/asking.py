@@ -63,7 +63,7 @@ class Asker:
 
     @property
     def page(self) -> Page:
-        found = self.client.app.state.page  # type: ignore[attr-defined]
+        found = self.client.app.state.page
         assert isinstance(found, Page)
         return found
 

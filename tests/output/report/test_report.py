@@ -16,10 +16,8 @@ from matplotlib.figure import Figure
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
 from jointid.common.document import templates
-from jointid.common.transmission import Transmission
 from jointid.diagnostics.report_data import compute_response, estimate_spectra
 from jointid.estimation.problems.base import INITIAL
-from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import show_value
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.output.figures.axis_drawing import axis_figure
@@ -220,7 +218,7 @@ def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
             assert 0 < np.mean(hidden) < 0.5
 
 
-def texts(estimate: Estimate) -> list[str]:
+def texts(estimate: ji.Estimate) -> list[str]:
     return [one.get_text() for one in axis_figure(estimate).axes[0].texts]
 
 
@@ -242,6 +240,6 @@ def test_every_value_is_in_the_drawing_and_none_is_cut(kind: str) -> None:
 
 def test_a_gear_is_drawn_with_its_ratio_and_the_side_of_the_values() -> None:
     estimate = reports.rigid().estimate
-    joint = replace(estimate.settings.joint, transmission=Transmission(load="revolute", ratio=98.6))
+    joint = replace(estimate.settings.joint, transmission=ji.Transmission(load="revolute", ratio=98.6))
     found = texts(amended(estimate, settings={"system": joint}))
     assert {"98.6:1", "values on the load side of the gear"} <= {*found}
