@@ -97,7 +97,7 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     stored = json.loads(Path(__file__).with_name("estimates_of_0_3.json").read_text("utf-8"))[kind]
     (tmp_path / "old.json").write_text(json.dumps(stored), "utf-8")
     back, now = ji.load_estimate(tmp_path / "old.json", setup_of(kind)), found(kind)
-    assert back.values == pytest.approx(now.values, rel=1e-6)
+    assert back.values == pytest.approx(now.values, rel=1e-4)
     assert [row.stderr for row in back.params.rows] == [row["std"] for row in stored["parameters"].values()]
     # The joint's record has no noise: its deviations are rounding, which differs from machine to machine.
     np.testing.assert_allclose(back.params.correlation, stored["correlation"], atol=1e-6)
@@ -106,7 +106,7 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     assert back.fit.position_rms == pytest.approx(now.fit.position_rms)
     assert kind == "joint" or back.sentence == now.sentence
     change = ji.compare(*(read_report(path) for path in (tmp_path / "old.json", now.save(tmp_path / "new.json"))))
-    assert [row.after for row in change.rows] == pytest.approx([row.before for row in change.rows], rel=1e-6)
+    assert [row.after for row in change.rows] == pytest.approx([row.before for row in change.rows], rel=1e-4)
 
 
 def places(part: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:

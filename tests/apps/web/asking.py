@@ -7,13 +7,17 @@ import http.client
 import re
 import socket
 import time
+import warnings
 from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
 
 from jointid.apps.web.folder import Draft
 from jointid.apps.web.routes import Page
-from tests.apps.web.testclient import TestClient
+
+with warnings.catch_warnings():  # it would rather have the successor of httpx
+    warnings.simplefilter("ignore")
+    from starlette.testclient import TestClient
 
 TOKEN = "kept-secret"
 ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"

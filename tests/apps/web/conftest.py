@@ -14,8 +14,7 @@ import jointid as ji
 from jointid.apps.web import application as serving
 from jointid.apps.web import folder as bound
 from jointid.apps.web.application import build_application
-from tests.apps.web.asking import ADDRESS, TOKEN, WAIT, Asker, Served
-from tests.apps.web.testclient import TestClient
+from tests.apps.web.asking import ADDRESS, TOKEN, WAIT, Asker, Served, TestClient
 
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
 

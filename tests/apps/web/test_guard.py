@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from jointid.apps.web.application import build_application
-from tests.apps.web.asking import TOKEN, UNITS, Asker
-from tests.apps.web.testclient import TestClient
+from tests.apps.web.asking import TOKEN, UNITS, Asker, TestClient
 
 PAGE = "http://127.0.0.1:8765"
 PATHS = ["/", "/record", "/channels", "/runs/1", "/runs/1/all.zip", "/static/page.js", "/nothing"]

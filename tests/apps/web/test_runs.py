@@ -16,9 +16,8 @@ import pytest
 from jointid.apps.web import folder as folder_module
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Draft
-from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
+from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker, TestClient
 from tests.apps.web.conftest import TRUTH
-from tests.apps.web.testclient import TestClient
 from tests.rigid_axis import run as command
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from jointid.apps.web import folder as bounds
 from jointid.apps.web.application import build_application
 from jointid.apps.web.form import clean_name
-from tests.apps.web.asking import ADDRESS, TOKEN, Asker
-from tests.apps.web.testclient import TestClient
+from tests.apps.web.asking import ADDRESS, TOKEN, Asker, TestClient
 
 HOSTILE = '../../<img src=x onerror=alert(1)>".csv'
 
