@@ -98,7 +98,7 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     (tmp_path / "old.json").write_text(json.dumps(stored), "utf-8")
     back, now = ji.load_estimate(tmp_path / "old.json", setup_of(kind)), found(kind)
     assert back.values == pytest.approx(now.values, rel=1e-4)
-    assert [row.stderr for row in back.params.rows] == [row["std"] for row in stored["parameters"].values()]
+    assert {r.name: r.stderr for r in back.params.rows} == {n: r["std"] for n, r in stored["parameters"].items()}
     # The joint's record has no noise: its deviations are rounding, which differs from machine to machine.
     np.testing.assert_allclose(back.params.correlation, stored["correlation"], atol=1e-6)
     assert back.settings.filtering == now.settings.filtering

@@ -146,7 +146,7 @@ def test_the_remedies_that_a_broken_clock_names_work(
 def test_nanoseconds_beside_a_column_of_seconds_are_a_clock(tmp_path: Path) -> None:
     path, stamps = tmp_path / "run.csv", 17.3 + 0.01 * np.arange(300)
     write_table(path, Table({"sec": np.floor(stamps), "nanosec": np.round(1e9 * np.mod(stamps, 1.0)), "q": stamps}))
-    record = read(path, {"motor_position": "q"}, time="nanosec", time_unit="ns")
+    record = ji.read(path, {"motor_position": "q"}, time="nanosec", time_unit="ns")
     assert (len(record.motor_position), record.motor_position.sample_time) == (300, pytest.approx(0.01))
 
 
