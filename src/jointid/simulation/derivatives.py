@@ -30,7 +30,7 @@ from jointid.simulation.kernels.tables import LANES, IntArray, Moved
 from jointid.simulation.kernels.tables import Slopes as Written
 from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
 from jointid.simulation.plant import NO_LINKS, JointNumbers, pack_seeds
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
+from jointid.simulation.robot_numbers import MassNumbers, NumberOf, NumberPlace, RobotNumbers, stribeck_share
 from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, motion_at, run_loop
 from jointid.simulation.start import INITIAL, Initial, Keys, Slopes, start_slopes
 
@@ -344,7 +344,8 @@ def columns_of(
             if place.of is NumberOf.LINK:
                 of_links.append((row, len(SYMBOLS) * place.row + place.column, line))
             elif place.of is NumberOf.MASS:
-                lines[line] = _of_mass(motion, int(row), place.column, numbers)
+                own_motion = (one[:, row] for one in motion[1:])
+                lines[line] = mass_column(place.column, numbers.masses[row], *own_motion)
             else:
                 moved, motor = (velocity if place.column else position), numbers.rotors[place.row]
                 stretch = moved[:, motor] - moved[:, place.row]
@@ -380,17 +381,17 @@ def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[
     return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])
 
 
-def _of_mass(motion: MassMotion, row: int, column: int, numbers: RobotNumbers) -> FloatArray | float:
-    """Return the regressor column of a number of a mass, (samples,)."""
-    velocity = motion.velocity[:, row]
-    if column in (0, 2):
-        return motion.acceleration[:, row] if column == 0 else motion.direction[:, row]
-    if column == 3:
-        return 1.0
-    if column == 6:
-        return motion.direction[:, row] * stribeck_share(numbers.masses[row], velocity)
-    if column == 1:
-        return velocity
-    if column not in (4, 5):
-        raise NotImplementedError(f"the equations are not linear in number {column} of a mass")
-    return np.asarray(np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0))
+def mass_column(
+    number: int, mass: FloatArray, velocity: FloatArray, acceleration: FloatArray, direction: FloatArray
+) -> FloatArray:
+    """Return the regressor column of a number of a mass in a motion, (samples,); it slides in the direction."""
+    plain = {MassNumbers.INERTIA: acceleration, MassNumbers.VISCOUS: velocity, MassNumbers.COULOMB: direction}
+    if number in plain:
+        return plain[MassNumbers(number)]
+    if number == MassNumbers.OFFSET:
+        return np.ones_like(velocity)
+    if number == MassNumbers.RISE:
+        return np.asarray(direction * stribeck_share(mass, velocity))
+    if number not in (MassNumbers.FORWARDS, MassNumbers.BACKWARDS):
+        raise NotImplementedError(f"the equations are not linear in number {number} of a mass")
+    return np.asarray((np.maximum if number == MassNumbers.FORWARDS else np.minimum)(velocity, 0.0))

@@ -34,7 +34,7 @@ from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
-from jointid.simulation.derivatives import columns_of
+from jointid.simulation.derivatives import columns_of, mass_column
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,
@@ -43,7 +43,6 @@ from jointid.simulation.robot_numbers import (
     NumberPlace,
     RobotNumbers,
     law_places,
-    stribeck_share,
     with_values,
 )
 from jointid.simulation.simulate import MassMotion
@@ -120,19 +119,12 @@ class RobotParameters:
         for k, place in enumerate(places):
             if place.of is NumberOf.LINK:
                 found[:, :, k] = links[:, :, 10 * place.row + place.column]
-            elif place.of is NumberOf.MASS:
+            elif place.of is NumberOf.MASS and place.column <= MassNumbers.RISE:
                 j = joint_of(place, rotors)
                 of_motor = place.row == rotors[j]
                 speed = (motor if of_motor else v)[:, j]
-                column = {
-                    MassNumbers.VISCOUS: speed,
-                    MassNumbers.FORWARDS: np.maximum(speed, 0.0),
-                    MassNumbers.BACKWARDS: np.minimum(speed, 0.0),
-                    MassNumbers.COULOMB: np.sign(speed),
-                    MassNumbers.RISE: np.sign(speed) * stribeck_share(masses[place.row], speed),
-                    MassNumbers.OFFSET: np.ones_like(speed),
-                    MassNumbers.INERTIA: links[:, j, 10 * len(robot) + j],
-                }.get(MassNumbers(place.column), np.zeros_like(speed))
+                turns = links[:, j, 10 * len(robot) + j]
+                column = mass_column(place.column, masses[place.row], speed, turns, np.sign(speed))
                 found[:, :, k] = column[:, np.newaxis] * (np.eye(len(robot)) if of_motor else behind)[j]
         return found
 
