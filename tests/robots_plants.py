@@ -16,6 +16,14 @@ from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.robot_numbers import (
+    SPRING_NUMBERS,
+    MassNumbers,
+    NumberOf,
+    NumberPlace,
+    RobotNumbers,
+    law_places,
+)
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 Z = (0.0, 0.0, 1.0)
@@ -201,3 +209,26 @@ def seven(flexible: bool = False) -> Twin:
         np.array([1.9, 2.4, 1.2, 1.2, 0.35, 0.35, 0.31]),
         np.array([6.0, 6.0, 7.0, 7.0, 10.0, 10.0, 10.0]),
     )
+
+
+def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
+    """Return the places of every number that a robot has: masses, then springs, then links."""
+    n = numbers.rotors.size
+    masses = [
+        NumberPlace(NumberOf.MASS, row, column)
+        for row in range(len(numbers.masses))
+        for column in (*((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:6]) else range(4)), 6)
+        if (row in numbers.rotors or column in (1, 2)) and (column != 6 or numbers.masses[row, 7] > 0.0)
+    ]
+    masses += [
+        place
+        for place, _ in law_places(numbers)
+        if place.of is NumberOf.MASS and place.column >= MassNumbers.PRESLIDING
+    ]
+    springs = [
+        NumberPlace(NumberOf.SPRING, i, SPRING_NUMBERS.index(p.name))
+        for i, (_, law) in enumerate(numbers.laws)
+        for p in (() if law is None else law.parameters)
+    ]
+    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
+    return (*masses, *springs, *links)

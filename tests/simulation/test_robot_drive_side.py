@@ -18,10 +18,10 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
 from jointid.simulation.simulate import Outcome, Simulation, motion_of
 from jointid.simulation.synthesis import simulate
-from tests.robots_plants import Twin, inertial, six, two
+from tests.robots_plants import Twin, all_places, inertial, six, two
 from tests.simulation.test_robots import COUPLED, changed
 
 

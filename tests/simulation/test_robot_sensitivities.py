@@ -12,9 +12,9 @@ from jointid.models.controllers import PD, PID, Cascade
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
 from jointid.simulation.simulate import run_loop
-from tests.robots_plants import six, two
+from tests.robots_plants import all_places, six, two
 from tests.simulation.test_robots import COUPLED, changed, faster
 
 LATE = tuple(

@@ -371,26 +371,3 @@ def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: 
     for place, value in zip(places, values, strict=True):
         arrays[place.of][place.row, place.column] = value
     return replace(numbers, inertials=inertials, masses=masses, springs=springs, beside=beside, log=log, delays=delays)
-
-
-def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
-    """Return the places of every number that a robot has: masses, then springs, then links."""
-    n = numbers.rotors.size
-    masses = [
-        NumberPlace(NumberOf.MASS, row, column)
-        for row in range(len(numbers.masses))
-        for column in (*((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:6]) else range(4)), 6)
-        if (row in numbers.rotors or column in (1, 2)) and (column != 6 or numbers.masses[row, 7] > 0.0)
-    ]
-    masses += [
-        place
-        for place, _ in law_places(numbers)
-        if place.of is NumberOf.MASS and place.column >= MassNumbers.PRESLIDING
-    ]
-    springs = [
-        NumberPlace(NumberOf.SPRING, i, SPRING_NUMBERS.index(p.name))
-        for i, (_, law) in enumerate(numbers.laws)
-        for p in (() if law is None else law.parameters)
-    ]
-    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
-    return (*masses, *springs, *links)

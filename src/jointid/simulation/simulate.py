@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,18 +79,7 @@ OUTCOMES = tuple(Outcome)
 """How a run ended, by the number that a kernel returns."""
 
 
-class _Ended(Protocol):
-    @property
-    def outcome(self) -> Outcome: ...
-
-    @property
-    def finished(self) -> float: ...
-
-
-Ended = TypeVar("Ended", bound=_Ended)
-
-
-def require_success(run: Ended, of_what: str = "The simulation") -> Ended:
+def require_success(run: Simulation, of_what: str = "The simulation") -> Simulation:
     """Return a run that finished.
 
     Raises:

@@ -17,7 +17,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate, simulate_sensitivities
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import RobotNumbers, all_places
+from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate
 
@@ -56,7 +56,7 @@ def compile_robot() -> None:
     robot = Robot(links, joints)
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
     numbers = RobotNumbers.of(robot)
-    differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), all_places(numbers))
+    differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), numbers.not_zero()[0])
     inverse_columns(robot, *np.zeros((3, 2, 2)))
 
 
