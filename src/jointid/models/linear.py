@@ -54,29 +54,20 @@ def drive_matrices(
         rate: of a spring that carries the load.
         swings: share of the load that swings on a spring of its own, that one's stiffness and damping.
     """
-    motor, own = inertia[0], viscous[0]
-    if len(inertia) == 1:
-        return np.array([[0.0, 1.0], [-rate / motor, -own / motor]]), np.array([0.0, 1.0 / motor])
+    masses, drags, springs, dampers = list(inertia), list(viscous), [stiffness], [damping]
     share, second, damped = swings
-    load, its = (1.0 - share) * inertia[1], viscous[1]
-    A = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0],
-            [-stiffness / motor, -(own + damping) / motor, stiffness / motor, damping / motor],
-            [0.0, 0.0, 0.0, 1.0],
-            [stiffness / load, damping / load, -(stiffness + rate) / load, -(its + damping) / load],
-        ]
-    )
-    B = np.array([0.0, 1.0 / motor, 0.0, 0.0])
-    if share == 0.0:
-        return A, B
-    swinging = share * inertia[1]
-    whole = np.zeros((6, 6))
-    whole[:4, :4] = A
-    whole[3, 2:] += [-second / load, -damped / load, second / load, damped / load]
-    whole[4, 5] = 1.0
-    whole[5, 2:] = [second / swinging, damped / swinging, -second / swinging, -damped / swinging]
-    return whole, np.append(B, [0.0, 0.0])
+    load = len(masses) - 1
+    if load and share != 0.0:
+        masses, drags = [masses[0], (1.0 - share) * masses[1], share * masses[1]], [*drags, 0.0]
+        springs, dampers = [stiffness, second], [damping, damped]
+    ties = np.diff(np.eye(len(masses)), axis=0)
+    K, D = (ties.T @ np.diag(one[: len(ties)]) @ ties for one in (springs, dampers))
+    K[load, load] += rate
+    A, B, by = np.zeros((2 * len(masses), 2 * len(masses))), np.zeros(2 * len(masses)), np.array(masses)[:, np.newaxis]
+    A[::2, 1::2] = np.eye(len(masses))
+    A[1::2, ::2], A[1::2, 1::2] = -K / by, -(D + np.diag(drags)) / by
+    B[1] = 1.0 / masses[0]
+    return A, B
 
 
 def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
