@@ -30,16 +30,16 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.estimation.descent import History, descend
 from jointid.estimation.methods.force_in_loop import allow_for_force, simulate_mean, widened_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import springs_verdict
 from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
-from jointid.estimation.starts.flexible_joint import FASTEST, crossover, frequency_of
+from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
 from jointid.estimation.starts.nonlinear_laws import with_linear_spring
-from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, of_whole, split_by_mode
+from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, solve
@@ -254,7 +254,7 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
     free = problem.all_free()
 
     def residual_at(at: tuple[float, float]) -> FloatArray:
-        values = friction_on_motor(problem.parameters, rigid)
+        values = divide(problem.parameters, rigid, 1.0)
         values |= split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
         return free.residual(np.array([values[p.name] for p in free.parameters]))
 
@@ -424,7 +424,7 @@ def profile_modes(
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
     names = tuple(p.name for p in problem.free if p.name not in _SPRING)
-    start = friction_on_motor(problem.parameters, rigid)
+    start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
     made = ModeProfile(replace(problem, filtering=band).all_free(), names, (low, high))
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
@@ -458,19 +458,6 @@ def damping_ratio(values: Mapping[str, float]) -> float:
     motor, load = values["motor_inertia"], values["load_inertia"]
     size = 2 * math.sqrt(values["stiffness"] * motor * load / (motor + load))
     return values["damping"] / size if size > 0 else 0.0
-
-
-def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float]) -> dict[str, float]:
-    """Return values of a flexible joint's parameters from those of a rigid one, all friction on the motor's side.
-
-    A speed or a displacement that a friction depends on is that of both sides.
-    """
-    values = {}
-    for p in parameters:
-        of_motor = p.name.startswith("motor_") or p.quantity not in ADDED or acts_on_whole(p.name.removeprefix("load_"))
-        whole = p.name.removeprefix("motor_").removeprefix("load_") if of_motor else p.name
-        values[p.name] = rigid.get(p.name, rigid.get(whole, 0.0))
-    return values
 
 
 def _compute_cost_limit(made: ModeProfile) -> float:

@@ -18,7 +18,8 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import Quantity
+from jointid.common.parameters import ADDED, Parameter, Quantity
+from jointid.common.transmission import SIDES
 from jointid.estimation.descent import History
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -132,22 +133,29 @@ def start_with_mode(
 ) -> dict[str, float]:
     """Return the start (13) for the free parameters, within their bounds, with the fixed ones as they are."""
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free or p.name in INITIAL}
-    nothing = {p.name: p.start or 0.0 for p in problem.parameters}
-    return _inside(problem, nothing | pseudo_regular(rigid, frequency, share) | fixed)
+    divided = divide(problem.parameters, rigid, _HALF) | split_by_mode(rigid["inertia"], share, frequency)
+    return _inside(problem, divided | fixed)
 
 
-def pseudo_regular(rigid: Mapping[str, float], frequency: float, share: float = _HALF) -> dict[str, float]:
-    """Return the start (13): rigid values divided between the sides, the spring from the free-free frequency, Hz.
+def divide(parameters: Sequence[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
+    """Return values of a flexible joint's parameters from those of a rigid one, frictions divided between the sides.
 
-    The load has a share of the inertia; the frictions are halved.
+    A speed or a displacement that a friction depends on is that of both sides.
+
+    Args:
+        parameters: of the flexible joint, and of what surrounds it.
+        rigid: values by name.
+        on_motor: share of what both sides have together that is the motor's.
     """
-    start = {}
-    for name, value in rigid.items():
-        if acts_on_whole(name):
-            start[name] = value
+    values = {}
+    for p in parameters:
+        side, _, name = p.name.partition("_")
+        share = on_motor if side == "motor" else 1.0 - on_motor
+        if p.name in rigid or side not in SIDES or name not in rigid:
+            values[p.name] = rigid.get(p.name, p.start or 0.0)
         else:
-            start |= {f"{side}_{name}": 0.5 * value for side in ("motor", "load")}
-    return start | split_by_mode(rigid["inertia"], share, frequency)
+            values[p.name] = rigid[name] * (share if p.quantity in ADDED and not acts_on_whole(name) else 1.0)
+    return values
 
 
 def frequency_of(values: Mapping[str, float]) -> float:
