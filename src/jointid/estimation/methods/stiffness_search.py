@@ -118,7 +118,7 @@ class StiffnessSearch:
         ends, failures = list[tuple[float, Solved]](), list[MethodError]()
         grids: list[Grid] = [partial(explore, rigid=rigid, frequency=self.frequency)]
         if self.frequency is None:
-            grids.append(partial(explore_widely, rigid=rigid))
+            grids += [partial(explore_widely, rigid=rigid), self._explore_beside]
         for grid in grids:
             try:
                 found = self._or_moving(grid, moving)
@@ -165,13 +165,20 @@ class StiffnessSearch:
             solved = rough_rigid_joint(self.task, self.cutoff, history)
         except MethodError as error:
             history.progress(Detail(error, "starting from a joint that follows its reference"))
-            loop, filtering = _rigid_loop(self.task), Filtering(cutoff=rigid_cutoff(self.task.record))
-            problem = torque_problem(self.task.record, loop, filtering, loop.joint.parameters)
-            frictionless = {p.name: 0.0 for p in loop.joint.parameters if p.name != "inertia"}
-            values, end = regular_start(problem.keeping(frictionless)).values, None
-        else:
-            values, end = solved.values, solved
-        return {p.name: values[p.name] for p in _rigid_loop(self.task).joint.parameters}, end
+            return self._following(), None
+        return {p.name: solved.values[p.name] for p in solved.problem.joint.parameters}, solved
+
+    def _following(self) -> dict[str, float]:
+        """Return the values of a rigid joint without friction that follows its reference."""
+        loop, filtering = _rigid_loop(self.task), Filtering(cutoff=rigid_cutoff(self.task.record))
+        problem = torque_problem(self.task.record, loop, filtering, loop.joint.parameters)
+        frictionless = {p.name: 0.0 for p in loop.joint.parameters if p.name != "inertia"}
+        values = regular_start(problem.keeping(frictionless)).values
+        return {p.name: values[p.name] for p in loop.joint.parameters}
+
+    def _explore_beside(self, problem: ClosedLoopProblem, history: History) -> list[Candidate]:
+        """Judge the wide grid about the joint that follows its reference, where the rigid joint is far off."""
+        return explore_widely(problem, history, self._following())
 
     def _or_moving(self, grid: Grid, state: Mapping[str, float] | None) -> Solved:
         """Search with the motor at rest at the first sample, and moving where it may; an end at rest is not near."""

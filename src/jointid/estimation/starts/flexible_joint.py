@@ -33,7 +33,7 @@ _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
 _NARROWED = 3  # frequencies at which other shares are tried
 _FAR_BELOW, _FAR_ABOVE, _WIDE_COUNT = 0.2, 4.0, 10  # times the crossover: the modes of the wide grid
-_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5)  # of that grid, times the rigid joint's
+_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of that grid, times the rigid joint's
 _WIDE_SHARES = (0.15, 0.5, 0.85)  # of the load in them
 
 
