@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jointid.diagnostics.find_causes import find_causes
+from jointid.diagnostics.explain import find_causes
 from tests.mistakes import (
     PAIRS,
     AxisName,

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.find_causes import explain_failure
+from jointid.diagnostics.explain import explain_failure
 from jointid.records.record import Channel, Timing
 from jointid.simulation.loop_input import prepare
 from studies.healthy import Drive, drive

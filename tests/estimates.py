@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.diagnostics.diagnosis import diagnose_joint
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.search_state import LoopTests
+from jointid.diagnostics.search_state import MOST
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of, problem_of
@@ -40,6 +40,6 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
     return [*errors_of(problem, RobotNumbers.of(bodies))]
 
 
-def faults_of(estimate: Estimate, record: Record, tests: LoopTests | None = None) -> AxisFaults:
+def faults_of(estimate: Estimate, record: Record, most: int = MOST) -> AxisFaults:
     """Return the faults that were tested of a joint's loop, log and mechanics."""
-    return diagnose_joint(estimate, record, rebuild_problem(estimate, record), tests)[0].axes[0].faults
+    return diagnose_joint(estimate, record, rebuild_problem(estimate, record), most).axes[0].faults

@@ -19,7 +19,7 @@ import numpy as np
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
-from jointid.diagnostics.find_causes import explain_failure, find_causes
+from jointid.diagnostics.explain import explain_failure, find_causes
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.suspects import COGGING
 from jointid.estimation.result.verdict import Reason
 from jointid.models.position_forces import PositionHarmonics
@@ -20,7 +19,7 @@ from tests.estimates import faults_of, identify
 def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
     assert made is not None
-    check = faults_of(identify(made.record, made.axis.loop), made.record, LoopTests(most=1))
+    check = faults_of(identify(made.record, made.axis.loop), made.record, most=1)
     first = check.findings[0]
     assert first.test.fault is COGGING
     assert first.test.shape is not None

@@ -14,7 +14,7 @@ from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.find_causes import find_failure_causes
+from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.find_causes import list_hypotheses
+from jointid.diagnostics.changes import Case
+from jointid.diagnostics.explain import list_cases
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.models.controllers import Cascade
 from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
@@ -71,8 +72,8 @@ def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
     loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
 
     def names(record: Record) -> set[str]:
-        found = list_hypotheses(record, loop, ji.Filtering().resolve(1e-3, "rigid"))
-        return {one.fault.name for one in found if one.fault is not None}
+        found = list_cases(Case(record, (loop,), ji.Filtering().resolve(1e-3, "rigid")))
+        return {change.name for change, _ in found if change is not None}
 
     gross = {"position_gain", "swapped_gains", "torque_sign"}
     assert gross | {"delay"} <= names(record.without("motor_position"))

@@ -9,7 +9,6 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.variants import PERIOD, list_variants
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.verdict import Subject
@@ -26,7 +25,7 @@ from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
 def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[AxisFaults, float, float, float]:
     """The check, value and two deviations of what is asked, and the value with the first finding corrected."""
     estimate = identify(record, loop)
-    check, row = faults_of(estimate, record, LoopTests(most=1)), estimate[asked]
+    check, row = faults_of(estimate, record, most=1), estimate[asked]
     assert row.value is not None
     assert row.stderr is not None
     by = check.findings[0].changes[asked].by if check.findings else 0.0

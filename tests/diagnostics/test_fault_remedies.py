@@ -10,7 +10,7 @@ from jointid.apps.cli.app import app
 from jointid.diagnostics.faults.fault import Fault, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
 from jointid.diagnostics.suspects import FAULTS
-from jointid.diagnostics.variants import OTHER_LAWS
+from jointid.diagnostics.variants import AVERAGED, INTERPOLATIONS, MEASURED_VELOCITY, OTHER_LAWS, PERIOD, PRESENT_SAMPLE
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
@@ -29,7 +29,9 @@ def told(fault: Fault, *, of_loop: bool) -> str:
 
 
 @pytest.mark.parametrize("of_loop", [True, False])
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
+@pytest.mark.parametrize(
+    "fault", [*FAULTS, PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, AVERAGED, *INTERPOLATIONS.values()], ids=str
+)
 def test_commands_and_laws_of_a_remedy_are_those_of_the_program(fault: Fault, of_loop: bool) -> None:
     said = told(fault, of_loop=of_loop)
     for command in re.findall(r"jointid ([a-z-]+)", said):

@@ -10,7 +10,6 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.variants import (
     AVERAGED,
     LATE,
@@ -83,7 +82,7 @@ def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> No
     declared = replace(made.controller, velocity_filter=(1.0,))
     earlier = replace(declared, velocity_filter=(1.5, -0.5))
     record, loop = run(made, earlier), ClosedLoop(made.joint, declared)
-    check = faults_of(identify(record, loop), record, LoopTests(most=1))
+    check = faults_of(identify(record, loop), record, most=1)
     [first] = check.findings
     assert first.test.fault is MEASURED_VELOCITY
     assert check.sentences[0].startswith("the velocity is measured or observed, half a period earlier")

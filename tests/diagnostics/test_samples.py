@@ -11,8 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill
+from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill, find_steps
 from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record

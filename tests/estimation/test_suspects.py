@@ -13,10 +13,9 @@ from jointid.common.errors import MethodError
 from jointid.diagnostics.check_loop import compute_signatures, search_faults
 from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
-from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.score import rank_tests, score
-from jointid.diagnostics.search_state import LoopTests
 from jointid.diagnostics.suspects import FAULTS as KNOWN
+from jointid.diagnostics.suspects import number_fault
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -49,11 +48,11 @@ SIZES = {
 def test_one_fault_is_named_and_measured(fault: str) -> None:
     where = setting("L19", brief=fault != "limit")  # which a long record measures to a thousandth
     made = problem(where, FAULTS[fault], "disturbance", 1)
-    check = search_faults(made, solved(made, where), LoopTests(most=1))[0]
+    check = search_faults(made, solved(made, where), most=1)
     first = check.findings[0]
     assert first.test.name == fault
     assert not check.as_declared
-    assert check.suspected is None  # what is tested before the last correction says nothing of it
+    assert not check.suspected  # what is tested before the last correction says nothing of it
     if fault in SIZES:
         assert first.test.size == pytest.approx(SIZES[fault], abs=3 * first.test.std)
     if fault == "limit":
@@ -63,7 +62,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
 def test_a_clean_record_is_as_declared() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, "disturbance", 1)
-    check = search_faults(made, solved(made, where))[0]
+    check = search_faults(made, solved(made, where))
     assert check.as_declared
     assert check.sentences[0].startswith("loop and log are as declared as far as this record shows (")
     alike = next(s for s in check.tests if s.name == "velocity_gain")
@@ -86,7 +85,7 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["delay"], "white", 1).freeing("delay")
-    check = search_faults(made, solved(made, where))[0]
+    check = search_faults(made, solved(made, where))
     assert check.as_declared
     assert "delay" not in {s.name for s in check.tests}
 
@@ -103,7 +102,7 @@ def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
         left = noise - own @ np.linalg.lstsq(own, noise, rcond=None)[0]
         faults = [FaultSignature(number_fault(n), column) for n, column in zip("abc", columns[:, 9:].T, strict=True)]
         motion = cells(*lines[:, [0, 9]].T)
-        tests = score(left, own, faults, {one.fault: 0.0 for one in faults}, lambda motion=motion: motion)
+        tests = score(left, own, faults, {one.fault: 0.0 for one in faults}, motion)
         found += [one.statistic for one in tests]
     assert np.std(found) < 1.2
 
@@ -154,7 +153,7 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
     """Both records say the same: less friction towards standstill, and a torque that acts 0.15 to 0.25 ms late."""
     loop = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
     for record in (emps, emps_pulses):
-        check = faults_of(identify(record, loop), record, LoopTests(most=2))
+        check = faults_of(identify(record, loop), record, most=2)
         friction, late = (f.test for f in check.findings)
         assert (friction.name, late.name) == ("presliding", "delay")
         assert friction.size == pytest.approx(7.7, abs=0.3)
@@ -174,7 +173,7 @@ def test_a_wave_of_any_phase_is_tested_as_two_numbers() -> None:
         parts = np.linalg.lstsq(np.column_stack([waves, own]), residual, rcond=None)[0][:2]
         column = waves @ parts / np.linalg.norm(parts)
         signature = FaultSignature(fault, column)
-        (test,) = score(residual, own, [signature], {fault: 0.0}, lambda: cells(waves[:, 0], waves[:, 1]))
+        (test,) = score(residual, own, [signature], {fault: 0.0}, cells(waves[:, 0], waves[:, 1]))
         found.append(test.p_value)
     assert 0.02 < np.mean(np.array(found) < 0.05) < 0.1
 
@@ -189,7 +188,7 @@ def test_a_deviation_is_widened_for_a_residual_that_repeats_although_the_test_is
     def test(widened: float) -> FaultTest:
         return score(
             repeats, np.cos(way)[:, np.newaxis], [FaultSignature(fault, column)], {fault: 0.0},
-            lambda: cells(np.sin(way), np.cos(way)), widened=widened,
+            cells(np.sin(way), np.cos(way)), widened=widened,
         )[0]  # fmt: skip
 
     assert test(0.05).p_value > 0.05

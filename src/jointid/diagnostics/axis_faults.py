@@ -17,15 +17,14 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
-from jointid.diagnostics.faults.numbers import LOG_GAIN
 from jointid.diagnostics.in_time import find_part
 from jointid.diagnostics.score import score
-from jointid.diagnostics.suspects import COMPLIANCE
+from jointid.diagnostics.search_state import LEVEL, MOST
+from jointid.diagnostics.suspects import COMPLIANCE, LOG_GAIN
 from jointid.diagnostics.variants import OTHER_LAWS, WHOLE
 from jointid.uncertainty.position_dependent_error import cells
 
-_MOST = 3  # faults of one axis
-_FEWEST = 4  # rows to a column
+_FEWEST = 4  # rows to a column, of each fault one
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
@@ -35,34 +34,33 @@ _RANK = 1e-9  # of the largest singular value
 
 
 def find_axis_faults(
-    torques: AxisTorques, units: Sequence[tuple[str, str]], level: float, laws: Sequence[tuple[str, ...]]
+    torques: AxisTorques, units: Sequence[tuple[str, str]], laws: Sequence[tuple[str, ...]]
 ) -> tuple[tuple[AxisFaults, ...], float]:
     """Return the faults of each axis, and the share of the squares of a residual that they explain, summed up.
 
     Args:
         torques: of all axes, with the columns of their free parameters.
         units: of position and torque, of each axis.
-        level: largest share of records without a fault in which one is found.
         laws: of each axis, the names of those that can replace its own.
     """
-    rows, own, residual = torques.rows, _drop_idle(torques.stack(torques.own)), torques.stack(torques.error)
-    open_ones = _list_shapes(torques)
+    rows, own, residual = torques.rows, torques.stack(torques.own), torques.stack(torques.error)
+    own, open_ones = own[:, np.any(own, axis=0)], _list_shapes(torques)
     where, basis = cells(*places_of(torques)), orthonormal_basis(own, _RANK)
     before = rest = residual - basis @ (basis.T @ residual)
     found: list[list[Finding]] = [[] for _ in units]
     first: tuple[FaultTest, ...] = ()
-    while np.any(residual) and _has_enough_rows(residual, own, open_ones):
+    while np.any(residual) and open_ones:
+        if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in open_ones})):
+            break
         declared = {one.fault: 1.0 if one.fault == LOG_GAIN else 0.0 for one in open_ones}
         tests = score(
-            residual, own, open_ones, declared, lambda: where, blocks=rows,
+            residual, own, open_ones, declared, where, blocks=rows,
             along_measured_motion=torques.along_measured_motion,
         )  # fmt: skip
         first = first or tests
         # What one drive does otherwise moves the other joints: which of them do so, too, is seen once it is declared.
         gone = OTHER_LAWS if any(one.test.name in OTHER_LAWS for each in found for one in each) else ()
-        likely = [
-            one for one in tests if one.p_value <= level and one.name not in gone and len(found[one.axis]) < _MOST
-        ]
+        likely = [one for one in tests if one.p_value <= LEVEL and one.name not in gone and len(found[one.axis]) < MOST]
         likely.sort(key=lambda one: -one.strength / (_AS_STRONG if one.name in OTHER_LAWS else 1.0))
         explaining = (
             (one, shape.column)
@@ -72,7 +70,7 @@ def find_axis_faults(
             and (
                 abs(one.size - 1.0) < max(_SURELY * one.std, _NEARLY)
                 if one.name in WHOLE
-                else _gain_of(shape.column, basis, rest) > _MUCH * _squares(rest[rows[one.axis]])
+                else _gain_of(shape.column, basis, rest) > _MUCH * np.sum(rest[rows[one.axis]] ** 2)
             )
         )
         test, column = next(explaining, (None, None))
@@ -89,7 +87,7 @@ def find_axis_faults(
     parts = [find_part(rest[one], torques.time[seen]) for one, seen in zip(rows, torques.seen, strict=True)]
     faults = tuple(
         AxisFaults(
-            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), level, {},
+            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), LEVEL, {},
             {"position": position, "velocity": f"{position}/s", "torque": torque}, laws=laws[k], of_loop=False,
             part=parts[k],
         )
@@ -100,8 +98,9 @@ def find_axis_faults(
 
 def _explained(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
     """Return by how much the squares of each axis' residual fell, as a sum of their shares, none below 0."""
-    squares = [[_squares(each[one]) for one in rows] for each in (before, after)]
-    return float(sum(max(1.0 - end / begin, 0.0) for begin, end in zip(*squares, strict=True) if begin > 0.0))
+    squares = np.array([[np.sum(each[one] ** 2) for one in rows] for each in (before, after)])
+    begin, end = squares[:, squares[0] > 0.0]
+    return float(np.sum(np.maximum(1.0 - end / begin, 0.0)))
 
 
 def _list_shapes(torques: AxisTorques) -> list[FaultSignature]:
@@ -122,16 +121,6 @@ def _list_shapes(torques: AxisTorques) -> list[FaultSignature]:
         for share, column in zip(ROTORS, columns, strict=True)
     ]
     return [*(one for one in shapes if one.fault != COMPLIANCE), *(one for one in bends if np.any(one.column))]
-
-
-def _squares(values: FloatArray) -> float:
-    return float(values @ values)
-
-
-def _has_enough_rows(residual: FloatArray, own: FloatArray, shapes: Sequence[FaultSignature]) -> bool:
-    """Test whether there are rows enough for the columns, of each fault one shape, and any shape at all."""
-    tried = {(one.axis, one.fault) for one in shapes}
-    return bool(tried) and residual.size > _FEWEST * (own.shape[1] + len(tried))
 
 
 def find_driving_axes(torques: AxisTorques) -> list[int]:
@@ -156,10 +145,6 @@ def places_of(torques: AxisTorques) -> tuple[FloatArray, FloatArray]:
     scaled = [(3.0 * k + _scale(q[seen]), _scale(v[seen])) for k, (q, v, seen) in enumerate(places)]
     where, speed = zip(*scaled, strict=True)
     return np.concatenate(where), np.concatenate(speed)
-
-
-def _drop_idle(columns: FloatArray) -> FloatArray:
-    return columns[:, np.any(columns, axis=0)]
 
 
 def _scale(values: FloatArray) -> FloatArray:

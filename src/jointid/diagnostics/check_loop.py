@@ -12,7 +12,7 @@ not named.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -24,13 +24,21 @@ from jointid.common.parallel import in_threads
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import AxisFaults, Finding
-from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN, number_fault
 from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.model_free import LawOnPosition
 from jointid.diagnostics.score import RARER, rank_tests, score, strength_of
-from jointid.diagnostics.search_state import RIVAL, LoopTests, SearchState, Tested, simulate_forces
+from jointid.diagnostics.search_state import LEVEL, MOST, RIVAL, SearchState, Tested, simulate_forces
 from jointid.diagnostics.seen import see_loop
-from jointid.diagnostics.suspects import FAULTS, LIMIT, OFFSET, list_signatures
+from jointid.diagnostics.suspects import (
+    DELAY,
+    FAULTS,
+    LIMIT,
+    LOG_DELAY,
+    LOG_GAIN,
+    OFFSET,
+    list_signatures,
+    number_fault,
+)
 from jointid.diagnostics.variants import (
     LawTest,
     Proof,
@@ -48,7 +56,6 @@ from jointid.records.record import Record
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
 
-_SAME_EFFECT = 0.8  # of the statistic: the robust deviations of two forms of one effect rank them no closer
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
@@ -58,31 +65,33 @@ _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a devia
 def search_faults(
     problem: ClosedLoopProblem,
     x: FloatArray,
-    settings: LoopTests | None = None,
     std: Mapping[str, float] | None = None,
     record: Record | None = None,
     law: LawOnPosition | None = None,
-) -> tuple[AxisFaults, SearchState]:
-    """Return the faults of a loop and its log, and the problem with these faults corrected.
+    *,
+    level: float = LEVEL,
+    most: int = MOST,
+) -> AxisFaults:
+    """Return the faults of a loop and its log.
 
     Args:
         problem: with the identified parameters free; those are not tested.
         x: (free,) its solution.
-        settings: see `LoopTests`.
         std: standard errors of the joint's parameters by name, in which shifts are given; autocorrelation-robust ones
             when None.
         record: of the problem; without it a drive that runs faster than the log is not searched for.
         law: what the declared law leaves of the torque along the record's motor position; None without one.
+        level: largest share of records without a fault in which one is found.
+        most: faults named at most, one after another.
     """
-    settings, known = settings or LoopTests(), std or {}
     state = SearchState(problem, np.asarray(x, dtype=np.float64))
     findings: list[Finding] = []
     laws: list[LawTest] = []
     proof = Proof(record, problem.loop) if record is not None and law is not None and law.holds else None
     first = ended = None  # the tests of the problem as it is, and those that find nothing more
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
-    while ended is None and len(findings) < settings.most:
-        found = _run_tests(state, settings, known, record, proof)
+    while ended is None and len(findings) < most:
+        found = _run_tests(state, level, std or {}, record, proof)
         first = first or found
         if np.linalg.norm(found.residual) <= exact:
             ended = found
@@ -107,22 +116,19 @@ def search_faults(
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, ended, state = [], None, SearchState(problem, np.asarray(x, dtype=np.float64))
     joint, of_loop = problem.loop.joint, not any(one.test.fault.of_model for one in findings)
-    check = AxisFaults(
+    return AxisFaults(
         tuple(findings),
         () if first is None else first.tests,
-        settings.level,
+        level,
         symbols={p.name: p.symbol for p in joint.parameters},
         units=_list_units(joint),
         side=None if joint.transmission is None else joint.transmission.side,
         undecided=None if ended is None else find_undecided(ended, laws),
         laws=list_laws(joint),
-        excluded=() if findings or ended is None else ended.excluded,
-        lacking={} if findings or ended is None else _measure_lacking(ended),
-        suspected=None if ended is None else _suspect_mechanics(ended),
+        suspected=() if ended is None else tuple(_list_suspected(ended, () if findings else ended.excluded[:1])),
         part=part,
-        explained=_share_explained(problem, x, state) if len(findings) == settings.most > 1 and of_loop else None,
+        explained=_share_explained(problem, x, state) if len(findings) == most > 1 and of_loop else None,
     )
-    return check, state
 
 
 def _share_explained(problem: ClosedLoopProblem, x: FloatArray, state: SearchState) -> float:
@@ -138,27 +144,16 @@ def _list_units(joint: Joint) -> dict[str, str]:
     return units | {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
 
 
-def _measure_lacking(found: Tested) -> dict[str, float]:
-    """Return the largest shift of each parameter by the excluded faults.
-
-    They are not in loop or log, so the joint has what looks like them, and its model has not.
-    """
-    shapes = {(one.fault, one.shape): one.column for one in found.signatures}
-    moved = [one.size * np.linalg.pinv(found.own) @ shapes[one.fault, one.shape] for one in found.excluded]
-    names = [p.name for p in found.state.problem.free_joint]
-    return {name: float(max(abs(by[k]) for by in moved)) for k, name in enumerate(names)} if moved else {}
-
-
-def _suspect_mechanics(found: Tested) -> Finding | None:
-    """Return the likeliest fault of the mechanics if it is significant at the level of those of the loop.
+def _list_suspected(found: Tested, more: Sequence[FaultTest]) -> Iterator[Finding]:
+    """Yield the likeliest fault of the mechanics if it is significant at the level of those of the loop, and others.
 
     The p-values of the mechanics are those of a tenth of the level: such a fault is not named.
     """
     first = next((one for one in found.tests if one.fault.mechanical), None)
-    if first is None or not found.level < first.p_value <= RARER * found.level:
-        return None
-    alone = replace(found, tests=(first,))
-    return _make_finding(alone, _accept_fault(alone))
+    near = first is not None and found.level < first.p_value <= RARER * found.level
+    for one in (*([first] if first is not None and near else []), *more):
+        alone = replace(found, tests=(one,))
+        yield _make_finding(alone, _accept_fault(alone))
 
 
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
@@ -199,7 +194,7 @@ def compute_signatures(
 
 
 def _run_tests(
-    state: SearchState, settings: LoopTests, known: Mapping[str, float], record: Record | None, proof: Proof | None
+    state: SearchState, level: float, known: Mapping[str, float], record: Record | None, proof: Proof | None
 ) -> Tested:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     suspects = {a.fault.name: a.fault for a in signatures}
@@ -209,20 +204,17 @@ def _run_tests(
         for name, fault in suspects.items()
         if not {name, fault.kin} & {*state.named}
     }
-    problem, x = state.problem, state.x
-    where, by_forces = cache(lambda: problem.cells(problem.simulate(x))), cache(lambda: simulate_forces(state))
+    where, by_forces = state.problem.cells(state.problem.simulate(state.x)), cache(lambda: simulate_forces(state))
     columns, excluded = np.column_stack([own, *(a.column for a in state.corrected)]), list[FaultTest]()
     while True:
-        tests = rank_tests(score(residual, columns, signatures, declared, where, by_forces), settings.level)
-        found = [] if proof is None else [t for t in tests if t.p_value <= settings.level and proof.excludes(t)]
+        tests = rank_tests(score(residual, columns, signatures, declared, where, by_forces), level)
+        found = [] if proof is None else [t for t in tests if t.p_value <= level and proof.excludes(t)]
         if not found:
             break
         excluded += found
         gone = {one.fault for one in found}
         declared = {fault: value for fault, value in declared.items() if fault not in gone}
-    return Tested(
-        state, residual, columns, settings.level, known, record, where, by_forces, signatures, tests, tuple(excluded)
-    )
+    return Tested(state, residual, columns, level, known, record, where, by_forces, signatures, tests, tuple(excluded))
 
 
 def _accept_fault(found: Tested) -> SearchState:
@@ -233,69 +225,35 @@ def _accept_fault(found: Tested) -> SearchState:
     """
     state, suspect, problem = found.state, found.tests[0], found.state.problem
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (suspect.fault, suspect.shape))
-    fault = suspect.fault
-    named = (*state.named, fault.name, *(one.name for one in suspect.alike), *filter(None, (fault.kin,)))
-    trials = [one.trial for one in found.signatures if one.fault == fault and one.trial is not None]
-    if signature.trial is not None and (end := _search_law(problem, state.x, trials)) is not None:
-        values, change = end
+    named = (suspect.name, *(one.name for one in suspect.alike), *filter(None, (suspect.fault.kin,)))
+    held = SearchState(problem, state.x, (*state.corrected, signature), (*state.named, *named))
+    if signature.raw is not None and suspect.fault is not LIMIT:
+        change, identified = suspect.size * signature.raw, dict[str, float]()
+        if signature.trial is not None:
+            change, identified = _search_law(found) or (change, identified)
         problem = replace(problem, measured=problem.measured - change)
-        corrected = (*state.corrected, signature)
-        return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, values)
-    if signature.raw is not None and fault is not LIMIT:
-        problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
-        return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
-    wider, start = _free_number(problem, suspect)
-    held = SearchState(problem, state.x, (*state.corrected, signature), named)
+        return replace(held, problem=problem, x=descend(problem, state.x, _TOLERANCE).x, identified=identified)
+    start = suspect.declared + suspect.size
+    if suspect.fault is OFFSET:
+        (own,) = (p for p in problem.parameters if p.name == suspect.name)
+        wider = problem.replace_parameters({suspect.name: replace(own, free=True)})
+    else:
+        if suspect.fault is LIMIT:  # the declared one may be infinite
+            start = (suspect.shape or 0.0) / _torque_per_unit(problem)
+            problem = problem.declared(with_numbers(problem.loop.controller, {suspect.name: start}))
+        wider = problem.freeing(suspect.name)
+    start = max(start, next(p.lower for p in wider.free if p.name == suspect.name))
     try:
         x = descend(wider, wider.vector(problem.values(state.x) | {suspect.name: start}), _TOLERANCE).x
         wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
     reached = wider.values(x)[suspect.name] - suspect.declared
-    astray = fault is not LIMIT and reached * suspect.size < _HALF * suspect.size**2
+    astray = suspect.fault is not LIMIT and reached * suspect.size < _HALF * suspect.size**2
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held
-    return SearchState(wider, x, state.corrected, named)
-
-
-def _search_law(
-    problem: ClosedLoopProblem, x: FloatArray, trials: Sequence[tuple[ClosedLoopProblem, FloatArray]]
-) -> tuple[dict[str, float], FloatArray] | None:
-    """Return the parameters of a joint with a law, and the change of its torque, (samples,), by short searches.
-
-    What a secant shows of a large effect is too little: the other parameters absorb a part of it. None if no residual
-    is smaller.
-    """
-    plain, least = problem.torque(x), float(np.linalg.norm(problem.residual(x)))
-
-    def search(trial: tuple[ClosedLoopProblem, FloatArray]) -> tuple[float, dict[str, float], FloatArray] | None:
-        other, start = trial
-        try:
-            end = solve(other, least_squares(_ROUGHLY, _FEW), start)
-            change = require_success(other.simulate(end.x)).torque - plain
-            return float(np.linalg.norm(end.residual)), other.values(end.x), change
-        except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
-            return None
-
-    ends = [end for end in in_threads(search, trials) if end is not None and end[0] < least]
-    return min(ends, key=lambda end: end[0])[1:] if ends else None
-
-
-def _free_number(problem: ClosedLoopProblem, test: FaultTest) -> tuple[ClosedLoopProblem, float]:
-    """Return the problem with a number of joint, law or log free, and a feasible start.
-
-    A limit starts at the tested one: the declared one may be infinite.
-    """
-    name, start = test.name, test.declared + test.size
-    if test.fault is LIMIT:
-        start = (test.shape or 0.0) / _torque_per_unit(problem)
-        problem = problem.declared(with_numbers(problem.loop.controller, {name: start}))
-    if test.fault is OFFSET:
-        (own,) = (p for p in problem.parameters if p.name == name)
-        return problem.replace_parameters({name: replace(own, free=True)}), start
-    wider = problem.freeing(name)
-    return wider, max(start, next(p.lower for p in wider.parameters if p.name == name))
+    return SearchState(wider, x, state.corrected, held.named)
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
@@ -304,23 +262,39 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
 
 
+def _search_law(found: Tested) -> tuple[FloatArray, dict[str, float]] | None:
+    """Return the change of the torque, (samples,), by another law of the joint, and its parameters, by short searches.
+
+    What a secant shows of a large effect is too little: the other parameters absorb a part of it. None if no residual
+    is smaller.
+    """
+    problem, x, fault = found.state.problem, found.state.x, found.tests[0].fault
+    plain, least = problem.torque(x), float(np.linalg.norm(found.residual))
+
+    def search(trial: tuple[ClosedLoopProblem, FloatArray]) -> tuple[float, FloatArray, dict[str, float]] | None:
+        other, start = trial
+        try:
+            end = solve(other, least_squares(_ROUGHLY, _FEW), start)
+            change = require_success(other.simulate(end.x)).torque - plain
+        except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
+            return None
+        return float(np.linalg.norm(end.residual)), change, other.values(end.x)
+
+    ends = in_threads(search, [one.trial for one in found.signatures if one.fault == fault and one.trial is not None])
+    best = min((end for end in ends if end is not None), key=lambda end: end[0], default=None)
+    return None if best is None or best[0] >= least else best[1:]
+
+
 def _make_finding(found: Tested, after: SearchState) -> Finding:
     suspect = found.tests[0]
     least = strength_of(suspect) ** 2 - RIVAL
     rivals = tuple(s for s in found.tests[1:] if s.p_value <= found.level and strength_of(s) ** 2 > least)
     values = after.problem.values(after.x)
     changes = found.shifts_to({**values, **after.identified})
-    for one in found.tests[1:]:  # another form of the same effect, which the record does not exclude
-        of_kin = suspect.fault.kin and one.fault.kin == suspect.fault.kin and one.fault.mechanical
-        if of_kin and one.p_value <= found.level and strength_of(one) > _SAME_EFFECT * strength_of(suspect):
-            other = _accept_fault(replace(found, tests=(one,)))
-            beside = found.shifts_to({**other.problem.values(other.x), **other.identified})
-            changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
-    free = [p.name for p in after.problem.free]
-    if len(after.corrected) > len(found.state.corrected) or suspect.name not in free:
-        whole = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
-        return Finding(suspect, None, rivals, changes, left=whole if after.identified else None)
-    value = values[suspect.name]
+    if len(after.corrected) > len(found.state.corrected):
+        left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
+        return Finding(suspect, None, rivals, changes, left=left if after.identified else None)
     if suspect.fault is LIMIT:
-        return Finding(suspect, value * _torque_per_unit(found.state.problem), rivals, changes)
-    return Finding(replace(suspect, size=value - suspect.declared), value, rivals, changes)
+        return Finding(suspect, values[suspect.name] * _torque_per_unit(after.problem), rivals, changes)
+    size = values[suspect.name] - suspect.declared
+    return Finding(replace(suspect, size=size), values[suspect.name], rivals, changes)

@@ -1,6 +1,6 @@
 """Shifts of an estimate by what its record does not exclude, which widen its intervals.
 
-Three kinds: undeclared elements of the loop, faults of the mechanics, and a residual that follows the motion.
+Two kinds: undeclared elements of the loop, and faults that were found or are suspected.
 
 An element is a filter of velocity or torque, or a delay. One of size s changes the torque by ``s c``. An estimate
 without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record bounds s: the score test of c
@@ -16,18 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.diagnostics.faults.findings import AxisFaults
-from jointid.diagnostics.faults.numbers import DELAY, TORQUE_FILTER, VELOCITY_FILTER
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
-from jointid.diagnostics.unmodelled_motion import PredictedResidual
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER
 from jointid.estimation.result.answer import SLIGHT
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import Widening
@@ -52,20 +50,21 @@ class Element(NamedTuple):
     fault: Fault
     half: float
     controller: Controller
+    axis: int = 0
 
 
-def list_undeclared(controller: Controller, sample_time: float) -> Iterator[Element]:
+def list_undeclared(controller: Controller, sample_time: float, axis: int = 0) -> Iterator[Element]:
     """Yield each usual element that a controller does not declare; `sample_time` is that of the log, s."""
     if not isinstance(controller, DiagramController) or controller.undeclared == "none":
         return
     period = controller.period or sample_time
     half = max(0.5 * _USUAL, period)
     if controller.velocity_filter == (1.0,):
-        yield Element(VELOCITY_FILTER, half, replace(controller, velocity_filter=FirstOrder(half)))
+        yield Element(VELOCITY_FILTER, half, replace(controller, velocity_filter=FirstOrder(half)), axis)
     if not controller.torque_filters:
-        yield Element(TORQUE_FILTER, half, replace(controller, torque_filters=(FirstOrder(half),)))
+        yield Element(TORQUE_FILTER, half, replace(controller, torque_filters=(FirstOrder(half),)), axis)
     if not controller.delay:
-        yield Element(DELAY, 0.5 * period, replace(controller, delay=0.5 * period))
+        yield Element(DELAY, 0.5 * period, replace(controller, delay=0.5 * period), axis)
 
 
 def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
@@ -75,24 +74,30 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
         fit: of a joint, or of a robot, under controllers.
         found: its diagnosis; faults that it names are to be corrected, and widen nothing.
     """
-    torques, part = found.torques, fit.robot
-    tried = _list_elements(fit, found)
+    torques, part, problem = found.torques, fit.robot, fit.problem
+    names = () if problem is None else tuple(p.name for p in problem.free)
+    controllers: tuple[Controller, ...] = () if problem is None else (problem.loop.controller,)
+    scales = np.ones(1)
+    if part is not None and isinstance(part.setup, RobotLoop) and fit.solved is not None:
+        names, values, controllers = part.parameters.names, part.values, part.setup.controllers
+        scales = np.where(part.parameters.logarithmic, values[: len(part.parameters.places)], 1.0)
+    named = [{one.name for f in axis.faults.findings for one in (f.test.fault, *f.test.alike)} for axis in found.axes]
+    tried = [
+        one
+        for axis, controller in enumerate(controllers)
+        for one in list_undeclared(controller, fit.data.sample_time, axis)
+        if one.fault.name not in named[axis] and one.fault.name not in names
+    ]
     if torques is None or not tried:
         return
-    names, scales = [p.name for p in fit.problem.free] if fit.problem is not None else [], np.ones(1)
-    if part is not None:
-        names, values = list(part.parameters.names), part.values[: len(part.parameters.places)]
-        scales = np.where(part.parameters.logarithmic, values, 1.0)
     rows = {row.name: row for row in fit.params.rows if row.stderr}
-    sigma = np.sqrt(np.mean(torques.error**2, axis=1))
-    sigma[sigma == 0.0] = 1.0
-    own = (torques.own / sigma[:, np.newaxis, np.newaxis]).reshape(-1, len(names))
-    solve, changes = Influence(own, torques.error).matrix, _changes(fit, torques, tried)
+    solve = Influence(torques.stack(torques.own), torques.stack(torques.error)).matrix
+    changes = _respond(fit.solved, tried) if fit.solved is not None else _simulate(fit, torques, tried)
     sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
-    for (_, element), change, largest in zip(tried, changes, sizes, strict=True):
+    for element, change, largest in zip(tried, changes, sizes, strict=True):
         if change is None or largest <= 0.0:
             continue
-        by = 0.5 * np.abs(scales * (solve @ (change / sigma[:, np.newaxis]).ravel())) * largest / element.half
+        by = 0.5 * np.abs(scales * (solve @ torques.stack(change))) * largest / element.half
         moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
         if any(one > _MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
             what = f"an undeclared {element.fault.title} of up to {number(1e3 * largest, 2)} ms"
@@ -109,38 +114,16 @@ def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedPa
     return Widening(dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else "")
 
 
-def _list_elements(fit: Estimate, found: Diagnosis) -> list[tuple[int, Element]]:
-    """Return the elements to try, each with its axis: those neither free, nor found as faults."""
-    part, problem = fit.robot, fit.problem
-    of_axes: tuple[Controller, ...] = () if problem is None else (problem.loop.controller,)
-    if part is not None and isinstance(part.setup, RobotLoop) and fit.solved is not None:
-        of_axes = part.setup.controllers
-    taken = [
-        {fault.name for finding in axis.faults.findings for fault in (finding.test.fault, *finding.test.alike)}
-        for axis in found.axes
-    ]
-    free = () if problem is None else tuple(p.name for p in problem.free)
-    return [
-        (axis, one)
-        for axis, controller in enumerate(of_axes)
-        for one in list_undeclared(controller, fit.data.sample_time)
-        if one.fault.name not in taken[axis] and one.fault.name not in free
-    ]
+def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
+    """Return what each element changes of a joint's filtered torque, (1, rows).
 
-
-def _changes(fit: Estimate, torques: AxisTorques, tried: Sequence[tuple[int, Element]]) -> Sequence[FloatArray | None]:
-    """Return what each element changes of the filtered torques, (n, rows).
-
-    Of a robot to first order in what it changes of the motion. An element under which a joint's loop cannot be
-    simulated is not that of the record: None.
+    An element under which the loop cannot be simulated is not that of the record: None.
     """
-    if fit.solved is not None:
-        return list(_respond(fit.solved, [(axis, one.controller) for axis, one in tried]))
     problem, x, record = fit.problem, fit.x, fit.record
 
-    def change(one: tuple[int, Element]) -> FloatArray | None:
+    def change(one: Element) -> FloatArray | None:
         assert problem is not None and x is not None and record is not None
-        other = replace(problem.loop, controller=one[1].controller)
+        other = replace(problem.loop, controller=one.controller)
         run = replace(problem, loop=other, experiment=prepare(other, record)).simulate(x)
         finished = run.outcome is Outcome.FINISHED
         return problem.filter(run.torque)[np.newaxis] - torques.predicted if finished else None
@@ -148,29 +131,29 @@ def _changes(fit: Estimate, torques: AxisTorques, tried: Sequence[tuple[int, Ele
     return in_threads(change, tried) if record is not None else [None] * len(tried)
 
 
-def _respond(solved: SolvedRobot, others: Sequence[tuple[int, Controller]]) -> FloatArray:
-    """Return the changes of a robot's filtered torques by other controllers of axes, (changes, n, rows)."""
+def _respond(solved: SolvedRobot, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
+    """Return what each element changes of a robot's filtered torques, (n, rows), to first order in the motion."""
     problem, run = solved.problem, solved.run
     assert isinstance(problem, RobotLoopProblem) and isinstance(run, Run)
     each = problem.experiment.axes
-    found, direct = respond_to_laws(run, [(j, each[j].with_law(each[j].law_of(other))) for j, other in others])
-    for c, ((j, _), own) in enumerate(zip(others, direct, strict=True)):
-        if not any(problem.seen) or problem.seen[j] is None:  # else the declared law shows the position
-            found[j][:, c] += own
+    others = [(one.axis, each[one.axis].with_law(each[one.axis].law_of(one.controller))) for one in tried]
+    found, direct = respond_to_laws(run, others)
+    for c, (one, own) in enumerate(zip(tried, direct, strict=True)):
+        if not any(problem.seen) or problem.seen[one.axis] is None:  # else the declared law shows the position
+            found[one.axis][:, c] += own
     rows = problem.decimate_each(found)
-    return np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0)
+    return list(np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0))
 
 
-def _largest_size(torques: AxisTorques, of: tuple[int, Element], change: FloatArray | None) -> float:
+def _largest_size(torques: AxisTorques, element: Element, change: FloatArray | None) -> float:
     """Return the largest size of an element, s, within two deviations of what its axis' residual shows."""
     if change is None:
         return 0.0
-    axis, element = of
-    own = torques.own[axis]
+    axis, own = element.axis, torques.own[element.axis]
     signature = FaultSignature(replace(element.fault, one_sided=True), change[axis] / element.half)
     (test,) = score(
         torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
-        lambda: cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
+        cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
     )  # fmt: skip
     return min(test.size + 2 * test.std, 2.0 * element.half)
 
@@ -194,22 +177,6 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
                 if abs(finding.changes[name].sigmas) > INTERVAL and by < SLIGHT * abs(rows[name].value or 0.0)
             }
         yield Widening(moved)
-    yield Widening({name: 0.5 * by for name, by in check.lacking.items()})  # two deviations hold it
-    if (suspect := check.suspected) is not None:
-        what = f"the record does not exclude a {suspect.test.title} (p = {number(suspect.test.p_value, 2)}), which"
+    for suspect in check.suspected:
+        what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"
         yield _widening(what, {name: abs(one.by) for name, one in suspect.changes.items()}, rows, "")
-
-
-def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Widening:
-    """Return the largest shift of each parameter by a residual that follows the motion.
-
-    A part of the torque of that norm, with the shape that shifts a parameter most, shifts it by its norm times the
-    deviation of the parameter under unit noise (the inequality of Cauchy and Schwarz). The part that the parameters
-    have absorbed is assumed as large as the residual one. The largest shift is two deviations.
-    """
-    slopes = problem.linearise(x)[1]
-    sizes = column_norms(slopes)  # of parameters in units of their own
-    # Rows of the pseudo-inverse: their norms are the deviations under unit noise, and never the root of a rounding.
-    spread = np.linalg.norm(np.linalg.pinv(slopes / sizes, rcond=1e-8), axis=1) / sizes
-    size = 0.5 * rest.share * problem.size
-    return Widening({p.name: size * float(by) for p, by in zip(problem.free, spread, strict=True)})

@@ -20,7 +20,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
 from jointid.diagnostics.diagnosis import DIFFERS, Diagnosis, Symptom, diagnose_joint, diagnose_robot
-from jointid.diagnostics.find_causes import find_failure_causes
+from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
@@ -148,7 +148,7 @@ def _diagnose_estimate(
         )
     if isinstance(record, Record):
         solved = rebuild_problem(estimate, record)
-        return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)[0]
+        return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)
     if windows_of(record, estimate.require_robot().setup, None):
         raise MethodError(IN_WINDOWS)
     try:
@@ -210,7 +210,7 @@ def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progr
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
         return Symptom("not_identified", str(error))
     named = causes.explanations
-    return Symptom(named[0].fault.name if named else str(causes.message.code), causes.message.words)
+    return Symptom(named[0].name if named else str(causes.message.code), causes.message.words)
 
 
 def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:

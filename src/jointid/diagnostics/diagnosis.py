@@ -22,12 +22,13 @@ from jointid.common.text import join, number, sentence
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
+from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.faults.findings import AxisFaults
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
-from jointid.diagnostics.robot_causes import RobotCause, find_copied_reference, find_robot_cause, find_wrong_sign
-from jointid.diagnostics.search_state import LoopTests, SearchState
+from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
+from jointid.diagnostics.search_state import MOST
 from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
@@ -162,7 +163,7 @@ class Diagnosis(Documented):
     method: str = ""
     axes: tuple[AxisDiagnosis, ...] = ()
     torques: AxisTorques | None = None
-    cause: RobotCause | None = None
+    cause: Cause | None = None
     symptoms: tuple[Symptom, ...] = ()
     logged: str = ""
     laws: tuple[LawComparison, ...] = ()
@@ -282,28 +283,23 @@ def _say_of(axis: AxisDiagnosis, reason: Message) -> Message:
 # Diagnosis of an estimate
 
 
-def diagnose_joint(
-    estimate: Estimate, record: Record, solved: Solved, tests: LoopTests | None = None
-) -> tuple[Diagnosis, SearchState]:
+def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int = MOST) -> Diagnosis:
     """Diagnose the estimate of a joint by DIDIM.
 
     Args:
         estimate: by DIDIM, of this record.
         record: that it was identified from.
         solved: its problem; the parameters identified beside the joint are not tested.
-        tests: settings of the tests.
-
-    Returns:
-        The diagnosis, and the problem with the faults that were found corrected.
+        most: faults that are named at most.
     """
     problem, x = solved
     std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
-    faults, state = search_faults(problem, x, tests, std, record, law)
+    faults = search_faults(problem, x, std, record, law, most=most)
     torques, residuals = torques_of_loop(problem, x), estimate.fit.residuals
     repeats = None if residuals is None else residuals.repeatable
     axis = _diagnose_axis(estimate, torques, 0, law, faults, repeats)
-    return Diagnosis(record.name, estimate.settings.method, (axis,), torques), state
+    return Diagnosis(record.name, estimate.settings.method, (axis,), torques)
 
 
 def diagnose_robot(
@@ -326,7 +322,7 @@ def diagnose_robot(
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     joints = zip(robot.links, robot.joints, strict=True)
     own = [list_laws(FlexibleJoint(link.kind, joint.law), linear=True) for link, joint in joints]
-    faults, explained = find_axis_faults(torques, units, LoopTests().level, own)
+    faults, explained = find_axis_faults(torques, units, own)
     repeats = [_repeats(torques, k) if _is_seen_through_law(record) else None for k, record in enumerate(records)]
     each = enumerate(zip(laws, faults, repeats, strict=True))
     axes = tuple(_diagnose_axis(estimate, torques, k, *found) for k, found in each)
@@ -337,7 +333,7 @@ def diagnose_robot(
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
     # What acts all the time explains a part of it only where it explains nearly everything.
     local = any(one.part is not None for one in faults)
-    if cause is not None and cause.explained > (max(explained, _NEARLY_ALL * large) if local else explained):
+    if cause is not None and len(robot) - cause.left > (max(explained, _NEARLY_ALL * large) if local else explained):
         return Diagnosis(robot.name, estimate.settings.method, tuple(map(_wait_for_cause, axes)), torques, cause)
     return Diagnosis(robot.name, estimate.settings.method, axes, torques)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,22 +13,21 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
-from jointid.diagnostics.considered import widen_for_faults, widen_for_rest, widen_for_undeclared
+from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
 from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
-from jointid.diagnostics.find_causes import explain_misfit, find_gross_cause
+from jointid.diagnostics.explain import explain_misfit, find_gross_cause
 from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
-from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import CheckResults, Widening, assemble, judged
+from jointid.estimation.result.judge import CheckResults, Widening, assemble
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
@@ -159,9 +157,8 @@ def run_checks(
     What the record does not allow to check is left out. An exception loses no estimate: the verdict on the loop states
     it.
 
-    A parameter that is not identifiable leaves the loop unchecked. If a cause explains a misfit (`find_causes`), it is
-    the verdict, because sensitivities mislead then. If the residual of a flexible joint follows its motion with the
-    faults corrected, the verdict on repeatable errors says so (`unmodelled_motion`).
+    A parameter that is not identifiable leaves the loop unchecked. If a cause explains a misfit (`explain`), it is
+    the verdict, because sensitivities mislead then.
     """
     try:
         if fit.robot is not None:
@@ -181,7 +178,7 @@ def _fail(*reasons: Message) -> Verdict:
 def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
     problem, x = solved
-    gross = causes = found = state = rest = None
+    gross = causes = found = None
     with contextlib.suppress(*_OF_RECORD):
         local = find_part_of_loop(problem, x) is not None
         gross = find_gross_cause(assemble(fit), record, progress, local=local)
@@ -191,7 +188,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     whole = all(p.value is not None for p in fit.params.rows)
     try:
         if whole:
-            found, state = diagnose_joint(fit, record, solved)
+            found = diagnose_joint(fit, record, solved)
             verdict = Verdict(Subject.LOOP, found.axes[0].faults.status, found.axes[0].faults.reasons)
         else:
             verdict = check_without_joint(record, problem.loop_at(x))
@@ -214,17 +211,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
             verdict = _fail(agreed, *(verdict.reasons if verdict.status is Status.FAILED else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         verdict = _fail(short)
-    wider, verdicts = [] if found is None else _widen(fit, found), [verdict]
-    with contextlib.suppress(*_OF_RECORD):
-        if state is not None and isinstance(state.problem.joint, FlexibleJoint):
-            rest = predict_residual(state.problem, state.x)
-    if state is not None and rest is not None and rest.follows:
-        before = next((one for one in judged(fit).checks.verdicts if one.subject is Subject.REPEATABLE), None)
-        kept = before.reasons if before is not None and before.status is Status.FAILED else ()
-        verdicts.insert(0, replace(rest.verdict, reasons=(*rest.verdict.reasons, *kept)))
-        with contextlib.suppress(*_OF_RECORD):  # the verdict stands, however wide it is
-            wider.append(widen_for_rest(state.problem, state.x, rest))
-    return CheckResults(tuple(verdicts), tuple(wider), found)
+    return CheckResults((verdict,), () if found is None else tuple(_widen(fit, found)), found)
 
 
 def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:

@@ -11,13 +11,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import join, number
+from jointid.diagnostics.changes import Cause
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.regression import motion_of_robot
 from jointid.models.robots.base_parameters import inverse_columns
@@ -75,27 +76,6 @@ _OF_JOINTS: tuple[tuple[str, int, int, tuple[float, ...], str], ...] = (
 """Of one joint: the code, powers of a factor on position and torque, its starts (-1 alone if none), and the words."""
 
 
-@dataclass(frozen=True, slots=True)
-class RobotCause:
-    """Cause of a misfit of a whole robot.
-
-    Attributes:
-        name: its code. joints: that it concerns; none of a base.
-        words: clause that states it, with its remedy.
-        value: its number; None without one.
-        explained: squares of the residual that it explains, as a sum of the shares of all joints.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    words: str
-    value: float | None = None
-    explained: float = math.inf
-
-    def __str__(self) -> str:
-        return self.words
-
-
 class _Case(NamedTuple):
     """A model and a log: motion of the motors and their torques, (samples, n) each, and where they move."""
 
@@ -106,49 +86,61 @@ class _Case(NamedTuple):
     torque: FloatArray
     moving: FloatArray
 
+    def arranged(self, positions: Sequence[int], torques: Sequence[int]) -> _Case:
+        """Return the case with the columns of its log in other orders."""
+        at = list(positions)
+        q, v, a, moving = (one[:, at] for one in (self.q, self.v, self.a, self.moving))
+        return _Case(self.robot, q, v, a, self.torque[:, list(torques)], moving)
+
+    def scaled(self, k: int, position: float, torque: float) -> _Case:
+        """Return the case with position and torque of a joint times these."""
+        by = np.ones((2, len(self.robot)))
+        by[:, k] = position, torque
+        q, v, a = (one * by[0] for one in (self.q, self.v, self.a))
+        return self._replace(q=q, v=v, a=a, torque=self.torque * by[1])
+
 
 class _Change(NamedTuple):
-    """A cause with its numbers: the case in which it is corrected, and the starts of their search."""
+    """A mistake with its numbers: the case in which it is corrected, its words and value, and starts of a search."""
 
     name: str
     joints: tuple[int, ...]
     correct: Callable[[FloatArray], _Case]
-    words: Callable[[FloatArray], str]
-    starts: tuple[tuple[float, ...], ...] = ((),)
-    value: Callable[[FloatArray], float | None] = lambda x: float(x[0]) if x.size else None
+    say: Callable[[FloatArray], tuple[str, float | None]]
+    starts: Sequence[Sequence[float]] = ((),)
 
     def cost(self, left: float, x: FloatArray) -> float:
         """Return the squares that are left, of more numbers as if they were more.
 
         A base counts as none: a zero off by half a turn predicts what one upside down does.
         """
+        if self.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
+            return math.inf
         return left * _SIMPLER ** (0 if self.name == "base" else x.size)
 
 
-def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> RobotCause | None:
+def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> Cause | None:
     """Return the cause that explains most of the residual of IDIM of rigid joints; None where none explains enough."""
     if len(robot) < _TWO:
         return None
     declared = _thin(robot, records, filtering)
     solve = _Solver(declared)
-    ends = list[tuple[float, FloatArray, _Change]]()
-    for change in _changes(declared):
-        tried = [(solve.left(change.correct(one)), one) for one in map(np.array, change.starts)]
-        ends.append((*min(tried, key=lambda one: one[0]), change))
+
+    def left(change: _Change, x: Sequence[float]) -> tuple[float, FloatArray, _Change]:
+        return float(np.sum(solve.error(change.correct(np.array(x))) ** 2)), np.array(x), change
+
+    ends = [min((left(change, x) for x in change.starts), key=lambda one: one[0]) for change in _changes(declared)]
     ends.sort(key=lambda one: one[0])
-    free = [one for one in ends if one[1].size]
-    free = [*free[:_BEST], *(one for one in free[_BEST:] if one[2].name in _FROM_DECLARED)]
-    found = [one for one in ends if not one[1].size]
-    found += [(*solve.descend(change.correct, start), change) for _, start, change in free]
-    found = [one for one in found if one[2].name != "geometry" or np.max(np.abs(one[1])) < _LONGEST]
+    found, free = [one for one in ends if not one[1].size], [one for one in ends if one[1].size]
+    for _, start, change in (*free[:_BEST], *(one for one in free[_BEST:] if one[2].name in _FROM_DECLARED)):
+        found.append((*solve.descend(change.correct, start), change))
     least, x, change = min(found, key=lambda one: one[2].cost(one[0], one[1]))
     if len(robot) - least < _LEAST:
         return None
-    joints = tuple(robot.names[k] for k in change.joints)
-    return RobotCause(change.name, joints, change.words(x), change.value(x), len(robot) - least)
+    return Cause(change.name, *change.say(x), least, tuple(robot.names[k] for k in change.joints))
 
 
-def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause | None:
+def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | None:
     """Return the joints whose logged position is their reference to rounding; None without any."""
     names = []
     for name, record in zip(robot.names, records, strict=True):
@@ -159,15 +151,15 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> RobotCause
     if not names:
         return None
     words = f"the motor position of {join(names)} is its reference: log what the encoder measures"
-    return RobotCause("reference_is_position", tuple(names), words)
+    return Cause("reference_is_position", words, joints=tuple(names))
 
 
-def find_wrong_sign(names: Sequence[str], driving: Sequence[int]) -> RobotCause | None:
+def find_wrong_sign(names: Sequence[str], driving: Sequence[int]) -> Cause | None:
     """Return the joint that its friction drives most, whose torque has the wrong sign; None without any."""
     if not driving:
         return None
     name = names[driving[0]]
-    return RobotCause("torque_sign", (name,), _SIGN.format(joint=name))
+    return Cause("torque_sign", _SIGN.format(joint=name), joints=(name,))
 
 
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:
@@ -207,10 +199,6 @@ class _Solver:
         W = W / np.maximum(np.linalg.norm(W, axis=0), np.finfo(float).tiny)
         return np.asarray(y - W @ (np.linalg.pinv(W.T @ W, rcond=_RANK, hermitian=True) @ (W.T @ y)))
 
-    def left(self, case: _Case) -> float:
-        """Return the squares that are left."""
-        return float(np.sum(self.error(case) ** 2))
-
     def descend(self, correct: Callable[[FloatArray], _Case], x: FloatArray) -> tuple[float, FloatArray]:
         """Return the least squares from a start, by a few steps, and its numbers."""
         from scipy.optimize import least_squares
@@ -223,24 +211,27 @@ class _Solver:
 
 
 def _changes(declared: _Case) -> Iterator[_Change]:
-    """Yield all causes: of the log, of one joint after the other, and of the model."""
+    """Yield all changes: of the log, of one joint after the other, and of the model."""
     names, own = declared.robot.names, [*range(len(declared.robot))]
+
+    def arrange(
+        name: str, joints: Sequence[int], positions: Sequence[int], torques: Sequence[int], words: str
+    ) -> _Change:
+        case = declared.arranged(positions, torques)
+        return _Change(name, tuple(joints), lambda _: case, lambda _: (words, None))
+
     for i, j in itertools.combinations(own, 2):
         other = [j if k == i else i if k == j else k for k in own]
         for code, positions, torques, words in _OF_PAIRS:
-            yield _arrange(
-                declared, code, (i, j), other if positions else own, other if torques else own,
-                words.format(names[i], names[j]),
-            )  # fmt: skip
+            said = words.format(names[i], names[j])
+            yield arrange(code, (i, j), other if positions else own, other if torques else own, said)
     first = sorted(own, key=names.__getitem__)
     orders = {tuple(own[::-1]), tuple(map(first.index, own)), *((*own[by:], *own[:by]) for by in own[1:])}
     for order in sorted(one for one in orders if sum(k != at for k, at in enumerate(one)) > _TWO):
         said = f"the columns of {join([names[k] for k in order])} are of {join(names)}"
-        words = f"the log has the joints in another order: {said}"
-        yield _arrange(declared, "order", tuple(own), order, order, words)
+        yield arrange("order", own, order, order, f"the log has the joints in another order: {said}")
     for k in own:
-        for row in _OF_JOINTS:
-            yield _scale(declared, k, *row)
+        yield from (_scale(declared, k, *row) for row in _OF_JOINTS)
         yield from _changes_of_link(declared, k)
     yield _hang(declared)
     follows = np.linalg.inv(declared.robot.coupling)
@@ -250,68 +241,49 @@ def _changes(declared: _Case) -> Iterator[_Change]:
             yield _couple(declared, i, j)
 
 
-def _arrange(
-    declared: _Case, name: str, joints: tuple[int, ...], positions: Sequence[int], torques: Sequence[int], words: str
-) -> _Change:
-    """Return the change of a log whose columns are in other orders."""
-    at, (robot, q, v, a, torque, moving) = list(positions), declared
-    case = _Case(robot, q[:, at], v[:, at], a[:, at], torque[:, list(torques)], moving[:, at])
-
-    def correct(_: FloatArray) -> _Case:
-        return case
-
-    def say(_: FloatArray) -> str:
-        return words
-
-    return _Change(name, joints, correct, say)
-
-
 def _scale(
     declared: _Case, k: int, name: str, position: int, torque: int, starts: tuple[float, ...], words: str
 ) -> _Change:
     """Return the change of a log whose position and torque of a joint are off by powers of a factor."""
 
     def correct(x: FloatArray) -> _Case:
-        factor, by = math.exp(x[0]) if x.size else -1.0, np.ones((2, len(declared.robot)))
-        by[:, k] = factor**position, factor**torque
-        robot, q, v, a, tau, moving = declared
-        return _Case(robot, q * by[0], v * by[0], a * by[0], tau * by[1], moving)
+        factor = math.exp(x[0]) if x.size else -1.0
+        return declared.scaled(k, factor**position, factor**torque)
 
-    def value(x: FloatArray) -> float | None:
-        return math.exp(-x[0]) if x.size else None
+    def say(x: FloatArray) -> tuple[str, float | None]:
+        value = math.exp(-x[0]) if x.size else None
+        return words.format(joint=declared.robot.names[k], value=number(value, 3)), value
 
-    def say(x: FloatArray) -> str:
-        return words.format(joint=declared.robot.names[k], value=number(value(x), 3))
-
-    return _Change(name, (k,), correct, say, tuple((one,) for one in starts) or ((),), value)
+    return _Change(name, (k,), correct, say, tuple((one,) for one in starts) or ((),))
 
 
 def _changes_of_link(declared: _Case, k: int) -> Iterator[_Change]:
     """Yield the zero of a joint's encoder, and the place of its link on the one before it."""
     robot, name, at = declared.robot, declared.robot.names[k], declared.robot.links[k].origin
 
-    def wrap(x: FloatArray) -> float:
-        return float((x[0] + math.pi) % (2 * math.pi) - math.pi)
+    def turn(x: FloatArray) -> _Case:
+        return declared._replace(robot=robot.turn(x[0] * np.eye(len(robot))[k]))
 
-    if robot.links[k].kind == "revolute":
-        yield _Change(
-            "zero", (k,), lambda x: declared._replace(robot=robot.turn(x[0] * np.eye(len(robot))[k])),
-            lambda x: f"the encoder of {name} reads 0 where the joint of the model is near {number(wrap(x), 2)} "
-            "rad: check it, and give its zero in its table", tuple((one,) for one in _ZEROS), wrap,
-        )  # fmt: skip
+    def say_zero(x: FloatArray) -> tuple[str, float]:
+        zero = float((x[0] + math.pi) % (2 * math.pi) - math.pi)
+        said = f"the encoder of {name} reads 0 where the joint of the model is near {number(zero, 2)} rad"
+        return f"{said}: check it, and give its zero in its table", zero
 
     def lengthen(x: FloatArray) -> _Case:
         links = list(robot.links)
         links[k] = replace(links[k], origin=at + x)
         return declared._replace(robot=replace(robot, links=tuple(links)))
 
-    def say(x: FloatArray) -> str:
+    def say_place(x: FloatArray) -> tuple[str, float]:
         before, after = (", ".join(f"{float(one):.3f}" for one in place) for place in (at, at + x))
         said = f"{name} stands at {before} m on the link before it, and the torques fit {after} m"
-        return f"the geometry of the model is not that of the robot: {said}: check the model's lengths"
+        words = f"the geometry of the model is not that of the robot: {said}: check the model's lengths"
+        return words, float(np.linalg.norm(x))
 
+    if robot.links[k].kind == "revolute":
+        yield _Change("zero", (k,), turn, say_zero, tuple((one,) for one in _ZEROS))
     if k:
-        yield _Change("geometry", (k,), lengthen, say, ((0.0, 0.0, 0.0),), lambda x: float(np.linalg.norm(x)))
+        yield _Change("geometry", (k,), lengthen, say_place, ((0.0, 0.0, 0.0),))
 
 
 def _hang(declared: _Case) -> _Change:
@@ -322,21 +294,18 @@ def _hang(declared: _Case) -> _Change:
     def hang(x: FloatArray) -> _Case:
         return declared._replace(robot=replace(robot, gravity=size * x / np.linalg.norm(x)))
 
-    def say(x: FloatArray) -> str:
-        x, y, z = hang(x).robot.gravity
+    def say(x: FloatArray) -> tuple[str, float]:
+        gravity = hang(x).robot.gravity
+        towards = ", ".join(f"{one:.2f}" for one in gravity / size)
         if not known:
-            return f"the links weigh something, and the model has no gravity: give it {x:.2f}, {y:.2f}, {z:.2f} m/s2"
-        how = f"stands so that gravity points along {x / size:.2f}, {y / size:.2f}, {z / size:.2f}"
-        if min(z, -robot.gravity[2]) > _OPPOSITE * size:
-            how = "hangs upside down"
-        return f"the base {how} in the model's frame: declare it as robot.base (roll, pitch, yaw)"
+            return f"the links weigh something, and the model has no gravity: give it {size} m/s2 along {towards}", size
+        upside_down = min(gravity[2], -robot.gravity[2]) > _OPPOSITE * size
+        how = "hangs upside down" if upside_down else f"stands so that gravity points along {towards}"
+        cosine = float(gravity @ robot.gravity) / size**2
+        words = f"the base {how} in the model's frame: declare it as robot.base (roll, pitch, yaw)"
+        return words, math.acos(min(max(cosine, -1.0), 1.0))
 
-    def turned(x: FloatArray) -> float:
-        cosine = float(hang(x).robot.gravity @ robot.gravity) / size**2
-        return math.acos(min(max(cosine, -1.0), 1.0)) if known else size
-
-    starts = tuple(map(tuple, (*np.eye(3), *-np.eye(3))))
-    return _Change("base" if known else "gravity", (), hang, say, starts, turned)
+    return _Change("base" if known else "gravity", (), hang, say, (*np.eye(3), *-np.eye(3)))
 
 
 def _couple(declared: _Case, motor: int, joint: int) -> _Change:
@@ -348,8 +317,8 @@ def _couple(declared: _Case, motor: int, joint: int) -> _Change:
         joints[motor] = replace(joints[motor], coupling={other: float(x[0])})
         return declared._replace(robot=replace(robot, joints=tuple(joints)))
 
-    def say(x: FloatArray) -> str:
+    def say(x: FloatArray) -> tuple[str, float]:
         declare = f"coupling = {{ {other} = {number(x[0], 3)} }}"
-        return f"the motor of {one} turns with {other}: declare {declare} for {one}"
+        return f"the motor of {one} turns with {other}: declare {declare} for {one}", float(x[0])
 
     return _Change("coupled", (motor, joint), couple, say, tuple((x,) for x in _COUPLED))

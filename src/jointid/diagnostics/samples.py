@@ -14,8 +14,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
-from jointid.common.text import join, number
-from jointid.diagnostics.faults.forces import find_steps
+from jointid.common.text import join, number, pluralise
 from jointid.diagnostics.model_free import SHORTEST
 from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop, FlexibleJoint
@@ -40,6 +39,14 @@ _MEAN, _VARIES = 21, 0.5  # samples; of the root mean square of an acceleration 
 _JUMP = 10.0  # times the largest step but a few: no motor moves so far in a sample
 _FEW_CHANGES, _AT_ONCE = 0.02, 5  # of the samples, at which a reference in steps changes; samples
 _BACK = 0.05  # of all the way: who goes back less moves one way only
+_FEWEST_JUMPS = 12  # steps of an injected signal
+_CLEAR_JUMP = 10.0  # times the median change of a sample: size of a step
+_LARGE_JUMP = 0.03  # of the torque's scatter: a smaller step is of no interest
+_ALONE = 0.3  # of a step: so much the samples before and after it may change
+_ROUNDED = 5  # times the smallest change of a sample, which is that of its rounding
+_IDLE, _OFTEN = 1e-3, 0.02  # of the greatest speed, and of the samples: where a reference asks for nothing
+_AS_OFTEN = 1 / 3  # as all over the record they are where the reference rests, if it does
+_OWN = 0.5  # of their squares: so much of the steps is none of the reference's velocity, acceleration and direction
 
 
 def find_plain_cause(record: Record) -> Message | None:
@@ -78,6 +85,46 @@ def _check_length(record: Record, needed: float, what_for: str) -> Message | Non
     lasts = f"it has {number(seconds, 2)} s of motion{'' if both_ways else ', one way only'}"
     clause = f"the record is too short {what_for}: {lasts}; {SHORTEST:g} s or more, both ways, would do"
     return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": SHORTEST}, clause)
+
+
+def find_steps(record: Record) -> Message | None:
+    """Return the message of an undeclared injected signal, if the torque has steps of its own; else None.
+
+    A step is a change in one sample between two without a change. Steps of a controller that is slower than the log,
+    or of a stepped reference, correlate with the reference, and stop while it rests.
+    """
+    torque, reference = record.torque, record.reference
+    assert torque is not None
+    assert reference is not None
+    if record.injected is not None or torque.values.size < 2 * _FEWEST_JUMPS:
+        return None
+    signed = np.diff(torque.values)
+    change = np.abs(signed)
+    if not np.any(change):
+        return None
+    rounding = float(np.min(change[change > 0]))
+    bound = max(_CLEAR_JUMP * float(np.median(change)), _ROUNDED * rounding, _LARGE_JUMP * float(np.std(torque.values)))
+    here = change[1:-1]
+    steps = (here > bound) & (np.maximum(change[:-2], change[2:]) < _ALONE * here)
+    velocity = np.gradient(reference.values, reference.sample_time)
+    asked = np.column_stack([velocity, np.gradient(velocity), np.sign(velocity)])
+    asked = np.column_stack([np.interp(torque.time, reference.time, one)[1:-2] for one in asked.T])
+    rests = np.abs(asked[:, 0]) < _IDLE * np.max(np.abs(velocity))
+    count = int(np.sum(steps))
+    if count < _FEWEST_JUMPS:
+        return None
+    if np.mean(rests) > _OFTEN and np.mean(steps[rests]) < _AS_OFTEN * np.mean(steps):
+        return None
+    sizes, by = signed[1:-1][steps], asked[steps] / np.maximum(np.max(np.abs(asked), axis=0), np.finfo(float).tiny)
+    own = sizes - by @ np.linalg.lstsq(by, sizes, rcond=None)[0]
+    if own @ own < _OWN * (sizes @ sizes):
+        return None
+    clause = (
+        f"a signal is injected that is not declared (channel injected): the torque makes {pluralise(count, 'step')} "
+        "that the reference does not ask for"
+    )
+    cause = {"cause": "injected", "value": count, "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
 
 
 def find_lost_samples(record: Record) -> Message | None:

@@ -23,9 +23,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -49,15 +49,11 @@ _WIDENED = 0.05  # a test with a larger p-value is not significant, however its 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Step:
-    """One Gauss-Newton step along the signature of a fault.
+class _Step(NamedTuple):
+    """A Gauss-Newton step along a signature with the best of its shapes.
 
-    Attributes:
-        signature: with the best of its shapes.
-        size: of the step.
-        alone: (rows,) its whitened column, orthogonal to the other columns.
-        gain: decrease of the squares of the residual.
+    `alone` is its whitened column, (rows,), orthogonal to the other columns, and `gain` by what the squares of the
+    residual fall.
     """
 
     signature: FaultSignature
@@ -71,7 +67,7 @@ def score(
     own: FloatArray,
     signatures: Sequence[FaultSignature],
     declared: Mapping[Fault, float],
-    where: Callable[[], Cells],
+    where: Cells,
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
     widened: float = _WIDENED,
     blocks: Sequence[slice] = (slice(None),),
@@ -79,12 +75,14 @@ def score(
 ) -> tuple[FaultTest, ...]:
     """Test each fault alone, the strongest first of those that are significant.
 
+    Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh).
+
     Args:
         residual: (rows,) of a solved problem, in the order of time.
         own: (rows, free) columns of its free parameters, and of faults already corrected.
         signatures: of all faults of all axes: none of them is noise.
         declared: value of each fault to be tested.
-        where: returns the rows' cells; called only where a deviation is widened.
+        where: cells of the rows.
         by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
             only where a test is significant.
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
@@ -92,6 +90,8 @@ def score(
         along_measured_motion: whether the columns contain the answer of the loop to a force; deviations are widened for
             the bias that this may be, as those of the estimate are (`Influence.widen_for_motion`).
     """
+    from scipy.stats import f, t
+
     common, rest = _find_common_basis(own, signatures, blocks), residual.copy()
     for rows, part in common:
         rest[rows] -= part @ (part.T @ residual[rows])
@@ -106,22 +106,51 @@ def score(
         if key not in best or step.gain > best[key].gain:
             best[key] = step
     groups = _group_identical(best.values())
+    of_mechanics = [group[0].signature.fault.mechanical for group in groups]
 
     @cache
     def simulate_forces() -> FloatArray:
         return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
 
-    of_mechanics = [group[0].signature.fault.mechanical for group in groups]
-    families = [of_mechanics.count(mechanics) * (RARER if mechanics else 1) for mechanics in of_mechanics]
-    keys = [(group[0].signature.axis, group[0].signature.fault) for group in groups]
-    tests = (
-        _test_group(
-            group, left, taken, shapes[key] * family, declared[key[1]], where, simulate_forces, widened,
-            along_measured_motion,
-        )
-        for group, family, key in zip(groups, families, keys, strict=True)
-    )  # fmt: skip
-    return rank_tests(tests, _WIDENED)
+    def test(group: Sequence[_Step]) -> FaultTest:
+        (signature, size, column, _), fault = group[0], group[0].signature.fault
+        alone, rest = column[:, np.newaxis], left - size * column
+        after = _give_back(rest, taken + _fitted_share(left.size, alone / column_norms(alone)))
+        others = [other for other in group[1:] if other.signature.axis == signature.axis]
+        opposite = tuple(other.signature.fault for other in others if other.alone @ column < 0)
+        family = of_mechanics.count(fault.mechanical) * (RARER if fault.mechanical else 1)
+        tests = shapes[signature.axis, fault] * family
+
+        def judge(std: float, degrees: float = _MANY) -> FaultTest:
+            ratio = size / std if std > 0 else 0.0
+            tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
+            if fault.parts > 1:  # a size that its coefficients make has no sign
+                tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
+            p_value = min(float(tail) * tests, 1.0) if abs(size) >= fault.least else 1.0
+            return FaultTest(
+                fault, tuple(other.signature.fault for other in others), declared[fault], size, std, ratio, p_value,
+                signature.shape, opposite, signature.axis,
+            )  # fmt: skip
+
+        influence = Influence(alone, after)
+        covariance = influence.robust()
+        found = judge(float(covariance.std[0]))
+        if found.p_value > widened:
+            return found
+        covariance = uncertainty(influence, where, covariance).covariance
+        if along_measured_motion:
+            covariance = Influence(alone, rest).widen_for_motion(covariance)
+        found = judge(float(covariance.std[0]))
+        if found.p_value > _WIDENED or not simulate_forces().size:
+            return found
+        shown = simulate_forces() @ column / float(column @ column)  # (forces,) sizes
+        # A spectrum shows the size of force and noise roughly, and with them the fault: the rest has their size.
+        scale = float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1))))
+        spread = scale * float(np.sqrt(np.mean(shown**2)))
+        # A fault of another kind may look like a force: so its size and its place among the significant stand.
+        return replace(found, p_value=judge(spread, shown.size).p_value) if spread > _MORE * found.std else found
+
+    return rank_tests(map(test, groups), _WIDENED)
 
 
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
@@ -213,55 +242,3 @@ def _group_identical(steps: Iterable[_Step]) -> list[list[_Step]]:
         alike = [] if step.signature.fault.one_sided else [first for first in groups if same[i, first]]
         groups.setdefault(alike[0] if alike else i, []).append(step)
     return list(groups.values())
-
-
-def _test_group(
-    group: Sequence[_Step],
-    left: FloatArray,
-    taken: FloatArray,
-    tests: int,
-    declared: float,
-    where: Callable[[], Cells],
-    simulate_forces: Callable[[], FloatArray],
-    widened: float,
-    along_measured_motion: bool,
-) -> FaultTest:
-    """Return the test of a fault, its p-value adjusted for so many tests.
-
-    Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh).
-    """
-    from scipy.stats import f, t
-
-    step, fault = group[0], group[0].signature.fault
-    alone = step.alone[:, np.newaxis]
-    after = _give_back(left - step.size * step.alone, taken + _fitted_share(left.size, alone / column_norms(alone)))
-    others = [other for other in group[1:] if other.signature.axis == step.signature.axis]
-    alike = tuple(other.signature.fault for other in others)
-    opposite = tuple(other.signature.fault for other in others if other.alone @ step.alone < 0)
-
-    def judge(std: float, degrees: float = _MANY) -> FaultTest:
-        ratio = step.size / std if std > 0 else 0.0
-        tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
-        if fault.parts > 1:  # a size that its coefficients make has no sign
-            tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
-        p_value = min(float(tail) * tests, 1.0) if abs(step.size) >= fault.least else 1.0
-        shape, axis = step.signature.shape, step.signature.axis
-        return FaultTest(fault, alike, declared, step.size, std, ratio, p_value, shape, opposite, axis)
-
-    influence = Influence(alone, after)
-    covariance = influence.robust()
-    test = judge(float(covariance.std[0]))
-    if test.p_value > widened:
-        return test
-    covariance = uncertainty(influence, where(), covariance).covariance
-    if along_measured_motion:
-        covariance = Influence(alone, left - step.size * step.alone).widen_for_motion(covariance)
-    test = judge(float(covariance.std[0]))
-    if test.p_value > _WIDENED or not simulate_forces().size:
-        return test
-    shown = simulate_forces() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
-    # A spectrum shows the size of force and noise roughly, and with them the fault: the remainder has their size.
-    scale = float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1))))
-    spread = scale * float(np.sqrt(np.mean(shown**2)))
-    # A fault of another kind may look like a force: so its size stands, and its place among those that are significant.
-    return replace(test, p_value=judge(spread, shown.size).p_value) if spread > _MORE * test.std else test

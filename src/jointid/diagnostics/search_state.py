@@ -1,4 +1,4 @@
-"""State of the search for faults between two tests, and what is asked of it."""
+"""States of the search for faults: a solved problem, and the tests of what it leaves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import ParameterShift
 from jointid.diagnostics.score import score
@@ -18,30 +17,14 @@ from jointid.records.record import Record
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import Cells
 
+LEVEL = 0.05
+"""Largest share of records without a fault in which one is found."""
+MOST = 3
+"""Faults of one axis, at most."""
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 INTERVAL = 2.0  # deviations: half an interval
-_LAWS = 7  # other laws of a controller, that are tested beside the faults
 _FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
-
-
-@dataclass(frozen=True, slots=True)
-class LoopTests:
-    """Settings of the check of a loop.
-
-    Attributes:
-        level: largest share of records without a fault in which one is found.
-        most: faults named at most, one after another.
-    """
-
-    level: float = 0.05
-    most: int = 3
-
-    def __post_init__(self) -> None:
-        if not (0 < self.level < 1 and self.most >= 1):
-            raise MethodError(
-                f"A check has a level between 0 and 1 and names at least 1 fault; received {self.level} and "
-                f"{self.most}."
-            )
+_LAWS = 7  # other laws of a controller, that are tested beside the faults
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +68,7 @@ class Tested:
     level: float
     known: Mapping[str, float]
     record: Record | None
-    where: Callable[[], Cells]
+    where: Cells
     by_forces: Callable[[], list[FloatArray]]
     signatures: tuple[FaultSignature, ...]
     tests: tuple[FaultTest, ...]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 
 import numpy as np
@@ -15,8 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults import loop_gain, numbers, other_laws, record
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure, name_number
 from jointid.diagnostics.score import fit_whitener
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.result.verdict import Reason
@@ -52,11 +51,29 @@ _FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are 
 _BROAD = 1.0  # how broad a peak is, in times over the travel
 _LIKELIEST = 6  # that are simulated
 _RANK = 1e-10  # of the largest singular value of columns
+_STEP = 1e-4  # of the known signal
 VISCOUS, COULOMB = 1.0, 0.0
 """Shapes of a friction that changes over the record."""
 
 
 # What each adds to the torque of an axis
+
+
+def _late(seen: Seen) -> Columns:
+    if seen.loop is None:  # of a loop its derivative is exact
+        yield None, -np.gradient(seen.torque, seen.sample_time)
+
+
+def _scale_injected(seen: Seen) -> Columns:
+    """Yield the change by the injected signal's gain, where the signal is added after the limit."""
+    if seen.loop is None or not np.any(seen.loop[0].axis.after_limit):
+        return
+    problem, x = seen.loop
+
+    def scale(by: float) -> FloatArray:
+        return problem.torque(x, lambda e: replace(e, after_limit=by * e.after_limit, logged=by * e.logged))
+
+    yield None, (scale(1 + _STEP) - scale(1 - _STEP)) / (2 * _STEP)
 
 
 def _limit(seen: Seen) -> Columns:
@@ -271,6 +288,26 @@ _mechanical = partial(Fault, mechanical=True)
 _friction = partial(Fault, table="friction", reason=Reason.FRICTION_NOT_AS_MODELLED)
 _spring = partial(_mechanical, table="spring", reason=Reason.SPRING_NOT_LINEAR, kin="spring law")
 
+VELOCITY_FILTER = Fault("velocity_filter", "velocity filter")
+TORQUE_FILTER = Fault("torque_filter", "torque filter")
+_number = partial(Fault, declared=None)
+DELAY = _number(
+    "delay", "delay of the torque", "the torque reacts {size} {sense} than declared", ("later", "earlier"),
+    measure=Measure.TIME,
+)  # fmt: skip
+REFERENCE_DELAY = _number("reference_delay", "reference delay", measure=Measure.TIME)
+LOG_DELAY = _number(
+    "log_delay", "delay of the log", "the logged torque is {size} {sense} than its time stamps say",
+    ("later", "earlier"), columns=_late, measure=Measure.TIME,
+)  # fmt: skip
+LOG_GAIN = _number("log_gain", "size of the logged torque")
+INJECTED_GAIN = Fault(
+    "injected_gain", "size of the injected signal", columns=_scale_injected, declared=1.0, last=True
+)  # fmt: skip
+_NUMBERS = (
+    DELAY, REFERENCE_DELAY, _number("gain", "gain of the controller's output", last=True), LOG_GAIN, LOG_DELAY,
+    INJECTED_GAIN,
+)  # fmt: skip
 OFFSET = Fault(
     "offset", "constant force", says="a {sense} constant force{of} is not declared", senses=("positive", "negative"),
     measure=Measure.TORQUE,
@@ -292,11 +329,10 @@ GRAVITY = _mechanical(
     measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
     remedy='to identify it, declare it: [gravity] load = "link"',
 )  # fmt: skip
-INJECTED = Fault("injected", "signal that is not declared")
 POSITION_FORCE = _mechanical(
     "position_force", "force that follows the position",
-    "the axis' own position: a gear that turns unevenly, a cable or a counterbalance",
-    "a part of the torque follows {phrase}", columns=_wave, reason=Reason.FORCE_FOLLOWS_POSITION,
+    "a part of the torque follows the axis' own position: a gear that turns unevenly, a cable or a counterbalance",
+    columns=_wave, reason=Reason.FORCE_FOLLOWS_POSITION,
 )  # fmt: skip
 COGGING = _mechanical(
     "cogging", "force that comes back with the position", columns=_cog, tried=_WAVES_TRIED.size, parts=2,
@@ -355,17 +391,23 @@ SECOND_MODE = replace(
     measure=Measure.SHARE, reason=Reason.LOAD_NOT_RIGID, laws=(ElasticLoad.name,),
 )  # fmt: skip
 COMPLIANCE = _mechanical(
-    "compliance", "gear that bends", "changes of the acceleration: a gear that bends",
+    "compliance", "gear that bends",
     "a part of the torque is what a spring in this joint makes, as where a gear bends: declare its spring, or identify "
     "below its mode by a lower filtering.cutoff", columns=_bends, reason=Reason.LOAD_NOT_RIGID,
 )  # fmt: skip
 
 FAULTS = (
-    *record.FAULTS, *loop_gain.FAULTS, *numbers.FAULTS, *other_laws.FAULTS, OFFSET, TORQUE_SATURATION, GRAVITY,
-    INJECTED, POSITION_FORCE, STRIBECK, PRESLIDING, UNEVEN_FRICTION, WINDING_FRICTION, LOAD_DEPENDENT_FRICTION,
-    CHANGING_FRICTION, ASYMMETRIC_FRICTION, COGGING, CUBIC_SPRING, BACKLASH, SECOND_MODE, COMPLIANCE, LIMIT,
+    *_NUMBERS, OFFSET, TORQUE_SATURATION, GRAVITY, POSITION_FORCE, STRIBECK, PRESLIDING, UNEVEN_FRICTION,
+    WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, ASYMMETRIC_FRICTION, COGGING, CUBIC_SPRING, BACKLASH,
+    SECOND_MODE, COMPLIANCE, LIMIT,
 )  # fmt: skip
-"""Every fault that can be tested or corrected, in the order of the tests and of the hypotheses."""
+"""Every fault that can be tested, in the order of the tests."""
+
+
+@cache
+def number_fault(name: str) -> Fault:
+    """Return the fault of a number of the controller or the log that is not as declared."""
+    return next((one for one in _NUMBERS if one.name == name), None) or _number(name, name_number(name))
 
 
 def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
@@ -374,7 +416,8 @@ def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
         replace(
             POSITION_FORCE, name=f"coupled_{name}", title="coupling with another axis",
             reason=Reason.LOOP_NOT_AS_DECLARED,
-            called=f"the motion of {name}: motors or gears that are coupled", columns=partial(_follow_other, name),
+            says=f"a part of the torque follows the motion of {name}: motors or gears that are coupled",
+            columns=partial(_follow_other, name),
         )
         for name in seen.others
     )  # fmt: skip

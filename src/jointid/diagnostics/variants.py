@@ -31,11 +31,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Measure
-from jointid.diagnostics.faults.findings import Finding, OtherLaw
-from jointid.diagnostics.faults.numbers import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
-from jointid.diagnostics.faults.words import state_periods
+from jointid.diagnostics.faults.findings import Finding, OtherLaw, state_periods
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
+from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
@@ -63,10 +62,9 @@ _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen
 _OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
-PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sample",
-                       "an integral that takes in the present sample")  # fmt: skip
+PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sample")
 MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions")
-PERIOD = Fault("period", "period of the controller", "the period of the controller")
+PERIOD = Fault("period", "period of the controller")
 
 
 def say_way(way: Interpolation) -> str:
@@ -78,7 +76,7 @@ INTERPOLATIONS: dict[Interpolation, Fault] = {
     way: Fault(f"{name}_reference", f"reference {_DONE[way]} between its samples")
     for way, name in zip(_DONE, ("held", "linear", "cubic"), strict=True)
 }
-AVERAGED = Fault("averaged_reference", "reference averaged by the drive", "an averaged reference")
+AVERAGED = Fault("averaged_reference", "reference averaged by the drive")
 LATE = REFERENCE_DELAY
 WHOLE = tuple(fault.name for fault in INTERPOLATIONS.values())
 """Names of those that a drive has or has not, so that their size is 1."""

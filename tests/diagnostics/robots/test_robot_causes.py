@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from jointid.diagnostics.axis_faults import _explained
+from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.diagnosis import Diagnosis, _wait_for_cause, diagnose_robot
 from jointid.diagnostics.faults.fault import FaultTest
 from jointid.diagnostics.faults.findings import Finding
-from jointid.diagnostics.faults.numbers import LOG_GAIN
-from jointid.diagnostics.robot_causes import RobotCause, find_robot_cause
+from jointid.diagnostics.robot_causes import find_robot_cause
+from jointid.diagnostics.suspects import LOG_GAIN
 from jointid.diagnostics.variants import AVERAGED
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
@@ -27,7 +28,7 @@ def diagnosed(robot: Robot, records: list[Record]) -> Diagnosis:
     return diagnose_robot(identified(robot, records), records)
 
 
-def cause_of(declared: Robot, truth: Robot) -> RobotCause | None:
+def cause_of(declared: Robot, truth: Robot) -> Cause | None:
     """Return the cause of a log of a robot that is declared otherwise."""
     return find_robot_cause(declared, records_of(truth, 2, noise=0.02), FILTERING)
 

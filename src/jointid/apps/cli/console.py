@@ -166,7 +166,7 @@ class Options:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
         from jointid import Estimate
-        from jointid.diagnostics.find_causes import explain_failure
+        from jointid.diagnostics.explain import explain_failure
         from jointid.estimation.identify import windows_of
         from jointid.estimation.result.parts import IN_WINDOWS
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.common.transmission import Side
-from jointid.diagnostics.faults.fault import Fault, FaultTest
-from jointid.diagnostics.faults.words import state
+from jointid.diagnostics.faults.fault import MICROSECOND, Fault, FaultTest, Measure
 from jointid.diagnostics.in_time import Part
 from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason, Status
 from jointid.models.controllers import Controller
-from jointid.models.friction import FRICTIONS, StribeckFriction
+from jointid.models.friction import StribeckFriction
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
@@ -70,6 +69,13 @@ class Finding:
     left: float | None = None
     alike: tuple[OtherLaw, ...] = ()
 
+    @property
+    def values(self) -> dict[str, object]:
+        """The numbers of its message."""
+        test = self.test
+        changes = {name: change.by for name, change in self.changes.items()}
+        return {"size": test.size, "std": test.std, "p_value": test.p_value, "changes": changes}
+
 
 @dataclass(frozen=True, slots=True)
 class AxisFaults:
@@ -85,10 +91,9 @@ class AxisFaults:
         undecided: another law that the record does not exclude, and that would shift a parameter out of its interval.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         of_loop: whether faults of the loop were tested, which needs its simulation.
-        excluded: where no fault was found, significant tests of faults that the motor position excludes.
-        lacking: largest shift of each parameter, by name, by what looks like them and is in the joint.
-        suspected: a fault of the mechanics beside those found that is significant at the level of those of the loop,
-            not at its own tenth of that: it is not named, but intervals hold what it moves.
+        suspected: faults that are not named, and whose shifts the intervals hold. One of the mechanics that is
+            significant at the level of those of the loop, not at its own tenth of that; or, where none was found, one
+            of loop or log that the motor position excludes: the joint has what looks like it.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
         explained: share of the squares of the residual that the faults explain together, where so many were found that
             none of them is likely to be the cause.
@@ -103,9 +108,7 @@ class AxisFaults:
     undecided: Finding | None = None
     laws: tuple[str, ...] = ()
     of_loop: bool = True
-    excluded: tuple[FaultTest, ...] = ()
-    lacking: Mapping[str, float] = field(default_factory=dict)
-    suspected: Finding | None = None
+    suspected: tuple[Finding, ...] = ()
     part: Part | None = None
     explained: float | None = None
 
@@ -125,16 +128,16 @@ class AxisFaults:
         if self.part is not None:
             return (self.part.reason,)
         if self.explained is not None:
-            return (self._state_unknown_cause(self.explained),)
-        undecided = () if self.undecided is None else (self._state_open_law(self.undecided),)
+            clause = "something is wrong that is none of the known faults"
+            share, alike = number(100 * self.explained, 2), ", ".join(_call(one.test.fault) for one in self.findings)
+            words = f"{clause}: {alike} together explain {share} % of the squares of the residual"
+            return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
+        undecided = () if self.undecided is None else (self._describe_open_law(self.undecided),)
         if self.findings or undecided:
             return (*map(self._describe, self.findings), *undecided)
         least = min((s.p_value for s in self.tests), default=1.0)
-        names = ", ".join(s.title for s in self.tests)
+        names = ", ".join(" or ".join(one.title for one in (s.fault, *s.alike)) for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
-        if self.excluded:
-            alike = _call(*(one.fault for one in self.excluded))
-            said += f"; a part of the residual looks like {alike} and is not: the motor position excludes that"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
     @property
@@ -142,23 +145,7 @@ class AxisFaults:
         """The words of the reasons."""
         return tuple(map(str, self.reasons))
 
-    @property
-    def open_law(self) -> OtherLaw | None:
-        """The law that is reported as undecided."""
-        return None if self.undecided is None else self.undecided.law
-
-    def on_side(self, quantity: str) -> str:
-        """Return a quantity's unit with the side of the transmission."""
-        return self.units[quantity] if self.side is None else f"{self.units[quantity]} on the {self.side} side"
-
-    def _state_unknown_cause(self, explained: float) -> Message:
-        """Return the message that something else is wrong, with the known faults that look like it."""
-        clause = "something is wrong that is none of the known faults"
-        alike = ", ".join(one.test.fault.phrase for one in self.findings)
-        words = f"{clause}: {alike} together explain {number(100 * explained, 2)} % of the squares of the residual"
-        return Message(Reason.NO_CAUSE_FOUND, words, {"explained": explained}, clause)
-
-    def _state_open_law(self, finding: Finding) -> Message:
+    def _describe_open_law(self, finding: Finding) -> Message:
         """Return the message on another law that the record does not exclude."""
         assert finding.law is not None
         law, s = finding.law, finding.test
@@ -167,8 +154,7 @@ class AxisFaults:
         said = f"{clause} ({share}){self._describe_changes(finding, 'it would change')}"
         said += f"; see the drive's manual, or record a faster motion: if so, declare {law.remedy}"
         said += "; if it has the log's period, declare that" if law.rate else ""
-        values = {"law": law.fault.name, "condition": law.words, "size": s.size, "std": s.std, "p_value": s.p_value}
-        values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
+        values = {"law": law.fault.name, "condition": law.words, **finding.values}
         return Message(Reason.LAW_UNDECIDED, said, values, clause)
 
     def _describe_changes(self, finding: Finding, before: str) -> str:
@@ -183,7 +169,7 @@ class AxisFaults:
     def _describe(self, finding: Finding) -> Message:
         s = finding.test
         p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
-        said, clause = f"{state(finding, self, spread=True)} ({p_value})", state(finding, self, spread=False)
+        said, clause = f"{self._state(finding, spread=True)} ({p_value})", self._state(finding, spread=False)
         if s.alike:
             same = [one for one in s.alike if one not in s.opposite]
             also = f", or so is {_call(*same)}" if same else ""
@@ -193,36 +179,98 @@ class AxisFaults:
             rivals = (_call(rival.fault, *rival.alike) for rival in finding.rivals)
             said += f"; {' or '.join(rivals)} would explain nearly as much"
         said += self._describe_changes(finding, "correcting it changes") + self._name_laws(finding)
-        values = {"suspect": s.name, "alike": [one.name for one in s.alike], "more_than_declared": s.size}
-        values |= {"std": s.std, "p_value": s.p_value}
-        values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
+        values = {"suspect": s.name, "alike": [one.name for one in s.alike], **finding.values}
         return Message(s.fault.reason, said, values, clause)
 
-    def list_laws_with(self, finding: Finding) -> tuple[str, ...]:
-        """Return the laws that have a fault or its rivals."""
-        fault = finding.test.fault
-        named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
-        return (
-            *dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws),
-        )
-
     def _name_laws(self, finding: Finding) -> str:
-        """Return the end of a sentence on the laws with the fault that was found; "" without any."""
-        fault, table = finding.test.fault, finding.test.fault.table
+        """Return the end of a sentence on the laws with the fault that was found or its rivals; "" without any."""
+        fault, shape = finding.test.fault, finding.test.shape
         if fault.remedy:
-            return "; " + fault.remedy.format(shape=number(finding.test.shape, 3))
-        laws = self.list_laws_with(finding)
+            return "; " + fault.remedy.format(shape=number(shape, 3))
+        named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
+        laws = dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws)
         if not laws:
             return ""
-        # IDIM takes what is linear in its parameters on the measured motion.
-        stepped = [] if self.of_loop else [law for law in laws if law in FRICTIONS and FRICTIONS[law]().stepped]
-        tried = " or ".join(f'"{law}"{" (by didim)" if law in stepped else ""}' for law in laws)
-        said = f"; to identify it, declare the joint with {table} = {tried}"
+        tried = " or ".join(f'"{law}"' for law in laws)
+        said = f"; to identify it, declare the joint with {fault.table} = {tried}"
         if self.of_loop:
             return f"{said}, as jointid diagnose --laws tells"
-        speed = finding.test.shape if StribeckFriction.name in laws else None
+        speed = shape if StribeckFriction.name in laws else None
         return said if speed is None else f"{said} and stribeck_speed = {number(speed, 2)}"
+
+    def _state(self, finding: Finding, *, spread: bool) -> str:
+        """Return the clause that states a fault, its size and, with `spread`, its interval."""
+        test, fault = finding.test, finding.test.fault
+        if finding.law is not None:
+            return self._state_laws(finding.law, finding)
+        if not fault.says:
+            return _state_number(test, spread=spread)
+        side = "" if self.side is None else f" on the {self.side} side"
+        units = {name: f"{self.units[name]}{side}" for name in ("torque", "position", "velocity")}
+        size = _show_size(test, units, spread=spread)
+        said = fault.says.format(
+            size=size, by=f", by {size}" if size else "", of=f" of {size}" if size else "",
+            shape="" if test.shape is None else number(test.shape, 2), value=number(finding.value or test.shape, 4),
+            sense=fault.senses[test.size < 0], **units,
+        )  # fmt: skip
+        return " ".join(said.split())
+
+    def _state_laws(self, law: OtherLaw, finding: Finding) -> str:
+        """Return the clause on another law of the drive, and on equally good ones; rates of one law are joined.
+
+        A law that is reported as undecided is not repeated. Rates that the record does not tell apart are equals: which
+        of them leaves least is chance.
+        """
+        undecided = None if self.undecided is None else self.undecided.law
+        of_each: dict[tuple[str, str | None], list[OtherLaw]] = {}
+        for one in (law, *(other for other in finding.alike if other != undecided)):
+            of_each.setdefault((one.fault.name, getattr(one.controller, "interpolation", None)), []).append(one)
+        stated = []
+        for first, *others in of_each.values():
+            texts = first.words, first.remedy
+            if others and first.rate:
+                alone, every = (state_periods([1 / one.rate for one in laws]) for laws in ([first], [first, *others]))
+                texts = texts[0].replace(alone[0], every[0]), texts[1].replace(alone[1], every[1])
+            stated.append(texts)
+        (said, remedy), *more = stated
+        said = f"{said}: declare {remedy}"
+        return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
 
 
 def _call(*faults: Fault) -> str:
-    return " or ".join(fault.phrase for fault in faults)
+    return " or ".join(f"the {fault.title}" for fault in faults)
+
+
+def _show_size(test: FaultTest, units: dict[str, str], *, spread: bool) -> str:
+    """Return the size and, with `spread`, its interval; "" where the interval contains 0."""
+    if 2 * test.std >= abs(test.size):
+        return ""
+    measure, (unit, factor) = test.fault.measure, ("%", 100.0)
+    if measure is Measure.TIME:
+        unit, factor = ("ms", 1e3) if abs(test.size) >= MICROSECOND else ("us", 1e6)
+    elif measure is not Measure.SHARE:
+        unit, factor = units.get(measure.value, ""), 1.0
+    interval = f" ± {number(2 * factor * test.std, 2)}" if spread else ""
+    return f"{number(abs(factor * test.size), 3 if spread else 2)}{interval} {unit}"
+
+
+def _state_number(test: FaultTest, *, spread: bool) -> str:
+    """Return the clause on the difference of a number from its declaration, in percent of that.
+
+    A sensitivity is no guide to a change as large as the number itself.
+    """
+    name, share, deviation = _call(test.fault), test.size / abs(test.declared), 2 * test.std / abs(test.declared)
+    if not -1 < share <= 1:
+        return f"torque, reference, ratio or a gain is wrong by a factor, or has the wrong sign ({name} is the nearest)"
+    way = "smaller" if share < 0 else "larger"
+    if deviation >= abs(share):
+        return f"{name} is {way} than declared, by how much this record does not tell"
+    interval = f" ± {number(100 * deviation, 2)}" if spread else ""
+    return f"{name} is {number(100 * abs(share), 2)}{interval} % {way} than declared"
+
+
+def state_periods(periods: list[float]) -> tuple[str, str]:
+    """Return the clause on a drive of one of these periods, and what to declare; the slowest is the first."""
+    each = sorted(periods, reverse=True)
+    rates, times = (" or ".join(f"{1e-3 / p:.4g}" for p in each), " or ".join(f"{1e3 * p:.4g}" for p in each))
+    return f"the controller runs faster than the log, at {rates} kHz", f"its period, {times} ms"

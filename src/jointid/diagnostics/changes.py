@@ -1,0 +1,396 @@
+"""Gross mistakes of a joint's declaration and log: one table of the changes that correct them, and their words.
+
+A torque that is g times too large, a reference that is g times too small and a law whose gain is g times too small give
+the same record of another joint: ``u = g C(r - q)``. A number on the wrong side of a gear of ratio N is a factor of N
+or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in mm, a
+gear's ratio or its square the wrong side of the gear.
+
+To add one, write what corrects it, its words, and its row.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+from jointid.common.arrays import FloatArray
+from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import number
+from jointid.diagnostics.faults.fault import milliseconds, name_number
+from jointid.diagnostics.variants import INTERPOLATIONS, PERIOD, TIMES_FASTER, list_other_ways, say_way
+from jointid.models.controllers import FirstOrder, numbers_of, unit_of_number, with_numbers
+from jointid.models.controllers.servo_base import DiagramController, Interpolation
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+
+_DEGREES = 180 / math.pi
+_GAINS = (1e-3, 1 / _DEGREES, 0.1, 0.3, 0.6, 1.6, 3.0, 10.0, _DEGREES, 1e3)  # times a declared gain, units among them
+_INTEGRALS = (1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1e3)  # times a declared gain: its time may be in ms, read in s
+_NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
+_LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
+_TIMES = (0.1, 0.125, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0)  # times the sample time: rates that drives log at
+_FACTORS = tuple(10 ** (k / 3) for k in range(-18, 19))  # of the loop's gain: also of the square of a gear's ratio
+_SCALES = tuple(10 ** (k / 2) for k in range(-8, 9))  # of the torque, beside an injected signal
+_UNITS = {"in degrees, not rad": _DEGREES, "in mm, not m": 1e3}  # of a reference, read without a factor
+_NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
+_ROUGHLY = 0.3  # logarithm: unmodelled dynamics move a factor by so much; 75 is then 57.3, of an angle in degrees
+_SMALL = math.log(1.5)  # a factor that is nearer to 1 is left to its test, which gives an interval
+_HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
+_TIME = "velocity_filter.time_constant"
+_IS_ABOUT = "{name} is about {shown}, not {declared}"
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A mistake that explains a record, of a joint or of a robot.
+
+    Attributes:
+        name: its code.
+        words: clause that states it, with its remedy.
+        value: correct number in the unit of the declaration, or a factor of the record; None without a number.
+        left: with it corrected, the residual share of the filtered torque; of a robot the squares of each joint's
+            residual by those as declared, as a sum.
+        joints: of a robot, that it concerns; none of a base.
+    """
+
+    name: str
+    words: str
+    value: float | None = None
+    left: float = 0.0
+    joints: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return self.words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A record and its loop, as declared or with one mistake corrected.
+
+    A number of the controller that is not known is free, and the search begins from several loops.
+
+    Attributes:
+        record: corrected.
+        loops: corrected, one for each start of the unknown number; without a free one the period is that number.
+        filtering: resolved for this record.
+        free: name of that number; None without one.
+        factor: of the correction of the record, if it is a number; the number that is free comes on top of it.
+        beside: names of what the identification finds beside the joint, free as well.
+    """
+
+    record: Record
+    loops: tuple[ClosedLoop, ...]
+    filtering: Filtering
+    free: str | None = None
+    factor: float | None = None
+    beside: tuple[str, ...] = ()
+
+    @property
+    def controller(self) -> Any:
+        """The controller of the first loop."""
+        return self.loops[0].controller
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers of that controller."""
+        return numbers_of(self.controller)
+
+    @property
+    def period(self) -> float:
+        """The controller's period, s: the torque's where none is declared."""
+        assert self.record.torque is not None
+        return getattr(self.controller, "period", None) or self.record.torque.sample_time
+
+    def under(self, *controllers: Any, free: str | None = None) -> Case:
+        """Return the case with other controllers."""
+        return replace(self, loops=tuple(replace(self.loops[0], controller=one) for one in controllers), free=free)
+
+    def at(self, name: str, values: Iterable[float]) -> Case:
+        """Return the case with a number of the controller free, and its starts."""
+        return self.under(*(with_numbers(self.controller, {name: value}) for value in values), free=name)
+
+    def logging(self, **channels: FloatArray) -> Case:
+        """Return the case with other values of channels of its record."""
+        return replace(self, record=self.record.with_channels(
+            {name: replace(getattr(self.record, name), values=values) for name, values in channels.items()}
+        ))  # fmt: skip
+
+
+Meanings: TypeAlias = Iterable[tuple[str, str, float | None]]
+"""Codes, words and values of the mistakes that one change may correct."""
+
+
+class Change(NamedTuple):
+    """A row of the table: what corrects a mistake, and what it then is.
+
+    Attributes:
+        name: its code.
+        correct: yields the cases in which it is corrected.
+        say: yields what it may be, given the number that was found and the declared loop.
+    """
+
+    name: str
+    correct: Callable[[Case], Iterable[Case]]
+    say: Callable[[float | None, ClosedLoop], Meanings]
+
+
+def is_small(name: str, value: float | None, loop: ClosedLoop, period: float) -> bool:
+    """Test whether a value differs too little from the declaration to be a cause: a factor, a gain, or a time."""
+    if value is None:
+        return False
+    if name in ("torque_scale", "reference_scale", "law_gain"):
+        return value > 0 and abs(math.log(value)) < _SMALL
+    number_name = {"velocity_filter": _TIME, "torque_filter": ""}.get(name, name)
+    declared = numbers_of(loop.controller).get(number_name, 0.0)
+    if name.endswith("gain"):
+        return declared > 0 and value > 0 and abs(math.log(value / declared)) < _SMALL
+    # A first order in the place of taps is no small change.
+    taps = name == "velocity_filter" and getattr(loop.controller, name, None) not in ((1.0,), None)
+    timed = name.endswith(("delay", "filter", "averaged_reference"))
+    return timed and (declared > 0 or not taps) and abs(value - declared) < _HARDLY * period
+
+
+# What corrects them
+
+
+def _try_number(name: str, times: Sequence[float], case: Case) -> Iterator[Case]:
+    if value := case.numbers.get(name):
+        yield case.at(name, (factor * value for factor in times))
+
+
+def _try_integral(case: Case) -> Iterator[Case]:
+    numbers = case.numbers
+    yield from _try_number("integral_gain", _INTEGRALS, case)
+    if numbers.get("integral_gain"):
+        yield case.under(replace(case.controller, integral_gain=0.0))
+    elif "integral_gain" in numbers:
+        unit = 1.0 if "velocity_gain" in numbers else numbers["position_gain"]
+        yield case.at("integral_gain", (one * unit for one in _NEW_INTEGRALS))
+
+
+def _try_delay(name: str, case: Case) -> Iterator[Case]:
+    if name in case.numbers:
+        yield case.at(name, (case.numbers[name] + late * case.period for late in _LATE))
+
+
+def _swap_gains(case: Case) -> Iterator[Case]:
+    numbers = case.numbers
+    other = "velocity_gain" if "velocity_gain" in numbers else "derivative_gain"
+    if numbers.get("position_gain") and numbers.get(other):
+        gains = {"position_gain": numbers[other], other: numbers["position_gain"]}
+        yield case.under(with_numbers(case.controller, gains))
+
+
+def _try_filter(name: str, case: Case) -> Iterator[Case]:
+    law, orders = case.controller, [FirstOrder(late * case.period) for late in _LATE]
+    if name == "velocity_filter" and hasattr(law, name):
+        yield case.under(*(replace(law, velocity_filter=one) for one in orders), free=_TIME)
+        yield case.under(replace(law, velocity_filter=(1.0,)))
+    elif name == "torque_filter" and hasattr(law, "torque_filters"):
+        laws = (replace(law, torque_filters=(one, *law.torque_filters)) for one in orders)
+        yield case.under(*laws, free="torque_filters.0.time_constant")
+
+
+def _try_feedforward(case: Case) -> Iterator[Case]:
+    law, numbers = case.controller, case.numbers
+    if "velocity_feedforward" in numbers:
+        ahead = 0.0 if numbers["velocity_feedforward"] else 1.0
+        yield case.under(replace(law, velocity_feedforward=ahead))
+    elif hasattr(law, "reference_velocity"):
+        read = "difference" if law.reference_velocity == "none" else "none"
+        yield case.under(replace(law, reference_velocity=read))
+
+
+def _invert_torque(case: Case) -> Iterator[Case]:
+    assert case.record.torque is not None
+    yield case.logging(torque=-case.record.torque.values)
+
+
+def _swap_channels(case: Case) -> Iterator[Case]:
+    torque, reference = case.record.torque, case.record.reference
+    assert torque is not None
+    assert reference is not None
+    if len(torque) == len(reference):
+        yield case.logging(torque=reference.values, reference=torque.values)
+
+
+def _try_sample_times(case: Case) -> Iterator[Case]:
+    if getattr(case.controller, "period", None) is not None:
+        return  # a controller with a period of its own contradicts a wrong sample time before anything is simulated
+    assert case.filtering.cutoff is not None
+    assert case.filtering.position_cutoff is not None
+    for factor in _TIMES:
+        channels = {n: replace(c, sample_time=factor * c.sample_time) for n, c in case.record.items()}
+        cutoffs = {name: getattr(case.filtering, name) / factor for name in ("cutoff", "position_cutoff")}
+        record, filtering = case.record.with_channels(channels), replace(case.filtering, **cutoffs)
+        yield replace(case, record=record, filtering=filtering, factor=factor)
+
+
+def _gear_ratio(loop: ClosedLoop) -> float:
+    """Return the ratio of a loop's gear, motor per load, without its sign; 1 without a gear."""
+    gear = loop.joint.transmission
+    return abs(gear.motor_per_load) if gear is not None else abs(getattr(loop.controller, "ratio", 1.0))
+
+
+def _try_torque_scales(case: Case) -> Iterator[Case]:
+    """Yield the torque in other scales beside an injected signal, which keeps its own."""
+    torque = case.record.torque
+    if case.record.injected is not None and torque is not None:
+        for factor in _SCALES:
+            yield replace(case.logging(torque=torque.values / factor), free="log_gain", factor=factor)
+
+
+def _try_factors(beside_injected: bool, case: Case) -> Iterator[Case]:
+    numbers, law = case.numbers, case.controller
+    if "gain" in numbers and beside_injected is (case.record.injected is not None):
+        # A limit that was declared beside a wrong scale is wrong, too, or not: without one both are tried.
+        endless = with_numbers(law, {"limit": float("inf")}) if "limit" in numbers else law
+        scaled = (with_numbers(endless, {"gain": factor * numbers["gain"]}) for factor in _FACTORS)
+        yield case.under(*scaled, free="gain")
+
+
+def _try_periods(case: Case, **more: Any) -> Iterator[Case]:
+    law = case.controller
+    if isinstance(law, DiagramController) and law.period is None:
+        yield case.under(*(replace(law, period=case.period / times, **more) for times in TIMES_FASTER))
+
+
+def _try_interpolation(way: Interpolation, case: Case) -> Iterator[Case]:
+    """Yield the drive with another interpolation, at faster rates without a declared period."""
+    if way in list_other_ways(case.controller, case.record, case.period):
+        yield case.under(replace(case.controller, interpolation=way))
+    elif way == "hold":
+        for faster in _try_periods(case):
+            if way in list_other_ways(faster.controller, case.record, faster.period):
+                yield from _try_periods(case, interpolation=way)
+
+
+# What they then are
+
+
+def _is(factor: float, other: float, near: float = _NEAR) -> bool:
+    """Whether a factor, or its inverse, is another one."""
+    return min(abs(math.log(factor / other)), abs(math.log(factor * other))) < near
+
+
+def say_times(factor: float) -> str:
+    """Return a factor above 1, or its inverse, in words."""
+    return f"about {number(max(factor, 1 / factor), 2)} times"
+
+
+def _say_factor(value: float | None, loop: ClosedLoop) -> Meanings:
+    assert value is not None
+    numbers, ratio = numbers_of(loop.controller), _gear_ratio(loop)
+    factor = value / numbers["gain"]
+    times = say_times(factor)
+    size, other = ("large", "small") if factor > 1 else ("small", "large")
+    if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
+        actual = "load" if (factor > 1) is (ratio > 1) else "motor"
+        side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
+        yield "gear_side", f'{side} (give the channel side = "{actual}", or see side of [controller])', factor
+    constant = getattr(loop.controller, "gain", 1.0)
+    if constant != 1.0 and _is(factor, constant):
+        yield "torque_constant", f"the torque constant ({constant:g}) is applied twice, or not at all", factor
+    torque = ("torque_scale", f"the torque is {times} too {size}", factor)
+    unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by, _ROUGHLY)), "")
+    reference = ("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)
+    names = " or ".join(name for name in ("velocity_gain", "gain") if name in numbers)
+    law = ("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)
+    yield from (reference, torque, law) if unit else (torque, law, reference)
+
+
+def _say_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop) -> Meanings:
+    """Yield the meanings that a signal in its own scale leaves: those of the torque, or of law and reference."""
+    others = ("law_gain", "reference_scale") if of_torque else ("torque_scale", "torque_constant")
+    if of_torque and value is not None:  # it is found as a factor, those of the law as its gain
+        value *= numbers_of(loop.controller)["gain"]
+    return (one for one in _say_factor(value, loop) if one[0] not in others)
+
+
+def _say_sign(*_: object) -> Meanings:
+    for name in ("torque", "reference"):
+        yield f"{name}_sign", f"the {name} has the wrong sign (set record.channels.{name}.sign = -1)", None
+
+
+def _say_sample_time(value: float | None, loop: ClosedLoop) -> Meanings:
+    assert value is not None
+    yield "sample_time", f"the sample time is {say_times(value)} too {'short' if value > 1 else 'long'}", value
+    if "velocity_gain" in numbers_of(loop.controller):
+        # u = g (Kv e - v): with all velocities f times as large it is the law with Kv f times as large, and g f times
+        # as small. Only filters and delays tell the two apart, hardly.
+        yield "law_gain", "position gain and torque (or velocity gain) are both off by that factor", None
+
+
+def _say_late(late: float | None, _: object) -> Meanings:
+    assert late is not None
+    yield "reference_delay", f"the law sees the reference about {milliseconds(late)} ms late", late
+    mean = f"averages it over {milliseconds(2 * late)} ms (reference_average)"
+    yield "averaged_reference", f"the drive {mean}", 2 * late
+
+
+def _say_interpolation(way: Interpolation, period: float | None, _: object) -> Meanings:
+    said = f'{say_way(way)}: declare interpolation = "{way}"'
+    more = "" if period is None else f", and the controller's period, about {1e3 * period:.4g} ms"
+    yield INTERPOLATIONS[way].name, said + more, period
+
+
+def _say_number(name: str, clause: str, value: float | None, loop: ClosedLoop) -> Meanings:
+    """Yield one mistake, its clause with the number as {ms} or {fine}, or {shown} and {declared} with units."""
+
+    def show(value: float) -> str:
+        if name.endswith(("delay", "filter")):
+            return f"{milliseconds(value)} ms"
+        unit = unit_of_number(loop.controller, name, POSITION_UNIT[loop.joint.kind], loop.joint.force_unit)
+        return f"{number(value, 3) if value else 0} {unit}".rstrip()
+
+    if value is None and "{shown}" in clause:
+        clause = f"the declared {name_number(name)} is not there"
+    known, declared = value or 0.0, numbers_of(loop.controller).get(name, 0.0)
+    numbers = {"shown": show(known), "declared": show(declared)} if "{shown}" in clause else {}
+    said = f"the {name_number(name)}"
+    yield name, clause.format(ms=milliseconds(known), fine=f"{1e3 * known:.4g}", name=said, **numbers), value
+
+
+def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS_ABOUT) -> Change:
+    return Change(name, correct, partial(_say_number, name, clause))
+
+
+CHANGES = (
+    Change("torque_sign", _invert_torque, _say_sign),
+    _row("swapped_channels", _swap_channels, "torque and reference are swapped"),
+    Change("sample_time", _try_sample_times, _say_sample_time),
+    Change("torque_scale", _try_torque_scales, partial(_say_beside_injected, True)),
+    Change("law_gain", partial(_try_factors, False), _say_factor),
+    Change("law_gain", partial(_try_factors, True), partial(_say_beside_injected, False)),
+    _row("position_gain", partial(_try_number, "position_gain", _GAINS)),
+    _row("derivative_gain", partial(_try_number, "derivative_gain", _GAINS)),
+    _row("swapped_gains", _swap_gains, "position gain and velocity (or derivative) gain are swapped"),
+    _row("integral_gain", _try_integral),
+    _row(
+        "velocity_filter", partial(_try_filter, "velocity_filter"),
+        "the velocity filter is another one, such as one of first order with {shown}",
+    ),
+    _row(
+        "torque_filter", partial(_try_filter, "torque_filter"),
+        "there is one more torque filter, such as one of first order with {ms} ms",
+    ),
+    _row(
+        "velocity_feedforward", _try_feedforward,
+        "the velocity feed-forward is there and not declared, or the other way round",
+    ),
+    _row("delay", partial(_try_delay, "delay")),
+    Change("reference_delay", partial(_try_delay, "reference_delay"), _say_late),
+    _row(
+        PERIOD.name, _try_periods,
+        "the controller runs faster than the log: declare its period, about {fine} ms, and its interpolation",
+    ),
+    *(
+        Change(fault.name, partial(_try_interpolation, way), partial(_say_interpolation, way))
+        for way, fault in INTERPOLATIONS.items()
+    ),
+)  # fmt: skip
+"""Every change, in the order in which they are tried."""

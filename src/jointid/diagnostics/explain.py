@@ -1,0 +1,602 @@
+"""Search for the cause of a misfit between a record and the declared drive.
+
+Sensitivities show small deviations of one number (`check_loop`). For a large one, as a torque that is ten times too
+large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
+identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
+
+Of each case the two best starts are followed for a few steps; those far behind the best case are given up, the others
+converge. A flexible joint is first identified as rigid, far below its resonance, which shows a wrong sign or size; only
+the remaining cases are fitted to the whole band.
+
+The search assumes one mistake. A free number may absorb much of two: so the residual of a cause must be about that of
+free linear responses to the reference (`model_free`), which assume no drive. If that of the best cause is clearly
+larger, something else is wrong, and the message says so. Two mistakes that one number absorbs completely are reported
+as that number.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import FaultsError, JointidError, RecordError
+from jointid.common.messages import Message, Progress, ignore_progress
+from jointid.common.parallel import in_threads
+from jointid.common.text import number
+from jointid.diagnostics.changes import CHANGES, Case, Cause, Change, is_small
+from jointid.diagnostics.faults.fault import FaultTest, Measure
+from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
+from jointid.diagnostics.samples import (
+    find_broken_part,
+    find_plain_cause,
+    find_standstill,
+    find_steps,
+)
+from jointid.estimation.identify import WINDOW, windows_of
+from jointid.estimation.identify_record import identify_record
+from jointid.estimation.methods.drive_side import DriveSideProblem, grid_starts, motion_problem
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.stiffness_search import rigid_cutoff
+from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG, INITIAL, log_delay
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import POOR_FIT, Reason
+from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
+from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
+from jointid.models.controllers import numbers_of
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.records.checks import still_faults
+from jointid.records.chunks import cut
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.drive_side import DriveSide
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Solution, solve
+
+_SECONDS = 20.0  # of the processor, for the search
+_FITS = 0.15  # of the torque: largest residual of a right model
+_CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
+_LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
+# Times the residual of free responses: a cause that leaves more is not all that is wrong. That to a motor's position is
+# the controller's, too, which it explains whatever the controller does.
+_MORE, _MORE_OF_POSITION = 1.15, 2.0
+_MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
+_FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
+_AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
+_NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
+_NAMED = 3
+_SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
+_MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
+_MUCH_LATER = 0.5  # periods
+_POOR_START = 0.05  # of the torque: a rigid joint that leaves more far below its resonance has a cause to be searched
+_FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
+_ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
+_TOLERANCE = 1e-4  # of a fit that only has to show its residual
+_STARTS = 2  # of a case, that are followed
+_BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
+_ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
+_RANGE = 1e4  # times its start, up and down: bounds of a number
+_SHARES = (0.35, 0.65)  # of the load in the inertia of a flexible joint
+_NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
+_LOOPS = 10  # of a case, which are all tried then
+_APART = 2  # one of so many frequencies of the grid is tried
+_TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
+
+_FAILS = (JointidError, np.linalg.LinAlgError)
+Tried: TypeAlias = tuple[Change | None, Case]
+"""A case, and what it corrects; nothing in the declared one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Causes:
+    """Causes of a misfit between a record and the declared drive.
+
+    Attributes:
+        declared_error: residual share of the filtered torque with the declared drive; infinite if its loop cannot be
+            simulated.
+        explanations: at most three causes that this record cannot distinguish, the likeliest first.
+        nearest: the cause that explains most, if something else is wrong; else None.
+        unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
+        plain: a cause visible in the samples, or a motor at rest; else None.
+    """
+
+    declared_error: float
+    explanations: tuple[Cause, ...] = ()
+    nearest: Cause | None = None
+    unexplained: float = 0.0
+    plain: Message | None = None
+
+    @property
+    def found(self) -> bool:
+        """True if there is a cause to report, if only the nearest one."""
+        return bool(self.explanations or self.nearest or self.plain)
+
+    @property
+    def is_clear(self) -> bool:
+        """True if a cause leaves far less than the drive as declared, or shows in the samples."""
+        first = self.explanations[:1]
+        return self.plain is not None or any(one.left <= _CLEARLY * min(self.declared_error, 1.0) for one in first)
+
+    @property
+    def message(self) -> Message:
+        """The causes in a sentence, under the code of the likeliest one."""
+        if self.plain is not None:
+            return self.plain
+        declared = None if math.isinf(self.declared_error) else self.declared_error
+        left = "with the drive as declared the loop cannot be simulated"
+        if declared is not None:
+            left = f"as declared {number(100 * declared, 2)} % of the torque is not explained"
+        if self.explanations:
+            best = self.explanations[0]
+            clause = ", or ".join(one.words for one in self.explanations)
+            words = f"{clause}: with this put right {number(100 * best.left, 2)} % of the torque is left; {left}"
+            causes = [{"cause": one.name, "value": one.value, "error": one.left} for one in self.explanations]
+            return Message(Reason.CAUSE_FOUND, words, {"causes": causes, "declared_error": declared}, clause)
+        clause = "the drive as declared does not fit, and none of the usual causes alone explains it"
+        values: dict[str, object] = {}
+        if self.nearest is not None:
+            values = {"nearest": self.nearest.name, "error": self.nearest.left}
+            clause += f": the nearest is that {self.nearest}, which leaves {number(100 * self.nearest.left, 2)} %"
+        if self.unexplained > _NO_RESPONSE:
+            clause += f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
+            clause += "which column is the torque, and declare a signal that is injected (channel injected)"
+        return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
+
+
+# Causes, as they are asked for
+
+
+def find_gross_cause(
+    estimate: Estimate,
+    record: Record,
+    progress: Progress = ignore_progress,
+    *,
+    local: bool = False,
+) -> Causes | None:
+    """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
+
+    A spring may be refused for a cause that shows far below its resonance, however small the misfit is. A misfit that
+    is `local` in time has only causes that the samples show: what acts all the time does not explain a part of it.
+    """
+    loop, filtering, left = estimate.settings.loop, estimate.settings.filtering, estimate.fit.filtered_error
+    assert loop is not None
+    plain = find_broken_part(record) or find_standstill(record, loop)
+    if plain is not None:
+        return Causes(left, plain=plain)
+    if local:
+        return None
+    poor = left > _SUSPICIOUS
+    if not poor and isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows):
+        rigid = fit_rigid([(None, Case(record, (loop,), filtering))], low=True)
+        poor = min((fit.error for fit in rigid), default=0.0) >= _POOR_START
+    return find_causes(record, loop, estimate, progress=progress) if poor else None
+
+
+def explain_misfit(
+    estimate: Estimate,
+    record: Record,
+    faults: Sequence[FaultTest] | None,
+    progress: Progress = ignore_progress,
+    left: float | None = None,
+    known: Causes | None = None,
+) -> Causes | None:
+    """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
+
+    A large misfit without a cause is reported as well, so that no other test is blamed for it. `faults` are those of
+    the loop check, None if the loop could not be checked. `left` is the residual share of the torque under the law that
+    it found for the controller. `known` are the causes that `find_gross_cause` found. The others are as `find_causes`
+    has them.
+    """
+    loop, error = estimate.settings.loop, estimate.fit.filtered_error
+    assert loop is not None and record.reference is not None
+    gross = any(_is_gross(one, estimate.data.sample_time) for one in faults or ())
+    poor = error > _SUSPICIOUS or gross or (known is not None and known.explanations)
+    if not poor and faults is not None and not faults:
+        return None
+    problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
+    responses = find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
+    if not poor:
+        # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
+        refused = any(p.value is None for p in estimate.params.rows)
+        strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
+        if not (strained or find_steps(record) or error > _FAR_MORE * responses > 0):
+            return None
+    if left is not None and not gross and left <= _MORE_OF_A_LAW * responses:
+        return None  # under that law nothing more is wrong
+    causes = known or find_causes(record, loop, estimate, progress=progress)
+    return causes if causes.found or error > POOR_FIT else None
+
+
+def _is_gross(one: FaultTest, period: float) -> bool:
+    """Return whether a fault is too large for a sensitivity to be a guide."""
+    if one.fault.measure is Measure.TIME:
+        return abs(one.size) > _MUCH_LATER * period
+    return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
+
+
+def find_failure_causes(
+    record: Record,
+    loop: ClosedLoop | None,
+    free: Sequence[str] = (),
+    progress: Progress = ignore_progress,
+) -> Causes | None:
+    """Return the causes of a failed identification, of a long record by a part of it; see `find_causes`.
+
+    None without a loop, or where the search fails.
+    """
+    if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
+        return None
+    try:
+        # As much of it as the memory holds.
+        part = record if windows_of(record, loop, None) is None else cut(record, 0, WINDOW)
+        return find_causes(part, loop, progress=progress, free=free)
+    except _FAILS:  # the error of the identification counts
+        return None
+
+
+def explain_failure(
+    error: JointidError,
+    record: Record,
+    loop: ClosedLoop | None,
+    progress: Progress = ignore_progress,
+    free: Sequence[str] = (),
+) -> JointidError:
+    """Return the error of a failed identification, with its cause before it or in its place.
+
+    It is returned with the remarks on the record if no cause is found.
+    """
+    if record.remarks and not isinstance(error, FaultsError):
+        error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
+    causes = find_failure_causes(record, loop, free, progress)
+    if causes is None or not causes.found:
+        return error
+    words = f"{causes.message.words}."
+    if isinstance(error, FaultsError):  # of the record: each a thing of its own to put right
+        return type(error)((f"{words} {error.faults[0]}", *error.faults[1:]))
+    # How the search ended is an effect of the cause, and nothing to act on.
+    return type(error)(words if causes.explanations or causes.plain else f"{words} {error}")
+
+
+# Their search
+
+
+def find_causes(
+    record: Record,
+    loop: ClosedLoop,
+    estimate: Estimate | None = None,
+    *,
+    progress: Progress = ignore_progress,
+    free: Sequence[str] = (),
+) -> Causes:
+    """Search for the cause of a misfit between a record and the declared drive.
+
+    Args:
+        record: with torque and reference.
+        loop: as declared.
+        estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
+        progress: called with each step.
+        free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
+
+    Raises:
+        RecordError: a channel of the loop is missing, or the torque is 0 in every sample.
+    """
+    record.require(loop.channels, "The search for a cause")
+    assert record.torque is not None
+    if not np.any(record.torque.values):
+        raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
+    left = math.inf if estimate is None else estimate.fit.filtered_error
+    plain = find_plain_cause(record) or find_standstill(record, loop)
+    if plain is not None:
+        return Causes(left, plain=plain)
+    filtering = Filtering()
+    if estimate is not None:
+        filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *DRIVE_AND_LOG}
+        free = [row.name for row in estimate.params.rows if row.name in names and not row.of_joint]
+    filtering = filtering.resolve(record.torque.sample_time, loop.joint.model)
+    declared = Case(record, (loop,), filtering, beside=tuple(one for one in free if one not in INITIAL))
+    tried = list_cases(declared)
+    progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
+
+    fits = fit_changes(tried, time.process_time() + _SECONDS)
+    left = min((left, *(fit.error for fit in fits if fit.change is None)))
+    told = [
+        [Cause(name, words, value, fit.error) for name, words, value in fit.change.say(fit.number, loop)]
+        for fit in fits
+        if fit.change is not None
+    ]
+    for judge in (_judge_motion, _judge_mode):
+        least = min((each[0].left for each in told), default=math.inf)
+        told += [[one] for one in [judge(declared, fits[0] if fits else None, least)] if one is not None]
+    explaining = _explaining(sorted(told, key=lambda each: each[0].left), left, declared)
+    responses = _fit_free_responses(declared, fits)
+    best = explaining[0] if explaining else None
+    # In a loop that rings for long, responses as short as these leave much, too.
+    times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
+    more = best and best.left > (min(times * responses, _FITS) if responses > 0 else _FITS)
+    return Causes(left, () if more else explaining, best if more else None, responses)
+
+
+def list_cases(declared: Case) -> list[Tried]:
+    """Return the declared drive, and a case for every mistake that this record and controller can have.
+
+    A torque that is computed from the controller has no mistakes of its own. Where the declared law makes the logged
+    torque of the logged motor position, a corrected law or log must make it, too.
+    """
+    record, (loop, *_) = declared.record, declared.loops
+    law, found = compare_law(record, loop), list[Tried]()
+    for change in CHANGES:
+        for case in change.correct(declared):
+            if record.computed and case.record.torque is not record.torque:
+                continue
+            excluded = law is not None and law.holds and _is_excluded(case, record, loop)
+            found += [] if excluded or case.free in declared.beside else [(change, case)]
+    return [(None, declared), *sorted(found, key=lambda one: len(one[1].loops))]  # the cheapest first
+
+
+def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
+    """Test whether the motor position excludes a correction."""
+    if corrected.record is record:
+        return all(excludes(record, loop, one.controller) for one in corrected.loops)
+    law = compare_law(corrected.record, corrected.loops[0])
+    return law is not None and not law.holds
+
+
+def _explaining(told: Sequence[Sequence[Cause]], left: float, declared: Case) -> tuple[Cause, ...]:
+    """Return the causes with the smallest residuals; none if they explain too little.
+
+    Small changes of a number are attributed to an unmodelled friction or to noise.
+    """
+    loop, torque = declared.loops[0], declared.record.torque
+    assert torque is not None
+
+    def matters(one: Cause) -> bool:
+        return not is_small(one.name, one.value, loop, torque.sample_time)
+
+    best = told[0][0] if told else None
+    if best is None or not matters(best):
+        return ()
+    most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left
+    if best.left > min(most, max(_FITS, _CLEARLY * min(left, 1.0))):
+        return ()
+    found: dict[str, Cause] = {}
+    for one in (one for each in told if each[0].left <= _AS_GOOD * best.left for one in each if matters(one)):
+        found.setdefault(one.name, one)
+    return tuple(found.values())[:_NAMED]
+
+
+def _fit_free_responses(declared: Case, fits: Sequence[Fit]) -> float:
+    """Return the share of the torque that is no linear response to the reference, in the best case."""
+    case = fits[0].case if fits else declared
+    problem = fits[0].problem if fits else _pose(declared, declared.loops[0])
+    assert case.record.reference is not None
+    # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
+    memory = MEMORY * (max(case.factor or 1.0, 1.0) if case.free is None else 1.0)
+    return 0.0 if problem is None else find_unexplained_share(problem, case.record.reference.values, memory)
+
+
+# Causes that are judged by a problem of their own
+
+
+def _judge_motion(declared: Case, best: Fit | None, _: float) -> Cause | None:
+    """Return a reference that is the motor's position, with its residual; None if it cannot be.
+
+    The motion of a flexible joint is prescribed then, and not compared at rest. Its residual is scaled to that of the
+    other causes by the residuals of the best of them under both measures.
+    """
+    record, joint, words = declared.record, declared.loops[0].joint, "the channel given as the reference is the motor's"
+    assert record.torque is not None
+    moved = replace(record, motor_position=record.reference, load_position=None)
+    cause = Cause("reference_is_position", f"{words} actual position")
+    try:
+        if not isinstance(joint, FlexibleJoint):
+            left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
+            return replace(cause, left=left)
+        delay = log_delay(None, record.torque.sample_time)
+        problem = motion_problem(moved, DriveSide(joint), declared.filtering, joint.parameters, delay)
+        solution = _follow(problem, grid_starts(problem, None)[0][0], _TO_ITS_END)
+    except _FAILS:
+        return None
+    left = float(np.linalg.norm(solution.residual)) / problem.size
+    if best is not None and best.problem.measured.size == problem.measured.size:
+        measured = best.problem.measured
+        other, size = (problem.filter(one) for one in (measured - best.problem.torque(best.x), measured))
+        left *= best.error * float(np.linalg.norm(size) / np.linalg.norm(other))
+    return replace(cause, left=left)
+
+
+def _judge_mode(declared: Case, _: Fit | None, least: float) -> Cause | None:
+    """Return the mode that explains a record of a rigid joint clearly better than any other cause; else None.
+
+    The additional parameters absorb a part of other causes, so an equal residual is not enough.
+    """
+    rigid = declared.loops[0].joint
+    if not isinstance(rigid, RigidJoint):
+        return None
+    loop = replace(declared.loops[0], joint=rigid.flexible)
+    try:
+        found = next(iter(fit_changes([(None, replace(declared, loops=(loop,)))])), None)
+    except _FAILS:  # the other causes stand
+        return None
+    if found is None or found.error * _TWICE > least:
+        return None
+    if not all(found.values[name] > 0 for name in ("motor_inertia", "load_inertia", "stiffness")):
+        return None
+    mode = FlexibleJoint.frequencies(found.values)["free_free"]
+    words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
+    return Cause("flexible", words, mode, found.error)
+
+
+# The joint in each case
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Solution of a case: problem with its number free, parameters, and residual share of the torque."""
+
+    change: Change | None
+    case: Case
+    problem: ClosedLoopProblem
+    x: FloatArray
+    error: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The value of every parameter."""
+        return self.problem.values(self.x)
+
+    @property
+    def number(self) -> float | None:
+        """The corrected number; None if the case has none."""
+        if self.case.free is not None:
+            return (self.case.factor or 1.0) * self.values[self.case.free]
+        if len(self.case.loops) > 1:  # the period of the loop whose start ended best
+            return self.problem.axis.law.period
+        return self.case.factor
+
+    def descend(self, evaluations: int) -> Fit | None:
+        """Return the fit after a limited descent; None if it fails."""
+        try:
+            with np.errstate(all="ignore"):
+                solution = _follow(self.problem, self.x, evaluations)
+        except _FAILS:  # a loop that runs away, or a part of the law that vanishes
+            return None
+        error = float(np.linalg.norm(solution.residual)) / self.problem.size
+        return replace(self, x=solution.x, error=error) if error < _ASTRAY else None
+
+
+def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
+    """Fit the joint in each case, the best first.
+
+    What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
+    """
+    if not isinstance(tried[0][1].loops[0].joint, FlexibleJoint):
+        return fit_rigid(tried, until)
+    rigid = fit_rigid(tried, until, low=True)
+    least = min((fit.error for fit in rigid), default=math.inf)
+
+    def list_starts(rigid: Fit) -> Iterator[Fit]:
+        for problem in (_pose(rigid.case, one) for one in _loops_near(rigid)):
+            if problem is None:
+                continue
+            axis = problem.axis
+            modes = frequencies_to_try(axis.law, rigid.values["inertia"], axis.sample_time)[::_APART]
+            for hertz, share, late in itertools.product(modes, _SHARES, _delays_to_try(problem)):
+                start = start_with_mode(problem, rigid.values, hertz, share)
+                yield _start((rigid.change, rigid.case), problem, {**start, **late})
+
+    left = [fit for fit in rigid if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
+    return _race(in_threads(lambda fit: _choose_best(list_starts(fit), until), left), 0.0, until)
+
+
+def fit_rigid(tried: Sequence[Tried], until: float = math.inf, *, low: bool = False) -> list[Fit]:
+    """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_changes`."""
+
+    def list_starts(one: Tried) -> Iterator[Fit]:
+        for loop in one[1].loops:
+            if (problem := _pose(one[1], loop, low=low)) is not None:
+                starts = itertools.product(_rigid_starts(problem), _delays_to_try(problem))
+                yield from (_start(one, problem, {**values, **late}) for values, late in starts)
+
+    started = in_threads(lambda one: _choose_best(list_starts(one), until), tried)
+    return _race(started, _ROUGHLY if low else 0.0, until)
+
+
+def _loops_near(rigid: Fit) -> tuple[ClosedLoop, ...]:
+    """Return the loops of the starts: with numbers near that of the rigid joint, and a few others."""
+    name, case = rigid.case.free, rigid.case
+    if name not in case.numbers:
+        return case.loops
+    near = case.at(name, (rigid.values[name] * by for by in _NEAR)).loops
+    return (*near, *(case.loops if len(case.loops) <= _LOOPS else ()))
+
+
+def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
+    """Return the problem of a case with one of its loops, its number fixed; None if there is none."""
+    around = [one for one in case.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
+    filtering, torque = case.filtering, case.record.torque
+    assert torque is not None
+    if low and isinstance(loop.joint, FlexibleJoint):
+        loop = replace(loop, joint=loop.joint.rigid)
+        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
+    try:
+        problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
+        return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
+    except JointidError:
+        return None
+
+
+def _delays_to_try(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
+    """Yield values of a free delay where none is declared, or once none."""
+    undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
+    yield from ({DELAY: late} for late in DELAYS) if undeclared else ({},)
+
+
+def _rigid_starts(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
+    """Yield starts by the inverted controller, and by a motor that follows the reference exactly."""
+    for start in (inversion_start, regular_start):
+        try:
+            values = dict(start(problem).values)
+        except JointidError:
+            continue
+        values["inertia"] = abs(values["inertia"])
+        for p in problem.free_joint:
+            values[p.name] = min(max(values[p.name], p.lower), p.upper)
+        yield values
+
+
+def _start(tried: Tried, problem: ClosedLoopProblem, values: dict[str, float]) -> Fit:
+    """Return a start with its residual share of the torque."""
+    x, left = problem.vector(values), math.inf
+    if problem.size > 0.0:  # else a torque that the filter removes
+        with np.errstate(all="ignore"):  # a loop that runs away
+            left = float(np.linalg.norm(problem.residual(x))) / problem.size
+    return Fit(*tried, problem, x, left if math.isfinite(left) else math.inf)
+
+
+def _choose_best(starts: Iterable[Fit], until: float) -> list[Fit]:
+    """Return the few best starts of a case, with its number free."""
+    in_time = takewhile(lambda _: time.process_time() < until, starts)
+    best = sorted((one for one in in_time if one.error < _ASTRAY), key=lambda one: one.error)[:_STARTS]
+    free = []
+    for fit in best:
+        name = fit.case.free
+        problem = fit.problem if name is None else fit.problem.freeing(name)
+        for own in (p for p in problem.parameters if p.name == name):
+            start = own.start or 0.0
+            wide = replace(own, lower=start / _RANGE, upper=start * _RANGE)
+            problem = problem.replace_parameters({own.name: wide})
+        free.append(replace(fit, problem=problem, x=problem.vector(fit.values)))
+    return free
+
+
+def _race(started: Sequence[list[Fit]], loss: float, until: float) -> list[Fit]:
+    """Return the solutions, the best first; a case far behind the best one is given up early.
+
+    One that is worse by less than the share `loss` is not given up.
+    """
+
+    def go_on(fit: Fit, evaluations: int) -> Fit | None:
+        return fit.descend(evaluations) if time.process_time() < until else fit
+
+    first = [list(filter(None, in_threads(lambda fit: go_on(fit, _FEW), starts))) for starts in started]
+    least = min((fit.error for fits in first for fit in fits), default=math.inf)
+    bound = max(_BEHIND * least, least + loss)
+    ends = []
+    for fits in filter(None, first):
+        # To their minima, where their numbers can be stated.
+        going = (fit if fit.error > bound else go_on(fit, _TO_ITS_END) or fit for fit in fits)
+        ends.append(min(going, key=lambda fit: fit.error))
+    return sorted(ends, key=lambda fit: fit.error)
+
+
+def _follow(problem: ClosedLoopProblem | DriveSideProblem, x: FloatArray, evaluations: int) -> Solution:
+    """Solve with a limited number of evaluations."""
+    return solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
