@@ -22,7 +22,6 @@ from jointid.diagnostics.samples import find_lost_samples, find_too_short
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import CheckResults, Widening, assemble
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, skip_test
@@ -117,8 +116,7 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    shared = None if several is None else SeveralRecords(**several)
-    streamed = windows_of(record, model, method, shared) if windows is None else None
+    streamed = windows_of(record, model, method, several) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):
         raise MethodError(
             "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
@@ -126,7 +124,7 @@ def identify(
         )
     asked = streamed if windows is None or windows is False else windows
     fit = fit_records(
-        record, model, method, filtering=filtering, parameters=parameters, several=shared, windows=asked,
+        record, model, method, filtering=filtering, parameters=parameters, several=several, windows=asked,
         progress=progress,
     )  # fmt: skip
     checked = fit

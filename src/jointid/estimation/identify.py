@@ -18,7 +18,7 @@ from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.outputs import fit_outputs, state_position, state_scale, state_timing
-from jointid.estimation.problems.several_records import RecordLayout, SeveralRecords
+from jointid.estimation.problems.several_records import RecordLayout
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
@@ -50,7 +50,7 @@ _ROBOTS = Robot | RobotLoop | RobotDriveSide
 
 
 def windows_of(
-    record: object, model: Any, method: Method | None, several: SeveralRecords | None = None
+    record: object, model: Any, method: Method | None, several: Mapping[str, Any] | None = None
 ) -> float | None:
     """Return the seconds of a window of records of more than `LARGEST` samples; None of others.
 
@@ -68,7 +68,7 @@ def windows_of(
         return None
     try:
         for loop in loops:
-            require_windows(loop, method, () if several is None else several.free)
+            require_windows(loop, method, (several or {}).get("free", ()))
     except MethodError:
         return None
     return min(_LONGEST, rates.pop() * min(WINDOW, most / (_PARTS * joints)))
@@ -88,7 +88,7 @@ def fit(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    several: SeveralRecords | None = None,
+    several: Mapping[str, Any] | None = None,
     windows: float | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
@@ -100,7 +100,7 @@ def fit(
     if isinstance(model, _ROBOTS):
         if not isinstance(record, Sequence) or several:
             raise MethodError(
-                "A robot is identified from the records of its joints, without SeveralRecords; give the records alone."
+                "A robot is identified from the records of its joints, without `several`; give the records alone."
             )
         robot = model if isinstance(model, Robot) else model.robot
         require_friction(robot, known)
@@ -112,18 +112,29 @@ def fit(
         warnings = robot_record_warnings(record, robot)
     elif isinstance(record, Sequence):
         logs = [[one] for one in _flat(record)]
-        layout = _layout(record, model, method, several)
+        if (
+            len(logs) != len(record)
+            or not isinstance(model, ClosedLoop | Sequence)
+            or not isinstance(method, DIDIM | None)
+        ):
+            raise MethodError(
+                "Several records are a list of records, identified by their loop: give a ClosedLoop, and DIDIM."
+            )
+        freed = method.free if isinstance(method, DIDIM) else ()
+        layout = RecordLayout.of(len(logs), model, freed, several or {})
         loops = layout.loops
+    elif not isinstance(record, Record):
+        if not isinstance(model, ClosedLoop) or isinstance(method, IDIM) or several is not None:
+            raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop and DIDIM.")
+        require_windows(model, method)
+        way = _in_windows(model, method, filtering, known)
+        return identify_log([[record]], [way], (model,), filtering, windows or _LONGEST, progress)
     elif several is not None or isinstance(model, Sequence):
-        raise MethodError("SeveralRecords and several loops are of a list of records; received one: give them all.")
+        raise MethodError(
+            "What is of `several` records, and several loops, are of a list of records; received one: give them all."
+        )
     else:
         loops = (model,) if isinstance(model, ClosedLoop) else ()
-        if not isinstance(record, Record):
-            if not loops or isinstance(method, IDIM):
-                raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop and DIDIM.")
-            require_windows(model, method)
-            way = _in_windows(model, method, filtering, known)
-            return identify_log([[record]], [way], loops, filtering, windows or _LONGEST, progress)
         logs = [[record]]
 
     def fit_all(read: Sequence[Record]) -> Estimate:
@@ -136,7 +147,7 @@ def fit(
                 own = [layout.changes(known, k, acting=True) for k in range(len(loops))]
                 ways = [_in_windows(loop, method, filtering, one) for loop, one in zip(loops, own, strict=True)]
             for way in ways:
-                require_windows(way.model, method, () if several is None else several.free)
+                require_windows(way.model, method, (several or {}).get("free", ()))
             sources = [[InMemory(one) for one in log] for log in each]
             return identify_log(sources, ways, loops, filtering, windows, progress, layout)
         if layout is not None:
@@ -151,23 +162,6 @@ def fit(
         return fit_timed(flat).warn(*warnings)
     outputs = () if method is None else method.outputs
     return state_position(fit_outputs(flat, loops, outputs, fit_timed)).warn(*warnings)
-
-
-def _layout(
-    records: Sequence[object], model: Any, method: Method | None, several: SeveralRecords | None
-) -> RecordLayout:
-    """Return what several records of a joint share.
-
-    Raises:
-        MethodError: they are not identified by simulating a loop, or the lists about them are not as long.
-    """
-    if not all(isinstance(one, Record) for one in records):
-        raise MethodError("Several records of a joint are a list of records; received something else in it.")
-    if not isinstance(model, ClosedLoop | Sequence) or isinstance(method, IDIM | DriveSideFit):
-        raise MethodError("Several records are identified by simulating their loop; give a ClosedLoop and DIDIM.")
-    settings = several or SeveralRecords()
-    free = (*settings.free, *(method.free if isinstance(method, DIDIM) else ()))
-    return RecordLayout.of(len(records), model, replace(settings, free=tuple(dict.fromkeys(free))))
 
 
 def _in_windows(model: object, method: Method | None, filtering: Filtering, known: Mapping[str, Parameter]) -> Windowed:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,26 +16,10 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, Quantity, unit_of
+from jointid.common.text import join
 from jointid.estimation.problems.base import INITIAL, RecordProblem, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import ClosedLoop, Joint
-
-
-@dataclass(frozen=True, slots=True)
-class SeveralRecords:
-    """How several records of one joint belong together.
-
-    Attributes:
-        added_inertia: for each record, the known inertia added to the load: kg, or kg m2; None for none.
-        own: for each record, names of parameters of its own, which the others do not share: friction, say, which a
-            load changes. The motor's state at the first sample is always its own.
-        free: names of nuisance parameters to identify too: "drive_gain", the torque that acts over the torque in the
-            log, which needs an added inertia; "position_gain", "log_delay", ...
-    """
-
-    added_inertia: Sequence[float] | None = None
-    own: Sequence[Sequence[str]] | None = None
-    free: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,35 +39,46 @@ class RecordLayout:
     free: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, count: int, loops: ClosedLoop | Sequence[ClosedLoop], settings: SeveralRecords) -> RecordLayout:
-        """Return the layout of so many records under one loop, or one for each.
+    def of(
+        cls, count: int, loops: ClosedLoop | Sequence[ClosedLoop], free: Sequence[str], several: Mapping[str, Any]
+    ) -> RecordLayout:
+        """Return the layout of so many records.
+
+        Args:
+            count: of records.
+            loops: one for all, or one for each.
+            free: what the method identifies around the joint.
+            several: what `jointid.identify` has under this name.
 
         Raises:
             MethodError: a list is not as long as the records, or an added inertia is impossible.
         """
+        settings: dict[str, Any] = {"added_inertia": [0.0] * count, "own": [()] * count, "free": ()}
+        if unknown := several.keys() - settings.keys():
+            raise MethodError(f"Of several records there is no {join(sorted(unknown))}; expected {join([*settings])}.")
         if count < 2:
             raise MethodError(f"Two or more records are identified together; received {count}: use identify for one.")
+        settings |= {key: value for key, value in several.items() if value is not None}
         each = (loops,) * count if isinstance(loops, ClosedLoop) else tuple(loops)
-        more = tuple(map(float, settings.added_inertia or [0.0] * count))
-        own = settings.own or [()] * count
-        for name, given in (("loops", each), ("added_inertia", more), ("own", own)):
-            if len(given) != count or any(isinstance(one, str) for one in given):
+        for name, given in {"loops": each, **settings}.items():
+            if name != "free" and (len(given) != count or any(isinstance(one, str) for one in given)):
                 raise MethodError(
                     f"{name} has one entry for each of the {count} records (a list of names, of what is a record's "
                     f"own); received {given!r}."
                 )
+        own, more = tuple(settings["own"]), tuple(map(float, settings["added_inertia"]))
+        names, joint = tuple(dict.fromkeys((*settings["free"], *free))), each[0].joint
         if any("drive_gain" in mine for mine in own):
             raise MethodError("The gain of the drive is one for all records; leave drive_gain out of own.")
         if not all(math.isfinite(m) and m >= 0.0 for m in more):
             raise MethodError(f"An added inertia is 0 or more; received {more}: subtract the smallest from all.")
-        joint = each[0].joint
-        if joint.torque_unit and any(more) and "drive_gain" not in settings.free:
+        if joint.torque_unit and any(more) and "drive_gain" not in names:
             raise MethodError(
                 f"An added inertia is in SI units, but the joint's are per {joint.torque_unit}; free drive_gain, which "
                 "the added inertia tells, or give the torque in SI units."
             )
         name = next(p.name for p in reversed(joint.parameters) if p.quantity is Quantity.INERTIA)
-        return cls(each, tuple({name: m} if m else {} for m in more), tuple(own), tuple(settings.free))
+        return cls(each, tuple({name: m} if m else {} for m in more), own, names)
 
     @property
     def joint(self) -> Joint:
