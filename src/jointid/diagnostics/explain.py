@@ -543,7 +543,7 @@ def _rigid_starts(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
     """Yield starts by the inverted controller, and by a motor that follows the reference exactly."""
     for start in (inversion_start, regular_start):
         try:
-            values = dict(start(problem).values)
+            values = start(problem)
         except JointidError:
             continue
         values["inertia"] = abs(values["inertia"])

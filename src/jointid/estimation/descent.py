@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,14 +14,10 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import number
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, initial_of
-from jointid.estimation.starts.rigid_joint import Start
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
-from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import wound_up
-from jointid.simulation.synthesis import simulate
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.regression import least_squares as linear_least_squares
 from jointid.solvers.solve import Counted, Solution, Status, Step, Tally, solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -186,13 +181,16 @@ RESTING = {"initial_velocity": 0.0}
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
-_EXPLAINS = 0.5  # of the torque: what an end may leave whose start led to no joint
 _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its reference rests
-_SCALED = 2  # steps on loops whose gains follow the inertia; more would assume the bandwidth that was asked for
 
 
 def search_rigid_joint(
-    problem: ClosedLoopProblem, starts: Sequence[Start], tolerance: float, history: History, *, freed: bool = False
+    problem: ClosedLoopProblem,
+    starts: Sequence[Mapping[str, float]],
+    tolerance: float,
+    history: History,
+    *,
+    freed: bool = False,
 ) -> Solved:
     """Descend from each start to the least torque error, and return the best end.
 
@@ -215,13 +213,8 @@ def search_rigid_joint(
             failures.append(error)
             continue
         ends += [history.solve(resting, solver, x) for x in started[: 1 if count else None]]
-    if not ends:  # steps on scaled gains may lead to no joint where the start itself is one
-        for start in starts:
-            with contextlib.suppress(MethodError):
-                first = first_positions(resting, start._replace(nominal_inertia=None), history)[0]
-                ends.append(history.solve(resting, solver, first))
-        if not any(end.norm < _EXPLAINS * problem.size for end in ends):
-            raise failures[0]
+    if not ends:
+        raise failures[0]
     best = ends[0]
     for end in ends[1:]:
         best = end if end.norm < (1.0 - _BETTER) * best.norm else best
@@ -229,7 +222,7 @@ def search_rigid_joint(
     if best.norm > rounding:
         # Of a motor at rest the derivative by its velocity is 0: no search leaves it. Where the motor moves, the
         # end at rest may have another friction, and where the law is off, the start another state.
-        moving = next((one.values for one in starts if one.values["initial_velocity"] != 0.0), best.values)
+        moving = next((one for one in starts if one["initial_velocity"] != 0.0), best.values)
         velocity = moving["initial_velocity"]
         near = [moving] if wound_up(problem.axis, velocity) else []
         for there in (*near, best.values | {"initial_velocity": velocity}):
@@ -247,7 +240,7 @@ def search_rigid_joint(
     return best
 
 
-def first_positions(problem: ClosedLoopProblem, start: Start, history: History) -> list[FloatArray]:
+def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], history: History) -> list[FloatArray]:
     """Return a start with the motor where the start or the torque has it, the likelier first.
 
     Friction that begins too small lets a motor slip that stood: then nothing tells where it stood.
@@ -256,10 +249,8 @@ def first_positions(problem: ClosedLoopProblem, start: Start, history: History) 
         MethodError: the loop cannot be simulated there, or runs away.
     """
     # A regression keeps no bounds; an inertia of the wrong sign is that of a torque of the wrong sign.
-    x, inertias = problem.vector(start.values), [p.quantity is Quantity.INERTIA for p in problem.free]
+    x, inertias = problem.vector(start), [p.quantity is Quantity.INERTIA for p in problem.free]
     x = np.where(inertias, x, Bounds.of(problem.free).clip(x))
-    if start.nominal_inertia is not None:
-        x = _scale_gains(problem, x, start.nominal_inertia, history)
     there, counted = problem.values(x), history.count_evaluations(problem)
     homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
     started = [problem.vector(there | {"initial_position": home}) for home in homes]
@@ -267,27 +258,6 @@ def first_positions(problem: ClosedLoopProblem, start: Start, history: History) 
     if not np.any(counted.linearise(started[0])[1]):
         raise unstable(problem, started[0])
     return started
-
-
-def _scale_gains(problem: ClosedLoopProblem, x: FloatArray, nominal: float, history: History) -> FloatArray:
-    """Return parameters after steps of the inverse model along loops whose gains follow the inertia.
-
-    Raises:
-        MethodError: such a loop cannot be simulated.
-    """
-    names = tuple(p.name for p in problem.free_joint)
-    for _ in range(_SCALED):
-        values = problem.values(x)
-        experiment = problem.experiment.alone(problem.axis.scale(values["inertia"] / nominal))
-        run = simulate(problem.loop, experiment, values, initial_of(values))
-        history.tally.evaluations += 1
-        if run.outcome is not Outcome.FINISHED:
-            raise unstable(problem, x)
-        torque = problem.filter(problem.measured - problem.fixed_torque(run))
-        x = np.concatenate(
-            [linear_least_squares(problem.filter(problem.regressor(run)), torque, names), x[len(names) :]]
-        )
-    return x
 
 
 def unstable(problem: ClosedLoopProblem, x: FloatArray) -> MethodError:

@@ -69,7 +69,7 @@ from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
-from jointid.estimation.starts.rigid_joint import Start, rigid_starts
+from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -166,7 +166,7 @@ class DIDIM(Method):
         runs = history.tally.evaluations
         return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
 
-    def _near_delay(self, task: Task, history: History) -> tuple[Task, list[Start]]:
+    def _near_delay(self, task: Task, history: History) -> tuple[Task, list[dict[str, float]]]:
         """Return the task at the best of several delays, and a start, where the delay is free and none is declared.
 
         A wrong delay turns the phase of a mode and of the loop, which other joints explain as well: a rough search
@@ -186,7 +186,7 @@ class DIDIM(Method):
             return task, []
         values = min(ends, key=lambda end: end.norm).values
         law = with_numbers(loop.controller, {DELAY: values[DELAY]})
-        return replace(task, loop=replace(loop, controller=law)), [Start(values, None)]
+        return replace(task, loop=replace(loop, controller=law)), [values]
 
     def _glance(self, task: Task, history: History) -> Solved:
         """Return the end of a rough search with the delay free, from the one that the task declares."""
@@ -216,7 +216,7 @@ class DIDIM(Method):
             return solved
         return solved._replace(problem=problem.declared(loop.controller))
 
-    def solve(self, task: Task, history: History, near: Sequence[Start] = ()) -> Solved:
+    def solve(self, task: Task, history: History, near: Sequence[Mapping[str, float]] = ()) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones.
 
         Args:
@@ -228,7 +228,7 @@ class DIDIM(Method):
             return self._solve_flexible(task, history)
         return self._solve_rigid(task, history, near)
 
-    def _solve_rigid(self, task: Task, history: History, near: Sequence[Start]) -> Solved:
+    def _solve_rigid(self, task: Task, history: History, near: Sequence[Mapping[str, float]]) -> Solved:
         assert task.loop is not None
         tolerance = self.stopping_tolerance("rigid")
         declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)

@@ -173,7 +173,7 @@ class StiffnessSearch:
         loop, filtering = _rigid_loop(self.task), Filtering(cutoff=rigid_cutoff(self.task.record))
         problem = torque_problem(self.task.record, loop, filtering, loop.joint.parameters)
         frictionless = {p.name: 0.0 for p in loop.joint.parameters if p.name != "inertia"}
-        values = regular_start(problem.keeping(frictionless)).values
+        values = regular_start(problem.keeping(frictionless))
         return {p.name: values[p.name] for p in loop.joint.parameters}
 
     def _explore_beside(self, problem: ClosedLoopProblem, history: History) -> list[Candidate]:

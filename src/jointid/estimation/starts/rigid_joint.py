@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,26 +29,13 @@ from jointid.solvers.solve import solve
 _EVALUATIONS = 10  # enough for two parameters that act almost linearly on the torque
 
 
-class Start(NamedTuple):
-    """The start of a search.
-
-    Attributes:
-        values: of every parameter, by name.
-        nominal_inertia: the inertia at which the simulated controller's gains are the real ones, while they are
-            scaled with the inertia; None when they need not be.
-    """
-
-    values: dict[str, float]
-    nominal_inertia: float | None
-
-
-def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[Start]:
+def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[str, float]]:
     """Return a start from the inverse of the controller, and one of a regular inertia.
 
     Raises:
         MethodError: there is none.
     """
-    found, failures = list[Start](), list[MethodError]()
+    found, failures = list[dict[str, float]](), list[MethodError]()
     for make in (inversion_start, regular_start):
         try:
             found.append(make(problem))
@@ -57,26 +43,21 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[Start]:
             failures.append(error)
     if not found:
         raise failures[0]
-    if found[0].nominal_inertia is not None:
-        progress(Detail(failures[0], "starting from an inertia that suits the gains"))
+    if failures:
+        progress(Detail(failures[0], "starting from a regular inertia"))
     return found
 
 
-def inversion_start(problem: ClosedLoopProblem) -> Start:
+def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Return a start by IDIM on the reconstructed position."""
     position = reconstructed_position(problem)
     acting, known = torque_behind_limit(problem), invertible_samples(problem)
     found = _regress(problem, acting, position, known, problem.axis.law.delay)
-    return Start(_apply_fixed_values(problem, found | first_state(problem, position)), None)
+    return _apply_fixed_values(problem, found | first_state(problem, position))
 
 
-def regular_start(problem: ClosedLoopProblem) -> Start:
-    """Return a regular inertia and no friction, with the controller's gains to be scaled.
-
-    The loop of an inertia that is `n` times too large, under gains that are `n` times too large, moves like the real
-    one; regressing on its motion gives good values at once. The real loop's own inertia is first read off the
-    reference, as if the axis tracked it perfectly.
-    """
+def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
+    """Return a regular inertia, read off the reference as if the axis tracked it perfectly, and no friction."""
     experiment = problem.axis
     periods = experiment.clock.log_index // experiment.clock.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
@@ -86,7 +67,7 @@ def regular_start(problem: ClosedLoopProblem) -> Start:
     nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
     regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
-    return Start(_apply_fixed_values(problem, regular), nominal)
+    return _apply_fixed_values(problem, regular)
 
 
 def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
