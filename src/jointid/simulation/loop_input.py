@@ -27,7 +27,6 @@ from jointid.models.controllers import (
     SampledLaw,
     law_inputs,
     respond,
-    scale,
     shift_start,
     with_numbers,
 )
@@ -256,11 +255,6 @@ class AxisInput:
         """Let the torque act by another delay, s, later than the law puts it out."""
         law, clock = replace(self.law, delay=delay), self.clock
         return replace(self, law=law, clock=Clock.of([law], law.period, clock.steps, clock.sample_time, clock.samples))
-
-    def scale(self, factor: float) -> AxisInput:
-        """Scale the law's output and what is added to it."""
-        more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
-        return more.with_law(scale(self.law, factor))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
