@@ -181,6 +181,7 @@ RESTING = {"initial_velocity": 0.0}
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
+_EXPLAINS = 0.5  # of the torque: what an end may leave whose start led to no joint
 _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its reference rests
 
 
@@ -213,7 +214,7 @@ def search_rigid_joint(
             failures.append(error)
             continue
         ends += [history.solve(resting, solver, x) for x in started[: 1 if count else None]]
-    if not ends:
+    if failures and not any(end.norm < _EXPLAINS * problem.size for end in ends):
         raise failures[0]
     best = ends[0]
     for end in ends[1:]:
