@@ -265,6 +265,16 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
     assert loop.status is Status.PASSED, loop
 
 
+def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log whose windows fail is not identified at once."""
+    record, shown = rigid(20.0), list[bool]()
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
+    monkeypatch.setattr("jointid.estimation.identify_log.moves", lambda records: shown.append(True))
+    with pytest.raises(MethodError, match="In no window"):
+        ji.identify(record, LOOP)
+    assert shown and ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
+
+
 TEN_MINUTES = """
 import sys
 import numpy as np
