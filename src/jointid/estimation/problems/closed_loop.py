@@ -255,13 +255,6 @@ class ClosedLoopProblem(RecordProblem):
         free = [p.free for p in self.parameters[: len(own)]]
         return columns if all(free) else np.asarray(columns[:, free])
 
-    def fixed_torque(self, simulation: Simulation) -> FloatArray:
-        """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
-        joint = self.joint
-        assert isinstance(joint, RigidJoint)
-        kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
-        return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
-
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)
         own = {p.name for p in self.joint.parameters}
