@@ -208,8 +208,7 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
     except JointFileError as error:
         raise JointFileError(Fault(one, (EXTRA,)) for one in error.faults) from None
     made |= {"records": [{"file": name} for name in records]} if len(records) > 1 else {}
-    confined: Tables = _confine(made)
-    return confined
+    return {name: _confine(one, name) for name, one in made.items()}
 
 
 def _confine(value: Any, key: str = "") -> Any:

@@ -191,11 +191,11 @@ async def make_example(request: Request) -> Response:
 
 
 async def check_channels(request: Request) -> Response:
-    """Check step 2 by reading the record as it says, whatever is known of the controller."""
+    """Check step 2 by reading the record as it says, whatever is known of the controller and the method."""
     page, now = _page(request), await _save(request)
     async with page.files:
         texts = {key: text for key, text in now.texts.items() if not key.startswith("controller.")}
-        await _load(now, texts)
+        await _load(now, texts, but=("controller", "method"))
         await work(now.path, folder.READING, "_log.txt", "check")
     return page.redirect("/joint")
 
@@ -212,9 +212,10 @@ async def identify(request: Request) -> Response:
     return page.redirect(f"/runs/{run.path.name}")
 
 
-async def _load(now: Draft, texts: form.Texts) -> str:
+async def _load(now: Draft, texts: form.Texts, but: tuple[str, ...] = ()) -> str:
     """Check what the forms say but for a robot, whose model is read in a process of its own; return it as TOML."""
-    text, place = dumps(form.make_tables(texts, [] if now.robot else now.records)), now.path / "_order.toml"
+    made = form.make_tables(texts, [] if now.robot else now.records)
+    text, place = dumps({name: one for name, one in made.items() if name not in but}), now.path / "_order.toml"
     write_whole(place, text)
     if not now.robot:
         await run_in_threadpool(load, place)
