@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import jointid as ji
 from jointid.diagnostics.diagnosis import diagnose_joint
-from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import MOST
 from jointid.estimation.result.estimate import Estimate

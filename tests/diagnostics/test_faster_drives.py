@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.variants import PERIOD, list_variants
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.verdict import Subject

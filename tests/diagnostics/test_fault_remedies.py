@@ -7,8 +7,7 @@ import re
 import pytest
 
 from jointid.apps.cli.app import app
-from jointid.diagnostics.faults.fault import Fault, FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding, OtherLaw
+from jointid.diagnostics.faults import AxisFaults, Fault, FaultTest, Finding, OtherLaw
 from jointid.diagnostics.suspects import FAULTS
 from jointid.diagnostics.variants import AVERAGED, INTERPOLATIONS, MEASURED_VELOCITY, OTHER_LAWS, PERIOD, PRESENT_SAMPLE
 from jointid.models.controllers import PD

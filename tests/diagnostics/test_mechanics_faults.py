@@ -13,8 +13,7 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.considered import widen_for_faults
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding, ParameterShift
+from jointid.diagnostics.faults import AxisFaults, Fault, FaultSignature, FaultTest, Finding, ParameterShift
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import (
     BACKLASH,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults import AxisFaults, FaultTest
 from jointid.diagnostics.variants import (
     AVERAGED,
     LATE,

@@ -11,8 +11,8 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics.check_loop import compute_signatures, search_faults
-from jointid.diagnostics.faults.fault import Fault as KnownFault
-from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
+from jointid.diagnostics.faults import Fault as KnownFault
+from jointid.diagnostics.faults import FaultSignature, FaultTest
 from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.suspects import FAULTS as KNOWN
 from jointid.diagnostics.suspects import number_fault

@@ -15,8 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.diagnostics.axis_torques import ROTORS, AxisTorques
-from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding
+from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding
 from jointid.diagnostics.in_time import find_part
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import LEVEL, MOST

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults.fault import FaultSignature
+from jointid.diagnostics.faults import FaultSignature
 from jointid.diagnostics.seen import Seen
 from jointid.diagnostics.suspects import list_signatures
 from jointid.diagnostics.variants import list_reference_laws

@@ -22,8 +22,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Quantity, unit_of
-from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
-from jointid.diagnostics.faults.findings import AxisFaults, Finding
+from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding
 from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.model_free import LawOnPosition
 from jointid.diagnostics.score import RARER, rank_tests, score, strength_of

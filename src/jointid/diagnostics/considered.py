@@ -21,8 +21,7 @@ from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.faults.fault import Fault, FaultSignature
-from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults import AxisFaults, Fault, FaultSignature
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER

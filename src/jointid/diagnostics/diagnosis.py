@@ -24,7 +24,7 @@ from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.check_loop import list_laws, search_faults
-from jointid.diagnostics.faults.findings import AxisFaults
+from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign

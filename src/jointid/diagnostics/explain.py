@@ -32,7 +32,7 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.changes import CHANGES, Case, Cause, Change, is_small
-from jointid.diagnostics.faults.fault import FaultTest, Measure
+from jointid.diagnostics.faults import FaultTest, Measure
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import (
     find_broken_part,

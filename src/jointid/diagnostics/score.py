@@ -30,7 +30,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
+from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 

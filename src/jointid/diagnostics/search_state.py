@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
-from jointid.diagnostics.faults.findings import ParameterShift
+from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, ParameterShift
 from jointid.diagnostics.score import score
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem

@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, Measure, name_number
+from jointid.diagnostics.faults import Fault, FaultSignature, Measure, name_number
 from jointid.diagnostics.score import fit_whitener
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.result.verdict import Reason

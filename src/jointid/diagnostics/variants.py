@@ -30,8 +30,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Measure
-from jointid.diagnostics.faults.findings import Finding, OtherLaw, state_periods
+from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, Measure, OtherLaw
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
@@ -146,9 +145,9 @@ def _list_rates(law: Any, log: float, other: str, way: Interpolation, evident: b
     """Return the laws of faster drives."""
     found = []
     for times in TIMES_FASTER if evident else _UNDECIDED:
-        words, remedy = state_periods([log / times])
-        declared = f'{remedy}, and interpolation = "{way}"'
-        found.append(OtherLaw(PERIOD, words + other, declared, replace(law, period=log / times), times / log))
+        words = f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{other}"
+        declared = f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{way}"'
+        found.append(OtherLaw(PERIOD, words, declared, replace(law, period=log / times), times / log))
     return found
 
 

@@ -10,8 +10,7 @@ import pytest
 from jointid.diagnostics.axis_faults import _explained
 from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.diagnosis import Diagnosis, _wait_for_cause, diagnose_robot
-from jointid.diagnostics.faults.fault import FaultTest
-from jointid.diagnostics.faults.findings import Finding
+from jointid.diagnostics.faults import FaultTest, Finding
 from jointid.diagnostics.robot_causes import find_robot_cause
 from jointid.diagnostics.suspects import LOG_GAIN
 from jointid.diagnostics.variants import AVERAGED

@@ -1,22 +1,175 @@
-"""Faults of one axis that were tested: those found, their sizes, what they change, and the sentences that state it."""
+"""Faults of one axis: what each is, its test, and those found, with the sentences that state them.
+
+A fault is tested as a small deviation by its signatures. All that is particular to it is a field of `Fault`; the tests
+and the report read these fields. What corrects a large one is in `changes`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
 
+from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.common.transmission import Side
-from jointid.diagnostics.faults.fault import MICROSECOND, Fault, FaultTest, Measure
 from jointid.diagnostics.in_time import Part
+from jointid.diagnostics.seen import Columns, Seen
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason, Status
 from jointid.models.controllers import Controller
 from jointid.models.friction import StribeckFriction
 
+MICROSECOND = 1e-6
+"""Seconds: a shorter time is not given in ms."""
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
+
+
+class Measure(StrEnum):
+    """Unit in which a table shows the size of a fault."""
+
+    SHARE = "%"
+    TIME = "ms"
+    TORQUE = "torque"
+    POSITION = "position"
+    DECLARED = "% of the declared value"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Fault of the loop, the log or the mechanics: one row of one table, for joint and robot.
+
+    Attributes:
+        name: its code.
+        title: noun phrase, without an article.
+        says: clause that states it: with {size}, or its ends {by} and {of}, {shape}, {value}, the first of its `senses`
+            of a positive size as {sense}, and {torque}, {position} and {velocity} as units; see `findings`.
+        senses: of a positive size, and of a negative one.
+        remedy: what else to declare, as the end of a sentence, with {shape}.
+        columns: returns what it adds to the torque of an axis, in each of its shapes.
+        tried: number of shapes that each of its columns is the best of.
+        parts: numbers that are fitted for a column: 2 of a wave of any phase.
+        declared: value without the fault; None for a number of the controller, whose value is declared.
+        one_sided: whether its size can only be positive.
+        least: smallest size that is named: less is within what such a part is known to.
+        mechanical: whether it is a fault of the joint's model, not of loop or log.
+        last: whether it is named only where no other fault is collinear.
+        kin: group of faults that describe one effect; after one is found, the others are not tested.
+        measure: unit of its size in a table.
+        reason: code of the verdict.
+        table: table of the joint file that declares a law with it.
+        laws: names of these laws.
+    """
+
+    name: str
+    title: str
+    says: str = ""
+    senses: tuple[str, str] = ("larger", "smaller")
+    remedy: str = ""
+    columns: Callable[[Seen], Columns] | None = None
+    tried: int = 1
+    parts: int = 1
+    declared: float | None = 0.0
+    one_sided: bool = False
+    least: float = 0.0
+    mechanical: bool = False
+    last: bool = False
+    kin: str = ""
+    measure: Measure = Measure.DECLARED
+    reason: Reason = Reason.LOOP_NOT_AS_DECLARED
+    table: Literal["", "spring", "friction"] = ""
+    laws: tuple[str, ...] = ()
+
+    @property
+    def of_model(self) -> bool:
+        """True of a fault of the joint's mechanics or friction, False of one of loop and log."""
+        return self.mechanical or bool(self.table)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultSignature:
+    """Change of the torque by one fault.
+
+    Attributes:
+        fault: that makes it.
+        column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
+        shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
+        raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
+        axis: that has it.
+        trial: the problem of the joint with it, and (free,) a start, if a law of the joint has it.
+    """
+
+    fault: Fault
+    column: FloatArray
+    shape: float | None = None
+    raw: FloatArray | None = None
+    axis: int = 0
+    trial: tuple[ClosedLoopProblem, FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTest:
+    """Test of one fault.
+
+    Attributes:
+        fault: that is tested.
+        alike: faults that no record of this loop can distinguish from it.
+        declared: value; 0 for what is not declared at all.
+        size: value less the declared one; of a limit, the observed share of what it cuts off.
+        std: standard deviation of the size, autocorrelation-robust.
+        statistic: their ratio.
+        p_value: adjusted for all tests of the record together.
+        shape: the level of a limit in the torque's unit, or a Stribeck speed.
+        opposite: those of `alike` whose size has the opposite sign.
+        axis: that has it.
+    """
+
+    in_json = "name -fault -alike -opposite -axis"
+    fault: Fault
+    alike: tuple[Fault, ...]
+    declared: float
+    size: float
+    std: float
+    statistic: float
+    p_value: float
+    shape: float | None = None
+    opposite: tuple[Fault, ...] = ()
+    axis: int = 0
+
+    @property
+    def name(self) -> str:
+        """Code of the fault."""
+        return self.fault.name
+
+    @property
+    def label(self) -> str:
+        """Codes of the fault and of those it cannot be distinguished from."""
+        return " or ".join(one.name for one in (self.fault, *self.alike))
+
+    @property
+    def strength(self) -> float:
+        """The absolute statistic; at least 0 for a fault that can only be positive."""
+        return max(self.statistic, 0.0) if self.fault.one_sided else abs(self.statistic)
+
+
+def name_number(name: str) -> str:
+    """Return a number's name in words, also a filter's: "time constant of the velocity filter"."""
+    *owner, last = name.replace("_", " ").split(".")
+    if len(owner) == 2:  # one of several, which are counted
+        return f"{last} of {owner[0].removesuffix('s')} {owner[1]}"
+    return f"{last} of the {owner[0]}" if owner else last
+
+
+def milliseconds(seconds: float) -> str:
+    """Return a time in ms; one that no drive keeps is 0."""
+    return "0" if abs(seconds) < MICROSECOND else number(1e3 * seconds, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,11 +380,8 @@ class AxisFaults:
             of_each.setdefault((one.fault.name, getattr(one.controller, "interpolation", None)), []).append(one)
         stated = []
         for first, *others in of_each.values():
-            texts = first.words, first.remedy
-            if others and first.rate:
-                alone, every = (state_periods([1 / one.rate for one in laws]) for laws in ([first], [first, *others]))
-                texts = texts[0].replace(alone[0], every[0]), texts[1].replace(alone[1], every[1])
-            stated.append(texts)
+            rates = "".join(f" or {1e-3 * one.rate:.4g} kHz" for one in others if one.rate)
+            stated.append((first.words + rates, first.remedy))
         (said, remedy), *more = stated
         said = f"{said}: declare {remedy}"
         return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
@@ -267,10 +417,3 @@ def _state_number(test: FaultTest, *, spread: bool) -> str:
         return f"{name} is {way} than declared, by how much this record does not tell"
     interval = f" ± {number(100 * deviation, 2)}" if spread else ""
     return f"{name} is {number(100 * abs(share), 2)}{interval} % {way} than declared"
-
-
-def state_periods(periods: list[float]) -> tuple[str, str]:
-    """Return the clause on a drive of one of these periods, and what to declare; the slowest is the first."""
-    each = sorted(periods, reverse=True)
-    rates, times = (" or ".join(f"{1e-3 / p:.4g}" for p in each), " or ".join(f"{1e3 * p:.4g}" for p in each))
-    return f"the controller runs faster than the log, at {rates} kHz", f"its period, {times} ms"

@@ -1,1 +1,0 @@
-"""Faults of the loop, the log, the record and the mechanics: one definition each, in `registry`."""
