@@ -68,7 +68,7 @@ FAULTS = [
     ("[record]\nfile = 'run.xyz'\n" + SMALLEST, "record.file value"),
     ("[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST, "record contradiction"),
     (SMALLEST + "[filtering]\nborders = [1, 2, 3]", "filtering.borders value"),
-    (SMALLEST + "[method]\niterations = 0xffffffffffffffff", "method.iterations value"),
+    (SMALLEST + "[method]\nevaluations = 0xffffffffffffffff", "method.evaluations value"),
     (SMALLEST + '[drive]\nprofile = "abc"', "drive.profile value"),
     (SMALLEST + "[method]\nfrequency = 30.0", "method.frequency contradiction"),
     (SMALLEST + "[parameters]\ninertai = 3", "parameters.inertai unknown"),

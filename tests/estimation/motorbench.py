@@ -57,7 +57,7 @@ class Bench:
         resolved = filtering.resolve(PERIOD, "flexible")
 
         def regression(delay: float) -> tuple[float, np.ndarray]:
-            motion = motion_along([self.torque(current)], np.column_stack([self.motor, self.load]), resolved, delay)
+            motion = motion_along([self.torque(current)], np.column_stack([self.motor, self.load]), resolved, [delay])
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
             W = motion.decimate_columns(joint_columns(JOINT, motion.q, motion.v, motion.a, zeros=True))
             Y = motion.thinned_torque()

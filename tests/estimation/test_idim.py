@@ -124,6 +124,7 @@ def test_weights_are_settled_and_help() -> None:
     assert np.all(balanced.covariance.std < 0.1 * plain.covariance.std)
     assert np.all(np.abs(balanced.values - [3.0, -1.0]) < 3.0 * balanced.covariance.std)
     assert balanced.converged
+    assert not solve_rows(two_equations(), "weighted", {}, turns=1).converged
 
 
 def at_rest(dwell: float) -> tuple[Record, dict[str, float]]:
@@ -148,11 +149,14 @@ def test_rows_at_rest_are_left_out() -> None:
     assert found["coulomb"].stderr is not None and found["coulomb"].stderr < 0.015 * values["coulomb"]
 
 
-def test_the_difference_of_two_encoders_zeros_is_found() -> None:
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_difference_of_two_encoders_zeros_is_found(stated: bool) -> None:
+    """Also where the timing of the torque is not stated."""
     axis, off = twin(noise="none"), 2e-4
-    load = axis.record.load_position
-    assert load is not None
-    moved = axis.record.with_channels({"load_position": replace(load, values=load.values + off)})
+    load, torque = axis.record.load_position, axis.record.torque
+    assert load is not None and torque is not None
+    changed = {"load_position": replace(load, values=load.values + off), "torque": replace(torque, stated=stated)}
+    moved = axis.record.with_channels(changed)
     plain = identify(axis.record, axis.loop.joint, IDIM())
     found = identify(moved, axis.loop.joint, IDIM())
     assert [row.name for row in found.params.rows].count("encoder_offset") == 1

@@ -59,7 +59,7 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
             "with a motor_position."
         )
     method.require_settings_of(joint.model)
-    if not method.any_law:
+    if not method.needs_controller:
         joint.require_linear(f"{method.title} takes")
     if method.name == "drive_side":
         DriveSide(joint)  # which says what it does not take

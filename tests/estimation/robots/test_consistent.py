@@ -10,7 +10,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
 from jointid.estimation.result.robot import SpringVerdict
-from jointid.estimation.robots.consistent import consistent_robot, least_inertia
+from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
 from jointid.models.robots.inertial import (
     from_log_cholesky,
     is_physical,
@@ -52,7 +52,7 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     estimate = identified(wrong_model(), records_of(ARM, 2, noise=0.5))
     found = consistent_robot(estimate)
     assert all(is_physical(link.inertial) for link in found.robot.links)
-    assert found.misfit < 1.0 and found.least_inertia > 0
+    assert found.misfit < 1.0
     part = estimate.require_robot()
     values, true = (part.parameters_of(robot) for robot in (found.robot, ARM))
     assert values is not None and true is not None
@@ -93,7 +93,7 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     model = replace(twin.robot, links=links)
     estimate = identified(replace(twin.loop(), robot=model), records)
     found = consistent_robot(estimate)
-    assert found.misfit < 0.2 and found.least_inertia > 0.0
+    assert found.misfit < 0.2
     assert all(is_physical(link.inertial) for link in found.robot.links)
     held_out = validate(estimate, other)
     left = errors_of_bodies(estimate, found.robot, other)
@@ -125,9 +125,6 @@ def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() 
     part = estimate.require_robot()
     spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * part.covariance.std))
     found = consistent_robot(spoilt)
-    assert found.least_inertia > 0 and np.all(found.robot.of_joints("viscous") >= 0)
-
-
-def test_the_least_inertia_sees_a_matrix_that_is_not_positive() -> None:
-    hollow = replace(ARM.links[5], inertial=ARM.links[5].inertial - np.array([*9 * [0.0], 0.5]))
-    assert least_inertia(ARM) > 0 > least_inertia(replace(ARM, links=(*ARM.links[:5], hollow)))
+    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, len(robot)))
+    assert min(np.linalg.eigvalsh(mass_matrix_at(found.robot, q))[0] for q in poses) > 0.0
+    assert np.all(found.robot.of_joints("viscous") >= 0)

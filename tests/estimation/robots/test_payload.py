@@ -34,8 +34,6 @@ def pair(seed: int, noise: float = 0.2, loaded: Robot | None = None) -> tuple[Se
 def test_a_payload_is_weighed_within_a_percent() -> None:
     found = identify_payload(ARM, *pair(11))
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
-    assert found.rows["mass"]["verdict"] == "known"
-    assert found.rows["inertia yz"]["verdict"] == "not significant"
     assert found.properties[1][0] < 0.02 and found.link == "link6"
     assert max(map(len, found.summary().splitlines())) <= 100
     assert answers.to_dict(found)["schema"] == "jointid.Payload/2"

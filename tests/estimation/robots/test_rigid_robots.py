@@ -8,11 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -29,34 +27,6 @@ def recorded(
     run = simulate(loop, records)
     added = noise * np.std(run.torque, axis=0) * np.random.default_rng(seed).normal(size=run.torque.shape)
     return replace(run, torque=run.torque + added).records(records), added
-
-
-def test_a_step_is_that_of_the_weighted_rows() -> None:
-    """Reweighted by what it leaves, it is the step of the problem with these weights."""
-    rng, twin = np.random.default_rng(2), two()
-    loop = twin.loop()
-    problem = robot_problem(loop, recorded(loop, twin.records(2.0))[0], robot_parameters(twin.robot))
-    problem, count = problem.with_sigma(np.array([0.5, 3.0])), len(problem.parameters.names)
-    W, error = rng.standard_normal((400, count)), rng.standard_normal(400) * np.repeat([1.0, 20.0], 200)
-    W[:200, 2:5] = 0.0  # of the other joint alone
-
-    def by_rows(of: RobotLoopProblem) -> tuple[np.ndarray, np.ndarray]:
-        weights = of.weights(400)
-        weighted = W * weights[:, np.newaxis]
-        found = np.linalg.lstsq(weighted, error * weights, rcond=None)[0]
-        return found, np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
-
-    same, step, std = problem.step(W, error, 1e-9, 0)
-    assert same is problem
-    assert step == pytest.approx(by_rows(problem)[0], rel=1e-9)
-    assert std == pytest.approx(by_rows(problem)[1], rel=1e-9)
-    other, step, std = problem.step(W, error, 1e-9, 1)
-    left = problem.by_joint(error - W @ by_rows(problem)[0])
-    assert other.sigma == pytest.approx(np.sqrt(np.mean(left**2, axis=1) * 400 / (400 - count)), rel=1e-9)
-    assert step == pytest.approx(by_rows(other)[0], rel=1e-9)
-    W[:, 1] = 2.0 * W[:, 0]
-    with pytest.raises(MethodError, match=f"do not tell {problem.parameters.names[0]}, .* apart"):
-        problem.step(W, error, 1e-9, 0)
 
 
 def deviations(fit: RobotFit, twin: Twin) -> np.ndarray:

@@ -34,7 +34,6 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, ignore_progress
-from jointid.common.parameters import Parameter
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import (
     GLANCE,
@@ -72,7 +71,6 @@ from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_line
 from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
-from jointid.records.record import Record
 from jointid.solvers.regression import refuse_idle
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -90,7 +88,6 @@ class DIDIM(Method):
     title = "DIDIM"
     default_for = ClosedLoop
     needs_controller = True
-    any_law = True
 
     tolerance: float | None = setting(
         None,
@@ -99,7 +96,6 @@ class DIDIM(Method):
         above=0,
         systems=MODELS,
     )
-    iterations: int = setting(30, "of a robot: steps at most", at_least=1, systems=ROBOT)
     frequency: float | None = setting(
         None,
         "free-free frequency from which the stiffness starts, with the inertia halved; without it the best of a "
@@ -190,14 +186,9 @@ class DIDIM(Method):
 
     def _glance(self, task: Task, history: History) -> Solved:
         """Return the end of a rough search with the delay free, from the one that the task declares."""
-        assert task.loop is not None
-        flexible = task.joint.model == "flexible"
-        around = _at_rest(task.record) if flexible else INITIAL_STATE
-        problem = with_linear_laws(torque_problem(task.record, task.loop, task.filtering, task.parameters, around))
-        if flexible:
-            own = replace(task, loop=problem.loop, joint=problem.joint)
-            cutoffs = self.frequency, self.rigid_cutoff
-            return StiffnessSearch(problem, own, *cutoffs, self.stopping_tolerance("flexible"), history).glance(DELAY)
+        problem = with_linear_laws(_pose(task))
+        if task.joint.model == "flexible":
+            return self._search_springs(problem, task, history).glance(DELAY)
         resting = problem.keeping(RESTING)
         wider, ends = resting.freeing(DELAY), list[Solved]()
         for start in rigid_starts(problem, ignore_progress):
@@ -224,20 +215,21 @@ class DIDIM(Method):
             history: of the search.
             near: starts of a rigid joint that are tried first.
         """
+        tolerance, problem = self.stopping_tolerance(task.joint.model), _pose(task)
+        linear = with_linear_laws(problem)
         if task.joint.model == "flexible":
-            return self._solve_flexible(task, history)
-        return self._solve_rigid(task, history, near)
+            solved = self._search_springs(linear, task, history).search()
+            if linear is not problem and DELAY in self.free:  # a gap is found where torque and motion are in time alone
+                solved = free_more(solved, (DELAY,), tolerance, history)
+        else:
+            starts = [*near, *rigid_starts(linear, task.progress)]
+            solved = search_rigid_joint(linear, starts, tolerance, history, freed=bool(self.free))
+            solved = solved if linear is problem else history.finish(solved, tolerance)
+        return solved if linear is problem else from_linear_laws(problem, solved, tolerance, history)
 
-    def _solve_rigid(self, task: Task, history: History, near: Sequence[Mapping[str, float]]) -> Solved:
-        assert task.loop is not None
-        tolerance = self.stopping_tolerance("rigid")
-        declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
-        problem = with_linear_laws(declared)
-        starts = [*near, *rigid_starts(problem, task.progress)]
-        solved = search_rigid_joint(problem, starts, tolerance, history, freed=bool(self.free))
-        if problem is declared:
-            return solved
-        return from_linear_laws(declared, history.finish(solved, tolerance), tolerance, history)
+    def _search_springs(self, problem: ClosedLoopProblem, task: Task, history: History) -> StiffnessSearch:
+        own, tolerance = replace(task, loop=problem.loop, joint=problem.joint), self.stopping_tolerance("flexible")
+        return StiffnessSearch(problem, own, self.frequency, self.rigid_cutoff, tolerance, history)
 
     def _free_more(self, solved: Solved, task: Task, history: History) -> Solved:
         """Go on with more of the surroundings free, under the delay that was declared."""
@@ -246,35 +238,21 @@ class DIDIM(Method):
         tolerance = self.stopping_tolerance(task.joint.model)
         return self._declared(free_more(solved, self.free, tolerance, history), task)
 
-    def _solve_flexible(self, task: Task, history: History) -> Solved:
-        loop, tolerance = task.loop, self.stopping_tolerance("flexible")
-        assert loop is not None
-        problem = torque_problem(task.record, loop, task.filtering, task.parameters, _at_rest(task.record))
-        problem = problem if loop.joint.gravity is None else _hanging(problem)
-        linear = with_linear_laws(problem)
-        own = replace(task, loop=linear.loop, joint=linear.joint)
-        solved = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history).search()
-        if linear is not problem:
-            if DELAY in self.free:  # a gap is found where torque and motion are in time alone
-                solved = free_more(solved, (DELAY,), tolerance, history)
-            solved = from_linear_laws(problem, solved, tolerance, history)
-        return solved
 
-
-def _at_rest(record: Record) -> tuple[Parameter, ...]:
-    """Return the initial state at rest.
+def _pose(task: Task) -> ClosedLoopProblem:
+    """Return the problem of a task; a flexible joint is at rest at the first sample, where its load makes it hang.
 
     Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
     """
+    record, loop = task.record, task.loop
+    assert loop is not None
+    if task.joint.model == "rigid":
+        return torque_problem(record, loop, task.filtering, task.parameters)
     record.require(("reference",), "DIDIM")
     assert record.reference is not None
     position, velocity = INITIAL_STATE
-    return replace(position, start=float(record.reference.values[0])), velocity.fix(0.0)
-
-
-def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:
-    """Return the problem with the motor, at the first sample, where its load makes it hang."""
-    home = beginning_position(problem)
-    return problem.replace_parameters(
-        {p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"}
-    )
+    around = replace(position, start=float(record.reference.values[0])), velocity.fix(0.0)
+    problem = torque_problem(record, loop, task.filtering, task.parameters, around)
+    if loop.joint.gravity is None:
+        return problem
+    return problem.replace_parameters({position.name: replace(position, start=beginning_position(problem))})

@@ -156,39 +156,27 @@ def allow_for_force(
 
     A shift of less than a quarter of the deviations without the force, `std`, does not matter.
     """
-    run, at = problem.simulate(x), x
+    run, at, bounds = problem.simulate(x), x, Bounds.of(problem.free)
     history.tally.evaluations += 1
-    mean, bounds = run.torque, Bounds.of(problem.free)
-    force = _find_large_force(problem, at, run, problem.measured - mean)
     for count in range(_ROUNDS):
-        if force is None:
+        force = find_force(problem, at, run, problem.measured - run.torque)
+        if force is None or force.rms <= _LEAST * float(np.std(problem.measured)):
             return None
-        mean = simulate_mean(problem, at, force)
         history.tally.evaluations += 2 * _PAIRS
         # At the end of least squares the residual moves nothing: there only what the force adds does.
         shown = run.torque if count == 0 else problem.measured
-        left = problem.filter(shown - mean)
+        left = problem.filter(shown - simulate_mean(problem, at, force))
         step = Influence(J, left).matrix @ left
-        if not np.all(np.isfinite(step)):
-            return None
-        if count == 0 and not np.any(np.abs(step) > _MATTERS * std):
+        moves = np.abs(step) > _MATTERS * np.hypot(std, at - x)
+        if not np.all(np.isfinite(step)) or (count == 0 and not np.any(moves)):
             return None
         at = bounds.clip(at + step)
-        if not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
-            break
+        if count == _ROUNDS - 1 or not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
+            return at, force
         J = -problem.linearise(at)[1]
         run = problem.simulate(at)
         history.tally.evaluations += 2
-        force = _find_large_force(problem, at, run, problem.measured - mean)
-    return None if force is None else (at, force)
-
-
-def _find_large_force(
-    problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray
-) -> RandomForce | None:
-    """Return the force that a residual shows, if it is large enough to move a parameter."""
-    found = find_force(problem, x, run, error)
-    return found if found is not None and found.rms > _LEAST * float(np.std(problem.measured)) else None
+    return None
 
 
 def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray) -> RandomForce | None:

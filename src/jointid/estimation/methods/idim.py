@@ -84,11 +84,6 @@ class IDIM(Method):
     )
 
     @classmethod
-    def describe(cls, model: str) -> str:
-        """Return the method's name as used within a sentence."""
-        return "IDIM of a flexible joint" if model == "flexible" else cls.title
-
-    @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
         """Return torque and motor position, and the load's where the joint is flexible."""
         return idim_channels(model)
@@ -122,7 +117,7 @@ class IDIM(Method):
                 found = regress(zeros, [motion], estimator, known | {ENCODER_OFFSET.name: ENCODER_OFFSET}, by_loop)
                 found = found if found.shows_zeros else None
         found = found or regress(inverse, [motion], estimator, known, by_loop)
-        rows, solved, filtering = found.rows, found.solution, motion.filtering
+        solved, rows, filtering = found.solution, found.solution.rows, motion.filtering
         stated = (*task.parameters, *((ENCODER_OFFSET,) if ENCODER_OFFSET.name in rows.names else ()))
         parameters = tuple(p.fix(solved.held[p.name]) if p.name in solved.held else p for p in stated)
         free = [i for i, p in enumerate(parameters) if p.free]
@@ -131,6 +126,7 @@ class IDIM(Method):
         read = ["torque", *(loop.controller.channels if loop is not None and by_loop is not None else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
         noise = describe_noise_limit(filtering, motion.limit, sample_time, joint.model)
+        measured, predicted = found.torques
         made = build_estimate(
             [record],
             Params(
@@ -138,7 +134,7 @@ class IDIM(Method):
                 tuple(std),
                 solved.covariance.correlation[np.ix_(free, free)],
             ),
-            (found.motions[0].torque[:, 0], through_window(found.columns[0][:, :1], filtering)[:, 0] @ solved.values),
+            (measured[:, 0], predicted[:, 0]),
             float(np.linalg.norm(solved.residual) / np.linalg.norm(rows.Y)),
             solved.residual.size,
             (solved.stop, solved.converged),
@@ -156,23 +152,30 @@ class Regression:
 
     Attributes:
         motions: of each log. columns: of each, (samples, equations, parameters), raw.
-        rows: of all parameters. solution: of these.
+        solution: of their rows.
         timing: how torques of unstated timing were read; None where all are stated. said: of that, in a sentence.
     """
 
     motions: Sequence[MeasuredMotion]
     columns: Sequence[FloatArray]
-    rows: Rows
     solution: Solution
     timing: Timing | None = None
     said: tuple[str, ...] = ()
 
     @property
+    def torques(self) -> tuple[FloatArray, FloatArray]:
+        """Torques of the motors as measured, and of the model as the log would show them, (samples, n) each."""
+        n, found = self.solution.rows.driven, list[FloatArray]()
+        for motion, columns in zip(self.motions, self.columns, strict=True):
+            found.append(through_window(columns[:, :n], motion.filtering) @ self.solution.values)
+        return np.vstack([motion.torque[:, :n] for motion in self.motions]), np.vstack(found)
+
+    @property
     def shows_zeros(self) -> bool:
         """True if two encoders count from different zeros."""
-        at = self.rows.names.index(ENCODER_OFFSET.name)
-        slight = _SLIGHT * float(np.sqrt(np.mean(self.rows.Y**2)))
-        return bool(abs(self.solution.values[at]) > max(_SHOWN * self.solution.covariance.std[at], slight))
+        rows, found = self.solution.rows, self.solution
+        at, slight = rows.names.index(ENCODER_OFFSET.name), _SLIGHT * float(np.sqrt(np.mean(rows.Y**2)))
+        return bool(abs(found.values[at]) > max(_SHOWN * found.covariance.std[at], slight))
 
 
 def regress(
@@ -203,22 +206,18 @@ def regress(
         return inverse.rows(motions, each).W
 
     rows, make = inverse.rows(motions, columns), instruments if simulated else None
-    held = solve_rows(rows, estimator, known, make)
-    early = [motion.sampled for motion in motions if motion.sampled is not None]
-    if not early:
-        return Regression(motions, columns, rows, held)
-    other = replace(rows, Y=inverse.torques(early))
-    sampled = solve_rows(other, estimator, known, make)
+    held, early = solve_rows(rows, estimator, known, make), [motion.sampled for motion in motions]
+    if all(one is motion for one, motion in zip(early, motions, strict=True)):
+        return Regression(motions, columns, held)
+    sampled = solve_rows(replace(rows, Y=inverse.torques(early)), estimator, known, make)
     at, away, where = _read_timing(rows, held.residual, sampled.residual)
     by = 0.5 * away * np.abs(sampled.values - held.values)
-    timing, solution = (Timing.SAMPLED, sampled) if at else (Timing.HELD, held)
-    covariance = replace(solution.covariance, std=np.hypot(solution.covariance.std, by))
+    timing, solution, read = (Timing.SAMPLED, sampled, early) if at else (Timing.HELD, held, motions)
     said = (
         f"it is not stated whether the torque is held or sampled: it is read as {timing}, and {where}; the intervals "
         "cover that; state timing of its channel"
     )
-    kept, rows = (early, other) if at else (motions, rows)
-    return Regression(kept, columns, rows, replace(solution, covariance=covariance), timing, (said,))
+    return Regression(read, columns, replace(solution, further=by), timing, (said,))
 
 
 def _read_timing(rows: Rows, held: FloatArray, sampled: FloatArray) -> tuple[int, float, str]:

@@ -96,25 +96,16 @@ class Method(Protocol):
         name: in the joint file, on the command line and in an answer.
         title: in a report.
         default_for: the type of model that it identifies where no method is named, None if it must be named.
-        needs_controller: whether it simulates the closed loop.
-        any_law: whether it identifies springs and frictions that are not linear.
-        systems: that it identifies.
+        needs_controller: whether it simulates the closed loop, with springs and frictions of any law.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     default_for: ClassVar[Any] = None
     needs_controller: ClassVar[bool] = False
-    any_law: ClassVar[bool] = False
-    systems: ClassVar[tuple[str, ...]] = (*MODELS, *ROBOT)
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-    @classmethod
-    def describe(cls, model: str) -> str:
-        """Return the method's name as used within a sentence."""
-        return cls.title.replace("-", " ")
 
     @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:

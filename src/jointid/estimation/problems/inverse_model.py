@@ -96,9 +96,9 @@ class MeasuredMotion:
     stated: NDArray[np.bool_] | None = None
 
     @property
-    def sampled(self) -> MeasuredMotion | None:
-        """The motion with torques of unstated timing read as sampled; None where all are stated."""
-        return None if self.if_sampled is None else replace(self, torque=self.torque + self.if_sampled)
+    def sampled(self) -> MeasuredMotion:
+        """The motion with torques of unstated timing read as sampled; itself where all are stated."""
+        return self if self.if_sampled is None else replace(self, torque=self.torque + self.if_sampled)
 
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
@@ -238,7 +238,7 @@ def through_window(columns: FloatArray, filtering: Filtering) -> FloatArray:
 
 
 def motion_along(
-    torques: Sequence[Channel], positions: FloatArray, filtering: Filtering, delay: float = 0.0
+    torques: Sequence[Channel], positions: FloatArray, filtering: Filtering, delays: Sequence[float] = (0.0,)
 ) -> MeasuredMotion:
     """Return the motion along raw positions, (samples, n), of which all samples count.
 
@@ -246,11 +246,11 @@ def motion_along(
         torques: on the first of n masses or joints, at the positions' rate.
         positions: of the motor, and for a flexible joint of the load; or of the motors of a robot.
         filtering: resolved.
-        delay: seconds from the logged torque to the torque that acts.
+        delays: seconds from each logged torque to the torque that acts, or one for all.
     """
     measured, more, sample_time = np.zeros(positions.shape), np.zeros(positions.shape), torques[0].sample_time
     respected, size = filtering.timing == "respected", len(positions)
-    for j, torque in enumerate(torques):
+    for j, (torque, delay) in enumerate(zip(torques, np.resize(delays, len(torques)), strict=True)):
         read = torque if torque.stated else replace(torque, timing=Timing.HELD)
         measured[:, j] = (window_torque(read, delay) if respected else torque.values)[:size]
         if respected and not torque.stated:
@@ -363,7 +363,7 @@ def motion_of_joint(record: Record, delay: float, filtering: Filtering, joint: J
     torque, each = torque_and_positions(record, joint, idim_channels(joint.model)[1:], said)
     positions, sample_time = np.column_stack(each), torque.sample_time
     filtering = filtering.resolve(sample_time, joint.model, find_noise_limit(positions.T, sample_time))
-    motion = motion_along([torque], positions, filtering, _late(record, delay, sample_time))
+    motion = motion_along([torque], positions, filtering, [_late(record, delay, sample_time)])
     if filtering.timing != "respected":  # the published pipeline takes all rows
         return motion
     assert filtering.position_cutoff is not None

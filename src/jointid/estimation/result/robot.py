@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import interval
@@ -34,6 +34,11 @@ class SpringVerdict:
     deviation: float | None
     at_least: float
     unit: str = "N m/rad"
+
+    @property
+    def refused(self) -> SpringVerdict:
+        """The same spring, not shown."""
+        return replace(self, shown=False, stiffness=None, deviation=None)
 
     def __str__(self) -> str:
         if self.stiffness is None or self.deviation is None:

@@ -31,7 +31,6 @@ MISFIT = 2.0
 
 _THIN = 1e-6  # of a body's second moments: what a rod or a plate is given across itself
 _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
-_POSES = 1000
 _SETTLED = 1e-6  # relative, of the search
 _TIGHTER = 3.0  # times, from search to search, that errors are smaller
 _NEARLY = 1e-2  # relative, of a search whose errors are not yet those of the estimate
@@ -45,13 +44,11 @@ class ConsistentRobot:
         robot: the model with the masses, rotors, friction and springs found.
         misfit: root mean square of the parameters away from the estimate, in its deviations.
         worst: names of the parameters that are further away than `MISFIT`, the furthest first.
-        least_inertia: smallest eigenvalue of the mass matrix, rotors and all, over a thousand random poses.
     """
 
     robot: Robot
     misfit: float
     worst: tuple[str, ...]
-    least_inertia: float
 
 
 def consistent_robot(estimate: Estimate) -> ConsistentRobot:
@@ -66,50 +63,44 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     """
     from scipy.optimize import least_squares
 
-    found_robot = estimate.require_robot()
-    prior = found_robot.model
-    n, stated = len(prior), found_robot.sums(prior)
-    theta0, scales = _prior_bodies(prior)
-    rotors0 = prior.of_joints("rotor_inertia")
-    links = np.diag(mass_matrix_at(prior, np.zeros(n)))
+    part = estimate.require_robot()
+    prior = part.model
+    n, stated = len(prior), part.sums(prior)
+    bodies, scales = _prior_bodies(prior)
+    rotors, links = prior.of_joints("rotor_inertia"), np.diag(mass_matrix_at(prior, np.zeros(n)))
     # A URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there.
-    unknown = rotors0 <= 0.0
-    sizes = np.where(unknown, np.inf, np.maximum(rotors0, 0.1 * links))
-    whiten = _whitening(stated.covariance)
-    sums = np.hstack([stated.of_standard, stated.of_others])
+    unknown = rotors <= 0.0
+    near = np.concatenate([bodies, rotors])
+    spread = _SPREAD * np.concatenate([scales, np.where(unknown, np.inf, np.maximum(rotors, 0.1 * links))])
+    whiten = whitening(stated.covariance)
 
-    def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        bodies = [from_log_cholesky(theta) for theta in x[: 10 * n].reshape(n, 10)]
-        standard = np.concatenate([*(body for body, _ in bodies), x[10 * n : 11 * n]])
-        slopes = np.zeros((11 * n, 11 * n))
-        for k, (_, slope) in enumerate(bodies):
-            slopes[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = slope
-        slopes[10 * n :, 10 * n :] = np.eye(n)
-        return standard, slopes
+    def away(x: FloatArray) -> FloatArray:
+        """Return how far the parameters of bodies, rotors and others are from those stated, (parameters,)."""
+        own = np.concatenate(
+            [*(from_log_cholesky(theta)[0] for theta in x[: 10 * n].reshape(n, 10)), x[10 * n : 11 * n]]
+        )
+        return np.asarray(stated.of_standard @ own + stated.of_others @ x[11 * n :] - stated.values)
 
     def residual(x: FloatArray, larger: float = 1.0) -> FloatArray:
-        standard, _ = unpack(x)
-        off = sums @ np.concatenate([standard, x[11 * n :]]) - stated.values
-        near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / _SPREAD
-        return np.concatenate([whiten @ off / larger, near])
+        return np.concatenate([whiten @ away(x) / larger, (x[: 11 * n] - near) / spread])
 
     def jacobian(x: FloatArray, larger: float) -> FloatArray:
-        _, slopes = unpack(x)
+        slopes = np.eye(11 * n)
+        for k, theta in enumerate(x[: 10 * n].reshape(n, 10)):
+            slopes[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = from_log_cholesky(theta)[1]
         found = np.zeros((len(whiten) + 11 * n, x.size))
-        found[: len(whiten), : 11 * n] = whiten @ stated.of_standard @ slopes / larger
-        found[: len(whiten), 11 * n :] = whiten @ stated.of_others / larger
-        found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / _SPREAD
+        found[: len(whiten)] = whiten @ np.hstack([stated.of_standard @ slopes, stated.of_others]) / larger
+        found[len(whiten) :, : 11 * n] = np.diag(1.0 / spread)
         return found
+
+    def misfit_of(x: FloatArray) -> float:
+        return float(np.sqrt(np.mean((whiten @ away(x)) ** 2)))
 
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), stated.least])
     others = np.where(np.isfinite(stated.least), np.abs(stated.others), stated.others)
     # From its bound a search does not move a rotor.
-    x = np.concatenate([theta0, np.where(unknown, 0.1 * links.max(), rotors0), others])
+    x = np.concatenate([bodies, np.where(unknown, 0.1 * links.max(), rotors), others])
     x = np.maximum(x, np.where(np.isfinite(lower), 1e-9, -np.inf))
-
-    def misfit_of(x: FloatArray) -> float:
-        return float(np.sqrt(np.mean(residual(x)[: len(whiten)] ** 2)))
-
     # Small errors make a narrow curved valley, in which one search stops far from the model: a wrist of 2 m.
     larger = max(misfit_of(x), 1.5)
     while larger > 1.0:
@@ -119,12 +110,10 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
             residual, x, jacobian, bounds=(lower, np.inf), args=(larger,), x_scale="jac", ftol=settled, xtol=settled,
             max_nfev=1000,
         ).x  # fmt: skip
-    standard, _ = unpack(x)
-    robot = stated.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], x[11 * n :])
-    misfit = misfit_of(x)
-    off = np.abs(sums @ np.concatenate([standard, x[11 * n :]]) - stated.values) / _positive(stated.covariance.std)
-    worst = tuple(found_robot.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
-    return ConsistentRobot(robot, misfit, worst, least_inertia(robot))
+    inertials = np.array([from_log_cholesky(theta)[0] for theta in x[: 10 * n].reshape(n, 10)])
+    off = np.abs(away(x)) / _positive(stated.covariance.std)
+    worst = tuple(part.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
+    return ConsistentRobot(stated.robot(inertials, x[10 * n : 11 * n], x[11 * n :]), misfit_of(x), worst)
 
 
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
@@ -139,20 +128,8 @@ def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
     return np.asarray(links + coupling.T @ np.diag(robot.of_joints("rotor_inertia")) @ coupling)
 
 
-def least_inertia(robot: Robot) -> float:
-    """Return the smallest eigenvalue of the mass matrix over random poses: what is not positive cannot be simulated."""
-    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, len(robot)))
-    return min(float(np.linalg.eigvalsh(mass_matrix_at(robot, one))[0]) for one in q)
-
-
 def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
     """Return the log-Cholesky parameters of all links, (10 n,), and their natural sizes: 1, or a length."""
-    massless = [link.name for link in prior.links if not link.inertial[0] > 0]
-    if massless:
-        raise MethodError(
-            f"The model says no mass of {', '.join(massless)}; expected one on every link, to be near to: add it to "
-            "the model, a rough one will do."
-        )
     found, sizes = [], []
     for link in prior.links:
         pseudo = pseudo_inertia(link.inertial)
@@ -161,19 +138,18 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
             found.append(log_cholesky(thick))
         except np.linalg.LinAlgError:
             raise MethodError(
-                f"No body can have the inertial parameters of the link {link.name} in the model; expected positive "
-                "second moments: correct its mass, centre or inertia."
+                f"No body can have the inertial parameters of the link {link.name} in the model; expected a mass, and "
+                "positive second moments, to be near to: correct its mass, centre or inertia; rough ones will do."
             ) from None
         length = np.sqrt(np.trace(thick[:3, :3]) / thick[3, 3])
         sizes.append([1.0, 1.0, 1.0, 1.0, *6 * [length]])
     return np.concatenate(found), np.concatenate(sizes)
 
 
-def _whitening(covariance: Covariance) -> FloatArray:
-    """Return the whitening matrix of an estimate."""
-    std = _positive(covariance.std)
+def whitening(covariance: Covariance) -> FloatArray:
+    """Return the matrix that makes errors of this covariance white, (parameters, parameters)."""
     values, vectors = np.linalg.eigh(covariance.correlation)
-    return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / std)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / _positive(covariance.std))
 
 
 def _positive(std: FloatArray) -> FloatArray:

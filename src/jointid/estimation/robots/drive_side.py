@@ -30,7 +30,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import MeasuredMotion, moving_weights
 from jointid.estimation.robots.didim import SLOW, require_springs, search_springs
-from jointid.estimation.robots.fit import RobotFit, fixed_point
+from jointid.estimation.robots.fit import Descents, RobotFit
 from jointid.estimation.robots.numbers import RobotParameters, apply_constraints, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, add_problems
 from jointid.estimation.robots.regression import Records, each_log, motion_of_robot
@@ -54,7 +54,6 @@ _BEGINNINGS = 3  # steps to where the links are at the first sample, which the t
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
 _STILL = 20  # samples in a row, from the first on: a motor that rests there
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
-_ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
 _BEGINNING = 4.0  # s of a record, along which the search begins
 _SHORTER = 0.7  # of a record: a beginning that saves time
 _DELAY = NumberPlace(NumberOf.LOG, 0, 0)
@@ -324,8 +323,7 @@ def identify_flexible_drive_side(
     slow = add_problems(
         [replace(one, motion=replace(one.motion, moving=np.ones_like(one.motion.moving))) for one in slow_parts]
     )
-    x = np.zeros(len(slow.free))
-    rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress)
+    rigid = Descents(evaluations, progress).settle(slow, np.zeros(len(slow.free)))
 
     def search(problem: RobotProblem[Any]) -> RobotFit:
         return search_springs(problem, robot, rigid, frequencies, evaluations, progress)

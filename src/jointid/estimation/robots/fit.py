@@ -1,4 +1,4 @@
-"""The fit of a robot to its torques: by steps with the regressor of the simulated motion, or by descents."""
+"""The fit of a robot to its torques by descents."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import join
 from jointid.estimation.descent import ROUGH
-from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
@@ -23,7 +22,7 @@ from jointid.models.robots.robot import Robot
 from jointid.simulation.drive_side import DriveSideRun
 from jointid.simulation.robot_numbers import robot_with
 from jointid.simulation.simulate import Outcome, Run
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Counted, Solution, Step, solve
 from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
@@ -31,12 +30,8 @@ from jointid.uncertainty.identifiability import find_separable
 if TYPE_CHECKING:
     from jointid.estimation.starts.robot_springs import StartOfSprings
 
-SETTLED = 0.02
-"""Standard deviations: the largest change of a parameter that ends the search."""
-
-NEAR = 0.2
-"""Standard deviations: a change that ends the search where another one is to follow."""
-
+_SETTLED = 0.3  # of the noise of a row, squared: a step that changes all rows by less ends the search of rigid joints
+_WEIGHED = 2  # solutions for the first step, each with the sizes of the errors that the one before leaves
 _HALVINGS = 6  # of a step to a candidate that cannot be simulated
 
 UNSEEN = 2.0
@@ -107,45 +102,15 @@ class RobotFit:
         return float(self.values[at]), float(self.covariance.std[at])
 
 
-def fixed_point(
-    problem: RobotProblem[AnyRun],
-    x: FloatArray,
-    run: AnyRun,
-    iterations: int,
-    progress: Progress = lambda _: None,
-    settled: float = SETTLED,
-) -> RobotFit:
-    """Iterate with the regressor of the simulated motion from a valid start, and return the fit at the end."""
-    bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
-    arrived, made = False, 0
-    # What no position shows never settles: the integral takes whatever is added.
-    told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
-    for number in range(iterations):
-        error, W = problem.error(run), problem.regressor(run)
-        problem, step, std = problem.step(W, error, floor, 1)
-        share = problem.norms(error) / size
-        progress(Detail(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
-        after = bounds.clip(x + step)
-        arrived = bool(np.all((np.abs(after - x) <= settled * std)[told]))
-        made = number + 1
-        x, run = _take_step(problem, x, after, run)
-        if arrived:
-            break
-    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
-
-
 def conclude(
     problem: RobotProblem[AnyRun],
     x: FloatArray,
     run: AnyRun,
     J: FloatArray,
-    Z: FloatArray,
     made: int,
     settled: bool,
 ) -> RobotFit:
-    """Return the fit at an end, with the covariance of instruments Z, (rows, free), beside slopes J; both not weighted.
-
-    Of least squares the instruments are the slopes.
+    """Return the fit at an end, with the slopes J, (rows, free), not weighted.
 
     Raises:
         MethodError: a friction that grows with the torque is not told from others; see `find_separable`.
@@ -161,8 +126,7 @@ def conclude(
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
     slopes = J * weights[:, np.newaxis]
-    instruments = None if Z is J else Z * weights[:, np.newaxis]
-    influence = Influence(slopes, error * weights, instruments, problem.sigma.size)
+    influence = Influence(slopes, error * weights, equations=problem.sigma.size)
     covariance = influence.robust()
     if problem.motion_measured:
         covariance = influence.widen_for_motion(covariance)
@@ -187,15 +151,22 @@ def conclude(
     )
 
 
-def _take_step(
-    problem: RobotProblem[AnyRun], x: FloatArray, after: FloatArray, run: AnyRun
-) -> tuple[FloatArray, AnyRun]:
+def require_finished(run: Run | DriveSideRun | RobotRuns) -> None:
+    """Refuse a fit where the robot cannot be simulated."""
+    if run.outcome is not Outcome.FINISHED:
+        raise MethodError(
+            f"The search led to where the robot cannot be simulated: {run.outcome.value}. Record a livelier motion, "
+            "name a livelier log first, leave out springs of stiff joints, or declare simpler laws."
+        )
+
+
+def _halve(problem: RobotProblem[AnyRun], x: FloatArray, step: FloatArray, run: AnyRun) -> tuple[FloatArray, AnyRun]:
     """Return the end of a step, halved until it can be simulated."""
     for _ in range(_HALVINGS):
-        found = problem.run(after)
+        found = problem.run(x + step)
         if found.outcome is Outcome.FINISHED:
-            return after, found
-        after = 0.5 * (x + after)
+            return x + step, found
+        step = 0.5 * step
     return x, run
 
 
@@ -254,14 +225,17 @@ class End:
         left = self.problem.norms(self.linearise()[0])
         return not np.any(left > _POOR * self.problem.sizes)
 
-    def fit(self, made: int) -> RobotFit | None:
-        """Return the fit after so many evaluations; None where the robot cannot be simulated there."""
+    def fit(self, made: int) -> RobotFit:
+        """Return the fit after so many evaluations.
+
+        Raises:
+            MethodError: the robot cannot be simulated there.
+        """
         x = self.solution.x
         run = self.problem.run(x)
-        if run.outcome is not Outcome.FINISHED:
-            return None
+        require_finished(run)
         J = -self.linearise()[1]
-        return conclude(self.problem, x, run, J, J, made, self.solution.converged)
+        return conclude(self.problem, x, run, J, made, self.solution.converged)
 
 
 class Descents:
@@ -297,6 +271,29 @@ class Descents:
             # From its start once more: from an end the first steps would be long, and may leave the way.
             best = self.from_start(problem, start, chosen)
         return best
+
+    def settle(self, problem: RobotProblem[Any], x: FloatArray) -> RobotFit:
+        """Take Gauss-Newton steps from values of rigid joints until they settle, each joint by the size of its error.
+
+        Raises:
+            MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
+        """
+        bounds, run, settled = Bounds.of(problem.free), problem.run(x), False
+        J = np.zeros((problem.filtered_torque.size, x.size))
+        while run.outcome is Outcome.FINISHED and not settled and self.made < self.evaluations:
+            error, J = problem.error(run), problem.slopes(run, x)
+            self.made += 1
+            for _ in range(1 if self.made > 1 else _WEIGHED):
+                weights = problem.weights(error.size)
+                slopes = J * weights[:, np.newaxis]
+                step = damped_step(error * weights, -slopes, bounds.shift_to(x))
+                problem = problem.reweight(error - J @ step, x.size)
+            settled = float(np.sum((slopes @ step) ** 2)) <= _SETTLED
+            share = problem.norms(error) / problem.sizes
+            self.progress(Detail(f"{self.made}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
+            x, run = _halve(problem, x, step, run)
+        require_finished(run)
+        return conclude(problem, x, run, J, self.made, settled)
 
     def from_start(
         self, problem: RobotProblem[Any], start: StartOfSprings, values: FloatArray, evaluations: int = _FIRST

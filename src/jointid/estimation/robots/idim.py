@@ -23,7 +23,7 @@ from jointid.estimation.problems.inverse_model import Rows
 from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.regression import Records, each_log, inverse_of_robot, require_slow_samples
+from jointid.estimation.robots.regression import Records, each_log, inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, table_of_robot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -83,8 +83,7 @@ def identify_robot(
     limits = {name: one for name, one in (known or {}).items() if name in parameters.names}
     fixed = {name for name, one in limits.items() if not one.free}
     found = regress(inverse, motions, estimator, limits, simulated)
-    rows, solution, values = found.rows, found.solution, found.solution.values
-    require_slow_samples(robot, rows, fixed)
+    rows, solution, values = found.solution.rows, found.solution, found.solution.values
     fixed |= solution.held.keys()
     stated = zip(parameters.parameters, map(float, values), strict=True)
     parameters = replace(parameters, parameters=tuple(p.fix(x) if p.name in fixed else p for p, x in stated))
@@ -111,7 +110,7 @@ def identify_robot(
         part,
         table_of_robot(part, parameters, solution.held),
         rows.relative_errors(values),
-        (np.vstack([one.torque for one in found.motions]), np.vstack([one @ values for one in found.columns])),
+        found.torques,
         ("idim", VARIANTS[estimator].replace("IDIM", "IDIM of a robot")),
         common,
         solution.residual.size,

@@ -21,7 +21,7 @@ from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.robot import KNOWN
+from jointid.estimation.robots.consistent import whitening
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -67,11 +67,9 @@ class Payload(Documented):
 
     @property
     def rows(self) -> Mapping[str, Mapping[str, float | str]]:
-        """Value, deviation, unit and verdict of each number."""
-        return {
-            name: {"value": value, "std": std, "unit": unit, "verdict": _verdict(name, value, std)}
-            for (name, unit), value, std in zip(_ROWS, *(map(float, one) for one in self.properties), strict=True)
-        }
+        """Value, deviation and unit of each number."""
+        found = zip(_ROWS, *(map(float, one) for one in self.properties), strict=True)
+        return {name: {"value": value, "std": std, "unit": unit} for (name, unit), value, std in found}
 
     @property
     def possible(self) -> bool:
@@ -87,23 +85,19 @@ class Payload(Documented):
         return f"The payload weighs {weight} kg, 2 sigma, with its centre at ({at}) m of {self.link}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the verdict first, then each number; there are no further details."""
+        """Return the mass first, then each number; there are no further details."""
         del details
         lines = [
-            (name, interval(float(row["value"]), _TWO * float(row["std"])), str(row["unit"]), str(row["verdict"]))
+            (name, interval(float(row["value"]), _TWO * float(row["std"])), str(row["unit"]))
             for name, row in self.rows.items()
         ]
         said = "" if self.possible else "No body has just these numbers; those that are not known may be far off."
+        title = f"in the frame of {self.link}; inertia at the centre"
         return Document(
             self.sentence,
             (
                 *([Paragraph(said, tone="bad")] if said else []),
-                Table(
-                    ("", "value, 2 sigma", "unit", "verdict"),
-                    tuple(lines),
-                    f"in the frame of {self.link}; inertia at the centre",
-                    (0, 1, 2, 3),
-                ),
+                Table(("", "value, 2 sigma", "unit"), tuple(lines), title, (0, 1, 2)),
                 Facts(tuple(("warning", one) for one in self.warnings)),
             ),
         )
@@ -112,15 +106,6 @@ class Payload(Documented):
 def _convert(inertial: FloatArray) -> FloatArray:
     body = mass_properties(inertial)
     return np.array([body.mass, *body.centre, *body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
-
-
-def _verdict(name: str, value: float, std: float) -> str:
-    """Return whether a number is known; a centre that is at 0 may be known, too, so there is only its interval."""
-    if name.startswith("centre"):
-        return f"within {1e3 * _TWO * std:.2g} mm"
-    if std <= KNOWN * abs(value):
-        return "known"
-    return "roughly known" if _TWO * std < abs(value) else "not significant"
 
 
 @one_thread()
@@ -176,49 +161,43 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
         loaded: with it, of the same robot by the same method.
 
     Raises:
-        MethodError: the estimates are of two robots, an estimate did not settle or refuses a parameter, the robot does
-            not tell all of a payload, or its mass comes out negative.
+        MethodError: the estimates are of two robots or methods, an estimate did not settle or refuses a parameter, the
+            robot does not tell all of a payload, or its mass comes out negative.
     """
-    methods = [one.settings.method for one in (empty, loaded)]
-    if methods[0] != methods[1]:
-        raise MethodError(f"The estimates are by {' and '.join(methods)}; expected one method for both.")
-    parts = first, second = empty.require_robot(), loaded.require_robot()
-    for estimate, part, which in zip((empty, loaded), parts, ("without the payload", "with it"), strict=True):
-        if hidden := [one.joint for one in part.springs if not one.shown]:
-            raise MethodError(
-                f"The record {which} does not show the spring of {join(hidden)}, so it does not part motor from "
-                "link there; expected records that do: leave this spring out of the robot file, or excite its mode."
-            )
-        if not estimate.fit.converged:
-            raise MethodError(
-                f"The search did not settle on the record {which}; identify it to see what it leaves, or allow "
-                "more by method.iterations, of springs method.evaluations."
-            )
-    # A weight that is a constant torque is an offset's.
-    rows, others = (np.flatnonzero(np.any(one.of_standard, axis=1)) for one in parts)
-    names = [[part.names[i] for i in own] for part, own in zip(parts, (rows, others), strict=True)]
-    if names[0] != names[1] or not np.allclose(first.of_standard[rows], second.of_standard[others]):
+    both = empty, loaded
+    if empty.settings.method != loaded.settings.method or not all(one.fit.converged for one in both):
+        raise MethodError(
+            "A payload is the difference of two searches by one method that settled; these are by "
+            f"{empty.settings.method} and {loaded.settings.method}: identify each record to see what it leaves, or "
+            "allow more by method.evaluations."
+        )
+    each = list[tuple[list[str], FloatArray, FloatArray, FloatArray]]()
+    for estimate in both:
+        part = estimate.require_robot()
+        sums = part.sums(part.model)
+        own = np.flatnonzero(np.any(sums.of_standard, axis=1))  # a weight that is a constant torque is an offset's
+        noise = sums.covariance.matrix[np.ix_(own, own)]
+        each.append(([part.names[i] for i in own], sums.values[own], sums.of_standard[own], noise))
+    (names, before, columns, noise), (others, after, standard, more) = each
+    if names != others or not np.allclose(columns, standard):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
-    if not all(estimate.params[name].free for estimate in (empty, loaded) for name in names[0]):
+    if not np.all(np.diag(noise) * np.diag(more) > 0.0):
         raise MethodError(
             "A parameter is fixed, which a payload would change; expected estimates of all: leave it free."
         )
-    last = len(SYMBOLS) * (len(first.model) - 1)
-    columns = first.of_standard[rows, last : last + len(SYMBOLS)]
+    link, last = part.model.links[-1].name, len(SYMBOLS) * (len(part.model) - 1)
+    columns = columns[:, last : last + len(SYMBOLS)]
     _require_full_payload(columns)
-    matrix = first.covariance.matrix[np.ix_(rows, rows)] + second.covariance.matrix[np.ix_(others, others)]
-    std = np.sqrt(np.diag(matrix))
-    std = np.where(std > 0, std, 1.0)
-    values, vectors = np.linalg.eigh(matrix / np.outer(std, std))
-    whiten = (vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / std
+    whiten = whitening(covariance_of(noise + more))
     seen = whiten @ columns
-    inertial = np.linalg.lstsq(seen, whiten @ (second.values[others] - first.values[rows]), rcond=None)[0]
+    spread = np.asarray(np.linalg.pinv(seen.T @ seen), dtype=np.float64)
+    inertial = spread @ seen.T @ whiten @ (after - before)
     if not inertial[0] > 0:
         raise MethodError(
             f"The payload's mass comes out as {inertial[0]:.3g} kg; expected a positive one: check that the second "
             "record is the one with the payload, and that both have the same torque's unit."
         )
-    return Payload(first.model.links[-1].name, inertial, covariance_of(np.linalg.pinv(seen.T @ seen)))
+    return Payload(link, inertial, covariance_of(spread))
 
 
 def _require_full_payload(columns: FloatArray) -> None:

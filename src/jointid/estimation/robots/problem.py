@@ -10,8 +10,7 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms, triangle
-from jointid.common.errors import MethodError
+from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.inverse_model import join_rows
@@ -23,7 +22,7 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends, noise_limit_of_computed
 from jointid.simulation.controller_torque import SeenPosition, seen_position
-from jointid.simulation.derivatives import columns_of, differentiate
+from jointid.simulation.derivatives import differentiate
 from jointid.simulation.drive_side import DriveSideRun
 from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
@@ -58,7 +57,6 @@ AnyRun = TypeVar("AnyRun", Run, DriveSideRun, RobotRuns)
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
 EXACT = 1e-6  # of the torques: an error that the simulation itself may have
-_SINGULAR = 1e-9  # of columns of norm 1: the least singular value of what a record tells
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
 
 
@@ -120,10 +118,6 @@ class RobotProblem(ABC, Generic[AnyRun]):
     @abstractmethod
     def slopes(self, run: AnyRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-
-    @abstractmethod
-    def regressor(self, run: AnyRun) -> FloatArray:
-        """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -242,52 +236,6 @@ class RobotProblem(ABC, Generic[AnyRun]):
         weights = self.weights(error.size)
         return error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
 
-    def step(
-        self, W: FloatArray, error: FloatArray, floor: float, reweightings: int
-    ) -> tuple[Self, FloatArray, FloatArray]:
-        """Return the problem weighted by what its steps leave, the last step by least squares, and its deviations.
-
-        Args:
-            W: (rows, free), not weighted.
-            error: (rows,), likewise.
-            floor: of `reweight`.
-            reweightings: by what a step leaves, before the next one. The deviations are those of white errors.
-
-        Raises:
-            MethodError: the columns do not determine the step.
-        """
-        rows = np.column_stack([W, error]).reshape(self.sigma.size, -1, W.shape[1] + 1)
-
-        def reduce(j: int) -> FloatArray:
-            """Return the triangle of a joint's rows, whatever its weight."""
-            own = np.flatnonzero(np.any(rows[j], axis=0))
-            return np.asarray(triangle(rows[j][:, own]) @ np.eye(rows.shape[2])[own])
-
-        triangles, problem = in_threads(reduce, range(len(rows))), self
-        step, std = problem._step(triangles)
-        for _ in range(reweightings):
-            problem = problem.reweight(error - W @ step, step.size, floor)
-            step, std = problem._step(triangles)
-        return problem, step, std
-
-    def _step(self, triangles: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-        weighted = np.concatenate([one / sigma for one, sigma in zip(triangles, self.sigma, strict=True)])
-        idle = [
-            name for name, any_of in zip(self.parameters.names, np.any(weighted, axis=0), strict=False) if not any_of
-        ]
-        norms = np.append(column_norms(weighted[:, :-1]), 1.0)
-        found, both = triangle(weighted / norms), np.zeros((norms.size, norms.size))
-        both[: len(found)] = found
-        R, target, norms = both[:-1, :-1], both[:-1, -1], norms[:-1]
-        _, sizes, directions = np.linalg.svd(R)
-        if idle or sizes[-1] < _SINGULAR * sizes[0]:
-            names = idle or [self.parameters.names[i] for i in np.flatnonzero(np.abs(directions[-1]) > 0.2)]
-            raise MethodError(
-                f"The records do not tell {', '.join(names)} apart, or not at all; expected a motion that excites all "
-                "parameters: move all joints, at several speeds and both ways."
-            )
-        return np.linalg.solve(R, target) / norms, np.linalg.norm(np.linalg.inv(R), axis=1) / norms
-
     def _failure_residual(self) -> FloatArray:
         seen = self.filtered_torque
         return _FAILED * seen * self.weights(seen.size)
@@ -368,18 +316,6 @@ class RobotLoopProblem(RobotProblem[Run]):
             x,
         )
 
-    def regressor(self, run: Run) -> FloatArray:
-        """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
-        started, rotors = run.experiment.clock.torque_index, run.numbers.rotors
-        left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
-        while left:  # torques that begin to act together
-            together = [j for j in left if np.array_equal(started[j], started[left[0]])]
-            motion = motion_at(run, started[together[0]])
-            found = columns_of(self.tree, run.numbers, self.parameters.places, motion, rotors[together])
-            parts |= dict(zip(together, found, strict=True))
-            left = [j for j in left if j not in together]
-        return self.decimate_columns([parts[j] for j in range(rotors.size)])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SumOfRobotProblems(RobotProblem[RobotRuns]):
@@ -437,10 +373,6 @@ class SumOfRobotProblems(RobotProblem[RobotRuns]):
     def slopes(self, run: RobotRuns, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
         return self._join(part.slopes(one, x) for part, one in zip(self.parts, run.each, strict=True))
-
-    def regressor(self, run: RobotRuns) -> FloatArray:
-        """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
-        return self._join(part.regressor(one) for part, one in zip(self.parts, run.each, strict=True))
 
     @property
     def filtered_torque(self) -> FloatArray:

@@ -5,8 +5,7 @@ Signals go the way of one joint's (`problems.inverse_model`).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TypeAlias, cast
 
@@ -18,7 +17,6 @@ from jointid.estimation.problems.inverse_model import (
     SMEAR,
     Inverse,
     MeasuredMotion,
-    Rows,
     motion_along,
     steady_weights,
     through_window,
@@ -33,9 +31,6 @@ from jointid.records.checks import find_record_warnings, range_faults, scale_fau
 from jointid.records.columns import finite_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit
-
-_REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
-
 
 Records: TypeAlias = Sequence[Record] | Sequence[Sequence[Record]]
 """The records of a robot's joints from one log, or those of several logs."""
@@ -56,14 +51,6 @@ def each_log(records: Records) -> tuple[Sequence[Record], ...]:
     if not all(isinstance(log, Sequence) for log in records):
         raise MethodError("Of several logs the records of the joints are lists; received a single record among them.")
     return tuple(cast("Sequence[Sequence[Record]]", records))
-
-
-def in_logs(flat: Sequence[Record], records: Records) -> Records:
-    """Return the records of all logs, one after the other, in the logs of others."""
-    if len(logs := each_log(records)) == 1 and isinstance(records[0], Record):
-        return flat
-    ends = np.cumsum([len(log) for log in logs])
-    return [flat[end - len(log) : end] for log, end in zip(logs, ends, strict=True)]
 
 
 def require_one_log(records: Sequence[object]) -> None:
@@ -184,22 +171,3 @@ def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
         return motion_of_robot(robot, records, filtering)
 
     return Inverse((*parameters.names, *(one.name for one in parameters.fixed)), len(robot), columns, measure)
-
-
-def require_slow_samples(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> None:
-    """Raise a `MethodError` if a friction is to rise at speeds that no sample of the record has.
-
-    Args:
-        robot: whose motors' friction may rise towards standstill.
-        rows: of the inverse model, without the samples about reversals.
-        fixed: names of parameters that are known.
-    """
-    sizes = dict(zip(rows.names, np.linalg.norm(rows.W, axis=0), strict=True))
-    for joint in robot.joints:
-        name, coulomb = (f"{joint.name}.{number}" for number in ("stribeck_force", "coulomb"))
-        if name not in fixed and sizes.get(name, math.inf) < _REACHED * sizes[coulomb]:
-            raise MethodError(
-                f"The friction of {joint.name} is declared to rise towards standstill, and beside reversals, which "
-                f"IDIM leaves out, this record has hardly a sample where it does; move it slowly, leave the speed out, "
-                f"or fix {name} by its value."
-            )

@@ -244,11 +244,10 @@ def identify_simulated_robot(
         springs=fit.springs,
         parameters=parameters,
     )
-    longer = "evaluations" if fit.springs else "iterations"
-    steps = f"after {fit.iterations} {'simulations' if fit.springs else 'iterations'}"
+    steps = f"after {fit.iterations} simulations"
     stop = f"settled {steps}"
     if not fit.converged:
-        stop = f"did not settle {steps}: allow more by method.{longer}, or record longer and livelier motions"
+        stop = f"did not settle {steps}: allow more by method.evaluations, or record longer and livelier motions"
     kind = "of springs, rotors and links" if fit.springs else "of rigid joints"
     result = build_robot_result(
         [record for log in logs for record in log],

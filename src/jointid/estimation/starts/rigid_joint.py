@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
+from jointid.estimation.methods.linear import solve_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import joint_columns, motion_along, steady_weights
+from jointid.estimation.problems.inverse_model import inverse_of_joint, motion_along, steady_weights
 from jointid.estimation.starts.inverse_controller import (
     first_state,
     invertible_samples,
@@ -20,13 +21,12 @@ from jointid.estimation.starts.inverse_controller import (
     torque_behind_limit,
 )
 from jointid.models.controllers import REFERENCE
-from jointid.models.joints import RigidJoint
 from jointid.records.record import Channel, Timing
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.regression import least_squares as linear_least_squares
 from jointid.solvers.solve import solve
 
 _EVALUATIONS = 10  # enough for two parameters that act almost linearly on the torque
+_MOST = 0.5  # of the samples
 
 
 def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[str, float]]:
@@ -86,9 +86,6 @@ def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
-_MOST = 0.5  # of the samples
-
-
 def _regress(
     problem: ClosedLoopProblem,
     torque: FloatArray,
@@ -101,26 +98,20 @@ def _regress(
     Elsewhere the position is interpolated, and torque and columns are set to zero.
     """
     joint = problem.joint
-    assert isinstance(joint, RigidJoint)
     sample_time, instants = problem.axis.sample_time, np.arange(torque.size)
     filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
     held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
     if not np.all(known):
         position = np.interp(instants, instants[known], position[known])
-    motion = motion_along([held], position[:, np.newaxis], filtering, delay)
+    motion = motion_along([held], position[:, np.newaxis], filtering, [delay])
     assert filtering.position_cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
     weights = known * steady_weights(motion.v[:, 0], filtering.position_cutoff, sample_time)[1]
     if np.sum(weights) < _MOST * np.sum(known):  # what is left tells less than what friction at rest bends
         weights = known.astype(np.float64)
-    motion = replace(motion, moving=weights[:, np.newaxis])
-    W = motion.decimate_columns(joint_columns(joint, motion.q, motion.v, motion.a))
-    parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
-    kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-    Y = motion.thinned_torque() - W @ kept
-    names = tuple(p.name for p in free)
-    found = linear_least_squares(W[:, [p.free for p in parameters]], Y, names)
-    return dict(zip(names, map(float, found), strict=True))
+    rows = inverse_of_joint(joint).rows([replace(motion, moving=weights[:, np.newaxis])])
+    found = solve_rows(rows, "ols", {p.name: p for p in problem.parameters if not p.free})
+    return dict(zip(rows.names, map(float, found.values), strict=True))
 
 
 def _apply_fixed_values(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:

@@ -174,8 +174,7 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
     if not isinstance(model, Robot):
         if not model.fit.converged:
             raise MethodError(
-                "The search did not settle, so there is nothing to export; allow more by method.iterations, of springs "
-                "method.evaluations."
+                "The search did not settle, so there is nothing to export; allow more by method.evaluations."
             )
         found = consistent_robot(model)
         if found.misfit > MISFIT:
@@ -185,10 +184,7 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
                 f"{join(found.worst[:_MOST_NAMES])}."
             )
         model = found.robot
-        note = (
-            f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the "
-            f"mass matrix is positive in 1000 random poses, {found.least_inertia:.3g} at the least."
-        )
+        note = f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms."
     if impossible := [link.name for link in model.links if not is_physical(link.inertial)]:
         raise MethodError(
             f"No body can have the inertial parameters of {', '.join(impossible)}; write the consistent robot of an "
