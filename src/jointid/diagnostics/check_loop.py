@@ -1,6 +1,6 @@
 """Search for faults of the closed loop and the log of an estimate, the likeliest first.
 
-Each fault is tested alone (`score`). Faults of loop and log are one family, with a family-wise error of 5 %;
+Each fault is tested alone (`score`). Faults of loop and log are one family, with a family-wise error of 2 %;
 faults of the mechanics are another, with a tenth of that. The fault with the largest statistic is named, with those
 that are nearly as likely by the likelihood ratio. The problem is solved again with the fault corrected, which shows its
 effect on the parameters, and the remaining faults are tested again.
@@ -290,6 +290,10 @@ def _make_finding(found: Tested, after: SearchState) -> Finding:
     rivals = tuple(s for s in found.tests[1:] if s.p_value <= found.level and strength_of(s) ** 2 > least)
     values = after.problem.values(after.x)
     changes = found.shifts_to({**values, **after.identified})
+    for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
+        other = _accept_fault(replace(found, tests=(one,)))
+        beside = found.shifts_to({**other.problem.values(other.x), **other.identified})
+        changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
     if len(after.corrected) > len(found.state.corrected):
         left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
         return Finding(suspect, None, rivals, changes, left=left if after.identified else None)

@@ -15,8 +15,9 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import Cells
+from jointid.uncertainty.residual_tests import whiteness
 
-LEVEL = 0.05
+LEVEL = 0.02
 """Largest share of records without a fault in which one is found."""
 MOST = 3
 """Faults of one axis, at most."""
@@ -102,8 +103,15 @@ class Tested:
 
 
 def simulate_forces(state: SearchState) -> list[FloatArray]:
-    """Return the residuals, (rows,), of random forces and noise like those of the record; none without a force."""
+    """Return the residuals, (rows,), of random forces and noise like those of the record; none of a white residual.
+
+    A force colours the residual by the answer of the loop. The spectrum of white noise alone has a part that looks so.
+    """
     problem, run = state.problem, state.problem.simulate(state.x)
+    step, cutoff = problem.sample_time * (problem.filtering.decimation or 1), problem.filtering.cutoff
+    white = None if cutoff is None else whiteness(problem.filter_error(run)[0], step, cutoff)
+    if white is not None and white.white:
+        return []
     force = find_force(problem, state.x, run, problem.measured - run.torque)
     if force is None:
         return []

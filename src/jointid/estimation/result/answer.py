@@ -275,10 +275,13 @@ def moved_by_loop(estimate: Estimate, threshold: float = 0.0) -> Mapping[str, fl
     return {name: by for name, by in total.items() if abs(by) > threshold * rows.get(name, 0.0)}
 
 
-def _moved_out(estimate: Estimate) -> Mapping[str, float]:
-    """Return the changes by `moved_by_loop` that leave an interval."""
-    changes, rows = moved_by_loop(estimate), {row.name: row for row in estimate.params.rows}
-    return {name: by for name, by in changes.items() if name not in rows or _leaves_interval(rows[name], by)}
+def _moved_out(estimate: Estimate) -> frozenset[str]:
+    """Return the parameters that one fault of loop or log, or all of them together, moves out of their intervals."""
+    loop, rows = loop_verdict(estimate), {row.name: row for row in estimate.params.rows}
+    found = [one for one in (() if loop is None else loop.reasons) if one.code != Reason.LAW_UNDECIDED]
+    each = [moved_by_loop(estimate), *(one.values.get("changes", {}) for one in found)]
+    moved = [(name, by) for changes in each for name, by in changes.items()]
+    return frozenset(name for name, by in moved if name not in rows or _leaves_interval(rows[name], by))
 
 
 def _leaves_interval(row: EstimatedParameter, by: float) -> bool:
