@@ -61,10 +61,7 @@ def orthonormal_basis(columns: FloatArray, lost: float, largest: float | None = 
 
 
 class Room(threading.local):
-    """Reusable buffers by name, separate for each thread.
-
-    Fresh memory costs a page fault for every four kilobytes, as long as a simulation takes to fill it.
-    """
+    """Reusable buffers by name, separate for each thread: fresh memory costs as long as a simulation."""
 
     def __init__(self) -> None:
         self._bytes: dict[str, NDArray[np.uint8]] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -21,12 +22,14 @@ F = TypeVar("F", bound=Callable[..., object])
 class KernelCache(FunctionCache):
     """Numba's cache of one kernel on disk; one that is damaged or cannot be written costs time alone.
 
-    Numba's own stamp covers the kernel's file only, so that names of files have a hash of all kernels instead.
+    Numba's own stamp covers the kernel's file only, so that names of files have a hash of all kernels instead. Compiled
+    code is in files of its process: of two that compile at once, each would name the other's as its own.
     """
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}.{hash_kernels()}", "")
+        self._cache_file._data_name_pattern = self._cache_file._data_name_pattern[:-4] + f".{os.getpid()}.nbc"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a compiled kernel; None if it is missing or damaged."""
@@ -63,10 +66,7 @@ def hash_kernels() -> str:
 
 
 def compile_kernel(function: F) -> F:
-    """Compile with Numba: cached on disk, without the GIL, with fused multiply-add.
-
-    Without a writable cache folder, each process compiles the kernel.
-    """
+    """Compile with Numba: cached on disk if possible, without the GIL, with fused multiply-add."""
     kernel: Any = _njit(function)
     if kernel is not function:  # Numba may be configured not to compile
         with contextlib.suppress(RuntimeError, OSError):  # there is no such folder, or there are no files of sources
