@@ -130,7 +130,7 @@ def test_models_that_are_refused(text: str) -> None:
     ],
 )
 def test_habits_of_public_models_are_read(text: str, locked: str, remarks: int) -> None:
-    robot = read_robot(text, locked=dict.fromkeys(filter(None, [locked]), 0.0))
+    robot, _ = read_robot(text, locked=dict.fromkeys(filter(None, [locked]), 0.0))
     assert robot.names[-1] in ("j", "lift") and len(robot.remarks) == remarks
     assert all(joint.coulomb >= 0.0 for joint in robot.joints)
 

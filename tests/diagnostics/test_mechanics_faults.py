@@ -57,9 +57,9 @@ def vary(problem: ClosedLoopProblem, x: FloatArray) -> list[FaultSignature]:
 def test_the_study_s_small_steps_are_the_exact_simulation(seed: int) -> None:
     axis = drive(seed, 3.0)
     experiment = prepare(axis.loop, axis.record)
-    out, _, _ = simulate(axis, dict(axis.truth), experiment.after_limit)
+    out, _, _ = simulate(axis, dict(axis.truth), experiment.axis.after_limit)
     exact = simulate_exactly(axis.loop, experiment, axis.truth)
-    assert np.std(out + experiment.shown - exact.torque) < 1e-3 * np.std(out)
+    assert np.std(out + experiment.axis.shown - exact.torque) < 1e-3 * np.std(out)
 
 
 def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> None:

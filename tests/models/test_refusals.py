@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity, adjust_parameters
+from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.problems.base import adjust_parameters
 from jointid.models.controllers import (
     INPUTS,
     PD,

@@ -46,7 +46,7 @@ def test_a_robot_under_its_declared_controllers_is_relied_on() -> None:
     assert (row.axis, row.unit, row.side) == ("joint2", "N m", None)
     low, high = row.interval
     assert low < 1.5 < high
-    assert found.covariance.shape == (len(found.params),) * 2
+    assert found.params.correlation.shape == (len(found.params),) * 2
     assert found.residual.shape == found.fit.measured.shape and found.fit.measured.shape[1] == 2
     assert list(found.fit.axis_errors) == ["joint1", "joint2"]
 
