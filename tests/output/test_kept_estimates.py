@@ -107,7 +107,6 @@ def test_an_estimate_of_the_first_form_is_read(kind: str, tmp_path: Path) -> Non
     assert back.fit.position_rms == pytest.approx(now.fit.position_rms, rel=0.1)
     assert kind != "idim" or back.sentence == now.sentence
     change = ji.compare(*(read_report(path) for path in (tmp_path / "old.json", now.save(tmp_path / "new.json"))))
-    assert [row.before for row in change.rows] == [row.value for row in back.params.rows if row.free]
     if kind != "didim":  # of robots, which was another estimator
         assert [row.after for row in change.rows] == pytest.approx([row.before for row in change.rows], rel=1e-4)
 
