@@ -120,10 +120,7 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
     judging(monkeypatch, "linear", "two-piece")
     case, _ = plain
     record, given = some_of(case.clean, 3000), {p.name: p for p in case.loop.joint.parameters}
-    declared = {
-        "stiffness": given["stiffness"].fix(0.5 * case.truth["stiffness"]),
-        "offset": given["offset"].fix(0.0),
-    }
+    declared = {"stiffness": given["stiffness"].fix(0.5 * case.truth["stiffness"]), "offset": given["offset"].fix(0.0)}
     loop = with_spring(case.loop, TwoPieceSpring())
     found = compare_springs(record, loop, parameters=declared, didim=ji.DIDIM(frequency=case.mode))
     by_name = {one.name: one for one in found.laws}

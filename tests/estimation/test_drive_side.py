@@ -82,10 +82,7 @@ def test_a_load_that_sticks_is_identified() -> None:
 
 
 def _driven(reference: np.ndarray, known: np.ndarray) -> Record:
-    return Record(
-        reference=Channel(reference, "m", 1e-3),
-        injected=Injection(Channel(known, "N", 1e-3, Timing.HELD)),
-    )
+    return Record(reference=Channel(reference, "m", 1e-3), injected=Injection(Channel(known, "N", 1e-3, Timing.HELD)))
 
 
 def test_the_slopes_of_the_residual_are_those_of_differences() -> None:

@@ -81,6 +81,14 @@ def test_a_number_at_its_bound_has_the_derivative_to_the_side_of_joints(name: st
     assert np.linalg.norm(found - exact) < 0.05 * np.linalg.norm(exact)
 
 
+def test_a_load_that_begins_to_swing_in_motion_has_the_derivative_of_differences() -> None:
+    case, start = prismatic(1), Initial(velocity=0.2)
+    loop, values = _nothing_more(case, "symmetric", "elastic-load")
+    found = simulate_sensitivities(loop, prepare(loop, case.clean), values, ["swinging_share"], start).torque[:, 0]
+    at = loop, case.clean, values, "swinging_share", (1e-6,), start
+    assert error_beside_differences((found,), *at, back=0.0) < 1e-4
+
+
 def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -> None:
     law, values = (
         FRICTIONS["load-dependent"](),

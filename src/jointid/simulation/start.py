@@ -183,8 +183,8 @@ def slope_of_joint(
     """Return the derivatives of positions and velocities of a joint's masses by a parameter."""
     value = numbers.values[name]
     step = _SMALL * (abs(value) or 1.0)
-    ends = (numbers.with_value(name, value + by) for by in (-step, step))
-    low, high = (joint_state(one, position, velocity, sliding) for one in ends)
+    ends = (numbers.with_value(name, value + by) for by in (-step, step))  # of a share of 0 the upper one swings
+    low, high = (np.array(joint_state(one, position, velocity, sliding))[:, : numbers.count] for one in ends)
     return (high[0] - low[0]) / (2 * step), (high[1] - low[1]) / (2 * step)
 
 
