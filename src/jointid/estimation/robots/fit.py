@@ -14,6 +14,7 @@ from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import join
 from jointid.estimation.descent import ROUGH
+from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
@@ -103,12 +104,7 @@ class RobotFit:
 
 
 def conclude(
-    problem: RobotProblem[AnyRun],
-    x: FloatArray,
-    run: AnyRun,
-    J: FloatArray,
-    made: int,
-    settled: bool,
+    problem: RobotProblem[AnyRun], x: FloatArray, run: AnyRun, J: FloatArray, made: int, settled: bool
 ) -> RobotFit:
     """Return the fit at an end, with the slopes J, (rows, free), not weighted.
 
@@ -280,6 +276,8 @@ class Descents:
         """
         bounds, run, settled = Bounds.of(problem.free), problem.run(x), False
         J = np.zeros((problem.filtered_torque.size, x.size))
+        # What no position shows never settles: the integral takes whatever is added.
+        told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
         while run.outcome is Outcome.FINISHED and not settled and self.made < self.evaluations:
             error, J = problem.error(run), problem.slopes(run, x)
             self.made += 1
@@ -288,7 +286,7 @@ class Descents:
                 slopes = J * weights[:, np.newaxis]
                 step = damped_step(error * weights, -slopes, bounds.shift_to(x))
                 problem = problem.reweight(error - J @ step, x.size)
-            settled = float(np.sum((slopes @ step) ** 2)) <= _SETTLED
+            settled = float(np.sum((slopes @ np.where(told, step, 0.0)) ** 2)) <= _SETTLED
             share = problem.norms(error) / problem.sizes
             self.progress(Detail(f"{self.made}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
             x, run = _halve(problem, x, step, run)
