@@ -78,6 +78,8 @@ def test_each_of_several_records_is_an_own_one() -> None:
     records = [made(0.1, 1), made(0.13, 2)]
     estimate = ji.identify(records, LOOP)
     assert {ji.validate(estimate, one).answer.code for one in records} == {Prediction.OWN_RECORD}
+    with pytest.raises(ji.MethodError):
+        ji.validate(ji.identify(records, LOOP, several={"own": (("coulomb",), ("coulomb",))}), records[0])
 
 
 def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:

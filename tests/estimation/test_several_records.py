@@ -109,11 +109,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
         assert found[name].value == pytest.approx(truth, abs=0.2), name
         assert abs(found[name].value - truth) <= 4 * found[name].stderr, name
     # The same records with the first of them last: one answer, whose order of parameters is another.
-    last = identify(
-        records[::-1],
-        RIGID,
-        several={"added_inertia": added[::-1], "own": ((), (), ("coulomb",))},
-    )
+    last = identify(records[::-1], RIGID, several={"added_inertia": added[::-1], "own": ((), (), ("coulomb",))})
     names = {"coulomb": "coulomb", "offset": "offset", "viscous": "viscous", "coulomb@1": "coulomb@3"}
 
     def together(estimate: Estimate, *pair: str) -> float:

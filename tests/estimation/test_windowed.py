@@ -108,6 +108,7 @@ def test_a_window_in_which_a_brake_holds_a_joint_is_passed_over() -> None:
     records = (first, replace(second, torque=replace(second.torque, values=held)))
     found = ji.identify(records, arm, windows=2.0)
     assert found.data.windows is not None and found.data.windows.still >= 4
+    assert any(one.said == "not checked: identified in windows" for one in found.checks.verdicts)
 
 
 @pytest.mark.slow

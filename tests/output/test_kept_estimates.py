@@ -76,12 +76,11 @@ def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path)
     np.testing.assert_allclose(torque, estimate.torque(q, v, a), rtol=1e-12)
     np.testing.assert_allclose(back.torque(q[0], v[0], a[0]), torque[0], rtol=1e-12)
     if kind == "joint":
+        with pytest.raises(ji.MethodError):
+            back.plot()
         x = back.values
-        friction = np.where(
-            v > 0,
-            x["viscous_forwards"] * v + x["coulomb_forwards"],
-            x["viscous_backwards"] * v - x["coulomb_backwards"],
-        )
+        forwards, backwards = ((x[f"viscous_{way}"] * v, x[f"coulomb_{way}"]) for way in ("forwards", "backwards"))
+        friction = np.where(v > 0, sum(forwards), backwards[0] - backwards[1])
         weight = x["gravity_cos"] * np.cos(q) + x["gravity_sin"] * np.sin(q) + x["offset"]
         expected = x["inertia"] * a + friction + weight
     else:

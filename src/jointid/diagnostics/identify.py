@@ -132,8 +132,7 @@ def identify(
         said = f"the record is long, and is identified in windows of {streamed:.3g} s, of which one is checked"
         progress(said)
         fit, checked = fit.warn(said), fit.window or fit
-    of_joint = checked.record is not None and checked.problem is not None
-    if not (fit.robot is not None or of_joint) or fit.data.records:
+    if (fit.robot is None and (checked.record is None or checked.problem is None)) or fit.data.records:
         return assemble(fit)
     if not checks:
         return assemble(fit, _left_out("not checked: the checks were left out"))
@@ -232,8 +231,9 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> CheckResults:
     """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
-    if len(fit.records) > len(part.model):
-        return CheckResults((skip_test(Subject.LOOP, "not checked: several records were identified in one fit"),))
+    if len(fit.records) != len(part.model):
+        why = "several records were identified in one fit" if fit.records else "identified in windows"
+        return _left_out(f"not checked: {why}")
     progress("checking controllers and torques")
     try:
         found = diagnose_robot(fit, fit.records)

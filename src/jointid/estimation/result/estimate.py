@@ -173,15 +173,14 @@ class Estimate(Documented):
         """Return every parameter of the joint by name.
 
         Raises:
-            MethodError: a value is refused, without which no torque can be predicted.
+            MethodError: a value is refused, or records have their own, so that no torque can be predicted.
         """
-        refused = [p.name for p in self.params.rows if p.of_joint and p.value is None]
-        if refused:
+        if refused := [p.name for p in self.params.rows if p.of_joint and p.value is None]:
             remedy = "identify the joint as rigid" if "stiffness" in refused else "fix one of them"
-            raise MethodError(
-                f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque; "
-                f"{remedy}."
-            )
+            said = f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque"
+            raise MethodError(f"{said}; {remedy}.")
+        if own := [p.name for p in self.params.rows if p.of_joint and p.name.partition("@")[0] not in self.values]:
+            raise MethodError(f"An estimate with {', '.join(own)} predicts no single record; identify one alone.")
         return self.values
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:

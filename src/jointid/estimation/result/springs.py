@@ -44,7 +44,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Influence, white
-from jointid.uncertainty.identifiability import find_separable
+from jointid.uncertainty.identifiability import Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 
@@ -113,10 +113,11 @@ class Visibility:
         if self.shown:
             return replace(estimate, checks=replace(checks, verdicts=(*checks.verdicts, self.verdict)))
         assert isinstance(joint, FlexibleJoint) and checks.known is not None
+        units = {p.name: p.unit for p in estimate.params.rows}
         sums = [
-            replace(one, value=self.rigid[one.combination.quantity], std=std)
-            for one in checks.known.physical
-            if (std := self.rigid_std.get(one.combination.quantity)) is not None
+            Known(one, self.rigid[one.quantity], std)
+            for one in sums_of([p for p in joint.parameters if p.name in estimate.params.names], units)
+            if (std := self.rigid_std.get(one.quantity)) is not None
         ]
         parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
         for p in estimate.params.rows:

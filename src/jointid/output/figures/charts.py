@@ -81,8 +81,9 @@ class AxisSignals:
     def of(cls, estimate: Estimate) -> AxisSignals:
         """Return the signals of an estimate, which keeps no motion."""
         fit, settings, size = estimate.fit, estimate.settings, estimate.fit.measured.size
-        if estimate.data.windows is not None:
-            raise MethodError(IN_WINDOWS)
+        if not size:
+            kept = "The estimate is from a file, whose torque it does not keep; plot `ji.validate(estimate, record)`."
+            raise MethodError(kept if estimate.data.windows is None else IN_WINDOWS)
         compared = np.zeros(size, dtype=np.bool_)
         compared[fit.borders[0] : size - fit.borders[1]] = True
         return cls(
@@ -225,8 +226,7 @@ def residual_figure(axes: Sequence[AxisSignals], validation: Validation | None =
             assert validation is not None
             found = validation.axes[k]
             lags = np.arange(found.autocorrelation.size, dtype=np.float64)
-            white = np.full(lags.size, found.white_band)
-            place.fill_between(lags, -white, white, color="#999999", label="white", **BAND)
+            place.fill_between(lags, -found.white_band, found.white_band, color="#999999", label="white", **BAND)
             place.plot(lags, found.autocorrelation, color=ERROR, marker="o")
             place.set(xlabel="lag [filtered samples]", ylabel="autocorrelation")
     return figure
