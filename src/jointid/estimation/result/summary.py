@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Verdicts
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT, Quantity, unit_of
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
@@ -99,14 +100,15 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
 
 def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     """Yield the facts of the fit and of the checks that have no verdict."""
-    fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
-    if estimate.robot is None:
+    fit, checks, windows, part = estimate.fit, estimate.checks, estimate.data.windows, estimate.robot
+    if part is None:
         raw = f"{100 * fit.relative_error:.4f} % raw, " if math.isfinite(fit.relative_error) else ""
         of = estimate.signal.removeprefix("torque").replace(" comp", ", comp")
         yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows){of}"
     if fit.position_rms:
-        each = [f"{name} {1e3 * rms:.3g}e-3".strip() for name, rms in fit.position_rms.items()]
-        yield "position error", f"{', '.join(each)} rms, m or rad"
+        kinds = {"": estimate.settings.joint.kind} if part is None else {one.name: one.kind for one in part.model.links}
+        each = [f"{name} {rms:.3g} {POSITION_UNIT[kinds[name]]}".strip() for name, rms in fit.position_rms.items()]
+        yield "position error", f"{', '.join(each)} rms"
     if windows is not None:
         still = f", {windows.still} without motion left out" if windows.still else ""
         yield (
@@ -133,8 +135,9 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
     yield "method", f"{settings.joint.model} joint, {settings.variant}, {source}"
     if not data.records:
         yield "read", ", ".join(data.channels)
+    unit = unit_of(Quantity.INERTIA, settings.joint.kind, TORQUE_UNIT[settings.joint.kind])
     for k, record in enumerate(data.records, 1):
-        more = f", {number(record.added_inertia)} added to the load" if record.added_inertia else ""
+        more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
         error = f"{100 * record.filtered_error:.4f} % filtered ({record.rows} rows)"
         yield f"record {k}", f"{record.name}{more}; {error}; read: {', '.join(record.channels)}"
     if data.resampled is not None:
