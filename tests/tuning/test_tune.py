@@ -219,6 +219,7 @@ def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) ->
         lambda found: tune(amended(found, checks={"bounds": (StiffnessBound(0.3, 8e5, 30.0),)})),
         lambda found: tune(found, gain_margin=0.5),
         lambda found: tune(found, confidence=1.0),
+        lambda found: tune(found, foo=1.0),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(estimate: Estimate, asked: Callable[[Estimate], object]) -> None:

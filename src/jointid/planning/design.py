@@ -128,7 +128,9 @@ def design(
         own = of_joint | {"filtering": filtering} if isinstance(model, Estimate) else {}
         _refuse_unread("joint", own | {"loop": loop, "feed_forward": None if feed_forward == "none" else feed_forward})
         at = _read_times(present, played, duration, sample_time)
-        common |= of_joint | {"noise": Noise(**noise) if isinstance(noise, Mapping) else None, "injection": injection}
+        if noise is not None and not (isinstance(noise, Mapping) and noise.keys() <= {"log", "force"}):
+            raise MethodError(f'Noise of a joint is {{"log": ..., "force": ...}}; received {noise!r}: give these.')
+        common |= of_joint | {"noise": None if noise is None else Noise(**noise), "injection": injection}
         known = joint_model(model, present, at, **common)
     else:
         _refuse_unread("robot", of_joint)
@@ -149,9 +151,7 @@ def _read_times(
     duration = (lasts[0].duration if lasts and duration is None else duration) or usual[0]
     sample_time = sample_time or usual[1]
     if duration is None or sample_time is None:
-        raise MethodError(
-            "A test has a duration and a sample time; give both, or the record of a test there is already."
-        )
+        raise MethodError("A test has a duration and a sample time; give both, or the record of an earlier test.")
     samples = math.floor(duration / sample_time + 1e-9)
     if samples < _FEWEST:
         raise MethodError(f"A test of {samples} samples tells nothing; expected {_FEWEST} or more: plan a longer one.")

@@ -80,8 +80,7 @@ class JointSet:
     @property
     def first(self) -> JointSet:
         """The first candidate alone."""
-        kept = slice(0, self.ways)
-        return JointSet(self.hertz, self.drive.of(kept), self.position[kept], self.ways)
+        return JointSet(self.hertz, self.drive.of(slice(self.ways)), self.position[: self.ways], self.ways)
 
     def response(self, law: SampledLaw) -> ComplexArray:
         """Return the loops cut open, (joints, frequencies)."""

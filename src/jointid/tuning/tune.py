@@ -9,6 +9,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
+from jointid.common.settings import settings_of
 from jointid.common.text import join
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Subject
@@ -43,6 +44,9 @@ def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: A
     turns with the link, further modes, and images in multirate loops are not in the margins; stability includes the
     latter.
     """
+    known = [one.name for one in settings_of(Tuning)]
+    if unknown := sorted(asked.keys() - known):
+        raise MethodError(f"Tuning has no setting {join(unknown)}; expected {join(known)}: correct the name.")
     settings, joint = Tuning(**asked), estimate.settings.joint
     if estimate.checks.bounds:
         raise MethodError(

@@ -73,10 +73,7 @@ class Tuned(Documented):
     def sentence(self) -> str:
         """Sentence of the gains to set and of the margin nearest to its requirement."""
         present, asked = self.present.worst, self.settings
-        gains = [
-            f"{in_words(gain.key)} from {number(gain.before, 4)} to {number(gain.after, 4)} {gain.unit}"
-            for gain in self.gains
-        ]
+        gains = [f"{in_words(g.key)} from {number(g.before, 4)} to {number(g.after, 4)} {g.unit}" for g in self.gains]
         if self.notch is not None:
             gains.append(f"a notch at {number(self.notch.frequency, 3)} Hz")
         beware = f"Beware: {join(self.doubts)}. " if self.doubts else ""
