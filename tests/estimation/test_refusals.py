@@ -83,6 +83,11 @@ def resting() -> None:
         # several records
         (lambda: ji.identify([RECORD, RECORD], RIGID), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, several={}), ji.MethodError),
+        (lambda: ji.identify([RECORD, RECORD], LOOP, several={"added_inertia": 1.0}), ji.MethodError),
+        (lambda: ji.identify([RECORD, RECORD], LOOP, several={"free": "drive_gain"}), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, windows="3"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.design(LOOP, RECORD, values={}, noise={"foo": 0.2}), ji.MethodError),
+        (lambda: ji.design(LOOP, RECORD, values={}, noise=0.2), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.identify("log.csv", LOOP), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.identify(ji.Record(), LOOP, windows=4.0), ji.RecordError),
         # robots

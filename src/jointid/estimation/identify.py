@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
@@ -10,6 +9,7 @@ from typing import Any, cast
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
+from jointid.common.settings import Setting
 from jointid.estimation.identify_log import Windowed, identify_log
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several, require_distinct
@@ -93,15 +93,13 @@ def fit(
     progress: Progress = ignore_progress,
 ) -> Estimate:
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
-    if windows is not None and not 0.0 < windows < math.inf:
-        raise MethodError(f"A window lasts a finite time; received {windows:g} s.")
+    if fault := Setting("", above=0.0, type=float, optional=True).fault(windows):
+        raise MethodError(f"windows, in seconds,{fault}")
     filtering, known, layout = filtering or Filtering(), parameters or {}, None
     loops, warnings = tuple[ClosedLoop, ...](), tuple[str, ...]()
     if isinstance(model, _ROBOTS):
         if not isinstance(record, Sequence) or several:
-            raise MethodError(
-                "A robot is identified from the records of its joints, without `several`; give the records alone."
-            )
+            raise MethodError("A robot is identified from its joints' records; give these without `several`.")
         robot = model if isinstance(model, Robot) else model.robot
         require_friction(robot, known)
         check_robot_records(record, robot)

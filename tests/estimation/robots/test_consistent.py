@@ -71,10 +71,7 @@ def test_bodies_that_do_not_fit_are_not_exported() -> None:
     shift[place] = -2.0 * part.values[place]  # no rotor has a negative inertia
     spoilt = replace(estimate, robot=replace(part, values=part.values + shift))
     assert consistent_robot(spoilt).worst[0] == "joint6.rotor_inertia"
-    with pytest.raises(
-        MethodError,
-        match=r"5\d\d standard deviations off",
-    ):
+    with pytest.raises(MethodError, match=r"5\d\d standard deviations off"):
         export(spoilt, "urdf")
 
 

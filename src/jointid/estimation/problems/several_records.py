@@ -61,11 +61,11 @@ class RecordLayout:
         settings |= {key: value for key, value in several.items() if value is not None}
         each = (loops,) * count if isinstance(loops, ClosedLoop) else tuple(loops)
         for name, given in {"loops": each, **settings}.items():
-            if name != "free" and (len(given) != count or any(isinstance(one, str) for one in given)):
-                raise MethodError(
-                    f"{name} has one entry for each of the {count} records (a list of names, of what is a record's "
-                    f"own); received {given!r}."
-                )
+            named, what = name == "free", f"one entry for each of the {count} records (of own, a list of names)"
+            listed = bool(np.iterable(given))
+            texts = listed and any(isinstance(one, str) for one in ([given] if named else given))
+            if not listed or texts or (not named and len(given) != count):
+                raise MethodError(f"{name} is {given!r}; expected {'a list of names' if named else what}: correct it.")
         own, more = tuple(settings["own"]), tuple(map(float, settings["added_inertia"]))
         names, joint = tuple(dict.fromkeys((*settings["free"], *free))), each[0].joint
         if any("drive_gain" in mine for mine in own):
