@@ -278,7 +278,7 @@ def require_windows(model: object, method: Method | None, free: Sequence[str] = 
     Raises:
         MethodError: of what is asked for something needs them.
     """
-    robot, refused = isinstance(model, Robot | RobotLoop | RobotDriveSide), [*free]
+    robot, refused, remedy = isinstance(model, Robot | RobotLoop | RobotDriveSide), [*free], "leave it out"
     if isinstance(method, IDIM) or (method is None and isinstance(model, Joint | Robot)):
         estimator = None if method is None else method.estimator
         if estimator in (None, "weighted" if robot else "ols"):
@@ -289,12 +289,10 @@ def require_windows(model: object, method: Method | None, free: Sequence[str] = 
     elif not isinstance(model, ClosedLoop) or not isinstance(method, DIDIM | None):
         refused = [f"{type(model).__name__} by {type(method).__name__}"]
     elif model.joint.friction.follows_time:
-        refused = [f"{model.joint.friction.name} friction, which follows the time from the first sample,"]
+        refused = [f"{model.joint.friction.name} friction, which follows the time from the first sample"]
+        remedy = 'declare friction = "symmetric"'
     if refused:
-        raise MethodError(
-            f"{join(refused)} needs all rows at once, not windows; leave it out, or identify a part of the record by "
-            "start and stop."
-        )
+        raise MethodError(f"Windows do not take {join(refused)}; {remedy}, or cut the record by start and stop.")
 
 
 def model_of_windows(
