@@ -355,7 +355,7 @@ def _search_laws(
         else:
             joint = robot.joints[i]
             starts = _starts_of(joint, values_of_joint(numbers, i), _motion_of(linear, i), known)
-            progress(f"{joint.name}: looking for a {name_laws(joint.model)}, from {pluralise(len(starts), 'start')}")
+            progress(f"{joint.name}: looking for the {name_laws(joint.model)}, from {pluralise(len(starts), 'start')}")
             ends = [_descend(descents, problem, values | start) for start in starts]
             best, what = min(ends, key=lambda end: end.norm), f"laws of {joint.name}"
         if not best.solution.jacobian.any():

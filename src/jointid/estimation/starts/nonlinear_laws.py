@@ -69,7 +69,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
     starts = law_starts(joint, linear.joint, values, JointMotion.of(run), given)
-    history.progress(f"looking for a {name_laws(joint)}, from {pluralise(len(starts), 'start')}")
+    history.progress(f"looking for the {name_laws(joint)}, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, ROUGH, problem.vector(start)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     end = history.finish(best, tolerance)
