@@ -313,7 +313,7 @@ def _say_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop)
 
 def _say_sign(*_: object) -> Meanings:
     for name in ("torque", "reference"):
-        yield f"{name}_sign", f"the {name} has the wrong sign (set record.channels.{name}.sign = -1)", None
+        yield f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)", None
 
 
 def _say_sample_time(value: float | None, loop: ClosedLoop) -> Meanings:

@@ -43,7 +43,7 @@ _COUPLED = (-1.0, -0.5, 0.5, 1.0)
 _GRAVITY = 9.81  # m/s2
 _OPPOSITE = 0.999  # of the cosine: of gravity that is said to be upside down
 _LONGEST = 1.0  # m: a longer correction of a length is none
-_SIGN = "the torque of {joint} has the wrong sign: set torque.sign = -1 in joints.channels, or in record.channels"
+_SIGN = "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels, or in record.channels"
 
 _OF_PAIRS = (
     ("swapped_channels", False, True, "the torques of {} and {} are exchanged: exchange the columns"),
@@ -57,12 +57,12 @@ _OF_JOINTS: tuple[tuple[str, int, int, tuple[float, ...], str], ...] = (
     ("log_gain", 0, 1, _GEARS, "the logged torque of {joint} is {value} times what moves it: check its unit"),
     (
         "position_sign", 1, 0, (),
-        "the position of {joint} has the wrong sign: set motor_position.sign = -1 in its joints.channels",
+        "the position of {joint} has the wrong sign: turn motor_position.sign round in its joints.channels",
     ),
     (
         "joint_sign", 1, 1, (),
-        "position and torque of {joint} count the other way than the model's axis: set motor_position.sign and "
-        "torque.sign = -1 in its joints.channels",
+        "position and torque of {joint} count the other way than the model's axis: turn motor_position.sign and "
+        "torque.sign round in its joints.channels",
     ),
     (
         "gear_ratio", 1, -1, _GEARS,

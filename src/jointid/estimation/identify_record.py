@@ -43,7 +43,7 @@ def identify_record(
         if p.quantity is Quantity.INERTIA and p.free and fit.values.get(p.name, 1.0) <= 0:
             raise MethodError(
                 f"The record gives {p.name} = {fit.values[p.name]:.4g}, which no joint has: the torque or the motion "
-                "has the wrong sign (set record.channels.torque.sign = -1), or they do not belong together"
+                "has the wrong sign (turn record.channels.torque.sign round), or they do not belong together"
                 f"{''.join(f'; {note}' for note in said)}."
             )
     if {"motor_position", "load_position"} <= set(fit.data.channels):

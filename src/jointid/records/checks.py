@@ -199,7 +199,7 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) 
     if not abs(product) >= _FOLLOWS * x_size * y_size > 0:
         return
     if product < 0:
-        yield f"{name} runs against {other_name}; give one of them sign = -1."
+        yield f"{name} runs against {other_name}; turn the sign of one of them round."
     ratio = y_size / x_size
     if not _RATIO_BAND[0] <= ratio <= _RATIO_BAND[1]:
         yield (

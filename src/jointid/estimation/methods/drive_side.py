@@ -316,8 +316,8 @@ def grid_starts(problem: DriveSideProblem, frequency: float | None) -> tuple[lis
     valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
     if not valleys:
         raise MethodError(
-            "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (set "
-            "record.channels.torque.sign = -1), or they do not belong together."
+            "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "
+            "record.channels.torque.sign round), or they do not belong together."
         )
     # One that explains much less of the torque than another will not overtake it.
     lowest = float(min(costs))
