@@ -70,7 +70,7 @@ def to_dict(result: object) -> Json:
     return {"schema": f"jointid.{type(result).__name__}/2", "version": __version__, **plain(result)}
 
 
-def simulation_answer(simulation: Simulation | Simulation, record: str, values: Mapping[str, object]) -> Json:
+def simulation_answer(simulation: Simulation, record: str, values: Mapping[str, object]) -> Json:
     """Return the document of a simulation of a record, without its signals, and with other values."""
     return {
         "schema": "jointid.Simulation/2",

@@ -81,9 +81,9 @@ class Column:
     )
     wrap: float | None = setting(
         None,
-        "of a position: where the column wraps round, in its own numbers, such as 65536 or 360; it is unwrapped, and "
-        "refused where it moves by more than 0.4 of it in a sample; of a torque: 2^n of a word read without its "
-        "sign; without it found where the jumps are clear",
+        "of a position: where the column wraps round, in its own numbers, such as 65536 or 360. It is unwrapped. A "
+        "move of more than 0.4 of it in a sample is refused. Of a torque it is 2^n of a word read without its sign. "
+        "Without it, clear jumps tell it",
         above=0,
     )
     optional: bool = setting(False, "whether a record may lack the column")
