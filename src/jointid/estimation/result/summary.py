@@ -106,8 +106,9 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
         of = estimate.signal.removeprefix("torque").replace(" comp", ", comp")
         yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows){of}"
     if fit.position_rms:
-        kinds = {"": estimate.settings.joint.kind} if part is None else {one.name: one.kind for one in part.model.links}
-        each = [f"{name} {rms:.3g} {POSITION_UNIT[kinds[name]]}".strip() for name, rms in fit.position_rms.items()]
+        kinds = [estimate.settings.joint.kind] if part is None else [one.kind for one in part.model.links]
+        kind_of = dict(zip(("",) if part is None else part.model.names, kinds, strict=True))
+        each = [f"{name} {rms:.3g} {POSITION_UNIT[kind_of[name]]}".strip() for name, rms in fit.position_rms.items()]
         yield "position error", f"{', '.join(each)} rms"
     if windows is not None:
         still = f", {windows.still} without motion left out" if windows.still else ""
