@@ -230,11 +230,11 @@ def _follow(
     if kept.lines is not None:
         from jointid.simulation.kernels.drive_sensitivities import follow as follow_lines
 
-        by_name, seeds = _seeds(numbers.joint), np.zeros((14, width))
+        by_name, seeds, before = _seeds(numbers.joint), np.zeros((14, width)), float(kept.start.before[0])
         for c, key in enumerate(keys):
             seeds[:, c] = by_name.get(str(key), 0.0)
-        later = np.array(delays, dtype=np.int64).reshape(-1, 2)
-        before, rows = float(kept.start.before[0]), len(kept.tape)
+        later, rows = np.array(delays, dtype=np.int64).reshape(-1, 2), len(kept.tape)
+        moved = moved._replace(dq=np.resize(places, (2, width)), dv=np.resize(speeds, (2, width)))  # of rigid ones, too
         follow_lines(experiment.sampled, before, kept.lines, rows, numbers.drive, seeds, later, moved, written)
     elif kept.plant is not None:
         from jointid.simulation.kernels.variation import follow
