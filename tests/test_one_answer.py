@@ -21,7 +21,6 @@ from tests.rigid_axis import JOINT, run, write_axis
 def _told(answer: dict[str, Any]) -> tuple[Any, ...]:
     """Return what an answer in JSON says: its first line in two parts, its trust and its verdicts."""
     first, text = answer["answer"], json.dumps(answer["checks"]["verdicts"])
-    # The search for a cause ends by its time, so that further digits of its numbers are not those of another run.
     verdicts = json.loads(text, parse_float=lambda number: f"{float(number):.5g}")
     return first["found"]["words"], first["trust"]["words"], first["trust"]["code"], verdicts
 

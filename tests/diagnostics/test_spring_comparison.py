@@ -64,7 +64,6 @@ def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple
 
 def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, LawComparison]) -> None:
     _, found = plain
-    # A backlash stops beside its bound of 0, where a gap of no width ends every run.
     assert all(one.kept > 0.97 * one.fitted for one in found.laws)
     more = {one.name: one.kept - one.fitted for one in found.laws}
     assert more["three-piece"] > more["linear"]
