@@ -66,6 +66,14 @@ def test_a_kernel_is_compiled_once_and_again_where_its_cache_is_damaged(tmp_path
 
 
 @pytest.mark.slow
+def test_kernels_read_nothing_beyond_their_arrays(tmp_path: Path) -> None:
+    """A rigid joint has one mass, where the kernel of its derivatives read two."""
+    program = "from tests.frozen.cases import healthy; [healthy(kind, 'log', 0) for kind in ('rigid', 'flexible')]"
+    environment = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=environment, cwd=Path(__file__).parents[1], check=True)
+
+
+@pytest.mark.slow
 def test_a_full_disk_costs_time_alone(tmp_path: Path) -> None:
     assert run(tmp_path, "full") == (3.0, 1)
     assert [run(tmp_path) for _ in "ab"] == [(3.0, 1), (3.0, 0)]

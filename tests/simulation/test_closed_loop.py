@@ -201,8 +201,6 @@ def test_a_simulated_record_is_what_was_simulated() -> None:
     made = simulated_record(loop, REFERENCE, FLEXIBLE, sample_time=T, encoder_step=1e-6)
     run = simulate(loop, prepare(loop, made), FLEXIBLE)
     assert made.channels == ("torque", "reference", "motor_position", "load_position")
-    assert made.torque is not None
-    assert made.motor_position is not None
     assert np.array_equal(made.torque.values, run.torque)
     counts = made.motor_position.values / 1e-6
     assert np.max(np.abs(counts - np.round(counts))) < 1e-6
@@ -251,7 +249,6 @@ def after(cut: float, law: Cascade = SLOW) -> Record:
 def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -> None:
     """Simulated, differentiated and identified: the law of the whole log, whatever was cut off."""
     loop, record, values = ClosedLoop(RigidJoint("prismatic"), SLOW), after(cut), RIGID | {"offset": 0.0}
-    assert record.torque is not None
     run = simulate(loop, prepare(loop, record), values)
     size = float(np.max(np.abs(record.torque.values)))
     np.testing.assert_allclose(run.torque, record.torque.values, atol=1e-9 * size)
@@ -260,8 +257,6 @@ def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -
 
     slope = simulate_sensitivities(loop, prepare(loop, record), values, ("position_gain",)).torque[:, 0]
     low, high = (after(cut, replace(SLOW, position_gain=SLOW.position_gain + by)).torque for by in (-1e-3, 1e-3))
-    assert low is not None
-    assert high is not None
     difference = (high.values - low.values) / 2e-3
     np.testing.assert_allclose(slope, difference, atol=1e-4 * np.max(np.abs(difference)))
 

@@ -33,7 +33,6 @@ WAYS: dict[str, dict[str, float]] = {
 
 def window(record: Record) -> Record:
     """Return a part of a record in which the reference turns round, after a rest; with a push."""
-    assert record.reference is not None
     moved = np.diff(record.reference.values)
     turns = int(np.flatnonzero(moved[1:] * moved[:-1] < 0.0)[0]) + 1
     at = turns + np.concatenate([np.arange(-_PERIODS // 3, 0), np.zeros(_PERIODS // 3, int), np.arange(_PERIODS // 3)])

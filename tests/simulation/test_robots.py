@@ -43,7 +43,6 @@ def faster(records: tuple[Record, ...], times: float) -> tuple[Record, ...]:
     """Return references played back faster, so that a short record has reversals and stops."""
     made = []
     for record in records:
-        assert record.reference is not None
         values = record.reference.values
         at = np.minimum(np.arange(round(values.size / times)) * times, values.size - 1)
         played = np.interp(at, np.arange(values.size), values)
@@ -80,7 +79,6 @@ def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
     records = list(twin.records(3.0))
     for j in (1, 4):
         held = records[j].reference
-        assert held is not None
         records[j] = Record(reference=Channel(np.full(len(held), held.values[0]), "rad", 1e-3))
     loop = twin.loop()
     # Friction large enough for what the other joints do to these two.
