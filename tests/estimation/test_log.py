@@ -144,7 +144,6 @@ def test_windows_without_motion_are_left_out() -> None:
     still = np.zeros(20_000)
     record = rigid(40.0)
     assert record.torque is not None
-    assert record.reference is not None
     quiet = Record(
         torque=replace(record.torque, values=2.0 + 0.1 * np.random.default_rng(0).standard_normal(still.size)),
         reference=Channel(np.full(still.size, record.reference.values[-1]), "m", PERIOD),
@@ -232,7 +231,6 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     assert windows_of(record, LOOP, None) is None
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     found = ji.identify(record, LOOP, progress=said.append)
-    assert found.data.windows is not None
     assert found.data.windows.length == pytest.approx(40.0 / 3.0, rel=1e-3)
     expected = identify(record, LOOP, windows=found.data.windows.length)
     for name in TRUTH:
@@ -250,12 +248,10 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
 def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first quarter creeps by 10 um in its last sample, with the drive off."""
     record = rigid(40.0)
-    assert record.reference is not None
     reference, quarter = record.reference.values.copy(), len(record.reference) // 4
     reference[:quarter], reference[quarter - 1] = 0.0, 1e-5
     noise = 2.0 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(LOOP, reference, TRUTH, sample_time=PERIOD, torque_noise=noise)
-    assert record.torque is not None
     torque = np.where(np.arange(len(record.torque)) < 10_500, 0.0, record.torque.values)
     record = replace(record, torque=replace(record.torque, values=torque))
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.torque) // 2)

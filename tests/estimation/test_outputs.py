@@ -31,7 +31,6 @@ def logged(law: Any = LAW, truth: dict[str, float] | None = None, noise: float =
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
     record = ji.simulated_record(loop, reference, truth or TRUTH, sample_time=SAMPLE_TIME, **more)
     position = record.motor_position
-    assert position is not None
     values = position.values + noise * np.random.default_rng(0).standard_normal(len(position))
     return replace(record, motor_position=replace(position, values=values))
 
@@ -186,7 +185,6 @@ def log_robot(laws: tuple[Any, ...]) -> tuple[ji.robots.RobotLoop, list[ji.Recor
     random = np.random.default_rng(2)
     records = []
     for record in simulate(loop, asked).records(asked):
-        assert record.motor_position is not None
         values = record.motor_position.values + 1e-5 * random.standard_normal(len(record.motor_position))
         records.append(replace(record, torque=None, motor_position=replace(record.motor_position, values=values)))
     return loop, records
@@ -226,7 +224,6 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
     loop, asked, random = twin.loop(), twin.records(6.0), np.random.default_rng(3)
     computed = []
     for record, law in zip(simulate(loop, asked).records(asked), loop.controllers, strict=True):
-        assert record.motor_position is not None
         values = record.motor_position.values + 5e-4 * random.standard_normal(len(record.motor_position))
         noisy = record.with_channels({"motor_position": replace(record.motor_position, values=values)})
         computed.append(ji.controller.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))

@@ -48,7 +48,6 @@ def known(estimate: Estimate) -> set[str]:
 def test_without_noise_all_parameters_come_back() -> None:
     estimate = identified(ARM, records_of(ARM, 1))
     found = estimate.robot
-    assert found is not None
     assert np.abs(found.values - truth(found)).max() < 2e-2  # of numbers up to 10: reversals are filtered
     assert np.all(axis_errors(estimate) < 2e-3)
     assert [estimate.params[f"joint{k}.viscous"].value for k in range(1, 7)] == pytest.approx(VISCOUS, rel=5e-3)
@@ -82,7 +81,6 @@ def test_friction_by_direction_and_towards_standstill_comes_back() -> None:
     records, _ = recorded(RobotLoop(declared, loop.controllers), two().records(10.0), 0.01)
     estimate = identified(declared, records)
     found = estimate.robot
-    assert found is not None
     assert {name for name in found.names if ".visc" in name or ".coul" in name or ".strib" in name} == {
         "joint1.viscous_forwards",
         "joint1.viscous_backwards",
@@ -165,7 +163,6 @@ def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
     loop, random = twin.loop(), np.random.default_rng(seed)
     made = []
     for record in recorded(loop, twin.records(8.0, seed=seed), 0.03, seed)[0]:
-        assert record.motor_position is not None
         seen = record.motor_position.values
         seen = seen + random.normal(0.0, 2e-4, seen.size)
         made.append(replace(record, motor_position=replace(record.motor_position, values=seen)))
@@ -175,7 +172,6 @@ def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
 def test_instruments_begin_in_motion_where_the_loop_does() -> None:
     loop, driven = replace(two().loop(), in_motion=True), []
     for one in two().records(6.0):
-        assert one.reference is not None
         driven.append(Record(reference=replace(one.reference, values=one.reference.values[2000:].copy())))
     records = simulate(loop, driven).records(driven)
     parameters = robot_parameters(loop.robot, whole=False)

@@ -64,7 +64,6 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
     loop, records = logged()
     robot = replace(loop.robot, joints=(replace(loop.robot.joints[0], coupling={}), loop.robot.joints[1]))
     torque = records[1].torque
-    assert torque is not None
     spoilt = (records[0], replace(records[1], torque=replace(torque, values=torque.values[::-1].copy())))
     found = ji.identify(spoilt, robot, ji.IDIM())
     assert verdicts(found)[Subject.FIT] is Status.FAILED

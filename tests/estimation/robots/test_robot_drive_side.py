@@ -39,7 +39,6 @@ def logged(
     run = simulate(loop, asked)
     found = []
     for record, position in zip(recorded(loop, asked, level)[0], run.motor_position.T, strict=True):
-        assert record.torque is not None
         torque = replace(record.torque, values=np.roll(record.torque.values, late)[first:])
         unit = "rad" if record.torque.unit == "N m" else "m"
         found.append(Record(torque=torque, motor_position=Channel(position[first:], unit, torque.sample_time)))

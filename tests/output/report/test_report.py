@@ -21,6 +21,7 @@ from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.parts import show_value
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.output.figures.axis_drawing import axis_figure
+from jointid.output.figures.charts import response_figure
 from jointid.output.report import Report, repetition
 from tests.browser import opened
 from tests.estimates import amended
@@ -72,6 +73,9 @@ def test_the_three_frequencies_are_marked() -> None:
     assert [f"{name} {hertz:.1f} Hz" for name, hertz in (
         ("load locked", expected["load_locked"]), ("motor locked", expected["motor_locked"]),
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
+    # An estimate from a file keeps no torque, and has its frequency response.
+    kept = replace(told.estimate, fit=replace(told.estimate.fit, measured=np.zeros(0), predicted=np.zeros(0)))
+    assert len(response_figure(kept, told.data.response).axes) == 2
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ from jointid.common.transmission import Transmission
 from jointid.diagnostics.report_data import estimate_spectra
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.records.record import instants
 
 if TYPE_CHECKING:
@@ -82,8 +81,7 @@ class AxisSignals:
         """Return the signals of an estimate, which keeps no motion."""
         fit, settings, size = estimate.fit, estimate.settings, estimate.fit.measured.size
         if not size:
-            kept = "The estimate is from a file, whose torque it does not keep; plot `ji.validate(estimate, record)`."
-            raise MethodError(kept if estimate.data.windows is None else IN_WINDOWS)
+            raise MethodError("The estimate does not keep its torque; plot `ji.validate(estimate, record)`.")
         compared = np.zeros(size, dtype=np.bool_)
         compared[fit.borders[0] : size - fit.borders[1]] = True
         return cls(
@@ -304,8 +302,9 @@ def response_figure(estimate: Estimate, found: FrequencyResponse) -> Figure:
         size.fill_between(found.frequency, found.low[k], found.high[k], color=colour, **BAND)
         size.plot(found.frequency, found.magnitude[k], color=colour, linewidth=1.2, label=f"{side} side")
         phase.plot(found.frequency, found.phase[k], color=colour, linewidth=1.2)
-    gear, drive = AxisSignals.of(estimate).side, torque_word(estimate.data.torque_unit)
-    size.set(ylabel=f"velocity per {drive}{gear} [{found.unit}]", xscale="log", yscale="log")
+    gear, drive = estimate.settings.joint.transmission, torque_word(estimate.data.torque_unit)
+    side = "" if gear is None else f", {gear.side} side"
+    size.set(ylabel=f"velocity per {drive}{side} [{found.unit}]", xscale="log", yscale="log")
     mark_modes(size, found.modes)
     phase.set(xlabel=_FREQUENCY, ylabel="phase [°]", xscale="log")
     return figure
