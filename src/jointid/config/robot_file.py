@@ -42,7 +42,7 @@ _OF_SPRING = ("stiffness", "damping", "load_viscous", "load_coulomb")
 
 
 def build_robot(file: Values, axes: Sequence[Values], folder: Path) -> Values:
-    """Return what `File` has of a robot, from the tables of its file, see `read_tables`, and of its joints."""
+    """Return the fields of `File` for a robot, from the tables of its file, see `read_tables`, and of its joints."""
     stated, name, bare = file["robot"], _choose_method(file, axes), _read_model(file["robot"], axes, folder)
     method = make_method(name, file["method"], "robot")
     made = tuple(_build_axis(own, number, bare, name, {})[0] for number, own in enumerate(axes))

@@ -92,7 +92,7 @@ class AxisTorques:
         return [slice(*pair) for pair in itertools.pairwise(ends)]
 
     def stack(self, each: FloatArray) -> FloatArray:
-        """Return what is of all axes, (n, rows, ...), in the rows that are seen, by the sizes of their errors."""
+        """Return values of all axes, (n, rows, ...), in the compared rows, scaled by the sizes of the errors."""
         return np.concatenate([part[s] / size for part, s, size in zip(each, self.seen, self.sigma, strict=True)])
 
     def place(self, axis: int, column: FloatArray) -> FloatArray:

@@ -161,7 +161,7 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
-    """Return what two estimates of one joint or robot have in common."""
+    """Compare two estimates of one joint or robot."""
     system = answer["settings"]["system"]
     gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
     side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"

@@ -114,7 +114,7 @@ def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedPa
 
 
 def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
-    """Return what each element changes of a joint's filtered torque, (1, rows).
+    """Return the changes of a joint's filtered torque by each element, (1, rows).
 
     An element under which the loop cannot be simulated is not that of the record: None.
     """
@@ -131,7 +131,7 @@ def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> 
 
 
 def _respond(solved: SolvedRobot, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
-    """Return what each element changes of a robot's filtered torques, (n, rows), to first order in the motion."""
+    """Return the changes of a robot's filtered torques by each element, (n, rows), to first order."""
     problem, run = solved.problem, solved.run
     assert isinstance(problem, RobotLoopProblem) and isinstance(run, Run)
     each = problem.experiment.axes

@@ -177,7 +177,7 @@ def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedL
 
 
 def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
-    """Yield what is wrong with the channels, the torque, its limit, the motion and the controller of a joint."""
+    """Yield the faults of a joint's channels, torque, limit, motion and controller."""
     torque, needed = record.torque, ("torque", *(() if loop is None else loop.channels))
     missing = [name for name in dict.fromkeys(needed) if getattr(record, name) is None]
     if loop is not None and record.motor_position is not None and missing == ["torque"]:
@@ -214,7 +214,7 @@ def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progr
 
 
 def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
-    """Yield what is wrong with the loop and the fit of an estimate, or cannot be told."""
+    """Yield the faults of the loop and the fit of an estimate, and its undecided checks."""
     loop, fit = loop_verdict(estimate), estimate.fit
     if loop is not None and loop.status is not Status.PASSED:
         values = loop.reasons[0].values

@@ -192,7 +192,7 @@ class Diagnosis(Documented):
         return self.healthy and self.explained and self.as_declared is not False and not faulty
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
-        """Return what was found of models, or of loops, logs and parts of the time, each with its axis."""
+        """Return the findings on models, or on loops, logs and parts of the time, each with its axis."""
         found = list[Message]()
         for axis in self.axes:
             faults, part = axis.faults, axis.faults.part
@@ -250,7 +250,7 @@ class Diagnosis(Documented):
         return Document(self.sentence, tuple(blocks))
 
     def _table(self) -> Table:
-        """Return what the model, and the controller by the logged position, leave of each axis' torque."""
+        """Return the residuals of each axis' torque, by the model and by the controller along the logged position."""
         header = ("joint", "left, %", "white", "controller leaves, %", "any law, %")
         rows = []
         for one in self.axes:

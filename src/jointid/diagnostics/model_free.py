@@ -128,7 +128,7 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     columns, inside = np.column_stack([made, np.ones(logged.size)]), slice(_BORDER, logged.size - _BORDER)
 
     def at(late: float) -> tuple[float, FloatArray]:
-        """Return what is left of the torque, and the weights, with the law so many samples later."""
+        """Return the residual of the torque, and the weights, with the law so many samples later."""
         whole = math.floor(late)
         first, last, share = inside.start - whole, inside.stop - whole, late - whole
         delayed = (1 - share) * columns[first:last] + share * columns[first - 1 : last - 1]

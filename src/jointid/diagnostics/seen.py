@@ -104,7 +104,7 @@ class Seen:
 
     @property
     def has_linear_friction(self) -> bool:
-        """Test whether the axis is none of a loop whose friction has another law than lines."""
+        """Test for an axis whose friction consists of straight lines, or that has no loop."""
         return self.loop is None or self.loop[0].joint.friction.linear
 
     @property

@@ -259,7 +259,7 @@ def _bends(seen: Seen) -> Columns:
 
 
 def _other_spring(*laws: type[Spring]) -> Callable[[Seen], Columns]:
-    """Return what yields springs of other laws in the place of a flexible joint's linear one, at their starts."""
+    """Return a function that yields springs of other laws for a flexible joint's linear one, at their starts."""
 
     def vary(seen: Seen) -> Columns:
         joint, values = None if seen.loop is None else seen.loop[0].joint, seen.values
@@ -411,7 +411,7 @@ def number_fault(name: str) -> Fault:
 
 
 def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
-    """Yield what each fault adds to the torque of an axis, as it is before the filter."""
+    """Yield the torque that each fault adds to an axis, before the filter."""
     coupled = (
         replace(
             POSITION_FORCE, name=f"coupled_{name}", title="coupling with another axis",

@@ -391,7 +391,7 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> Pr
 
 
 def _fit_columns(columns: FloatArray, whole: FloatArray) -> FloatArray:
-    """Return what a weighted fit of columns leaves of (n, rows); weights come from a first fit."""
+    """Return the residual of a weighted fit of columns to (n, rows); weights come from a first fit."""
     left = whole
     for _ in range(min(len(whole), 2)):
         weights = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])

@@ -105,7 +105,7 @@ class Variant(NamedTuple):
 
 
 def list_variants(problem: ClosedLoopProblem, x: FloatArray, record: Record) -> Iterator[Variant]:
-    """Yield what a drive may do with its reference, with position and velocity, and at which rate.
+    """Yield the ways in which a drive may use reference, position and velocity, with their rates.
 
     Cubics matter to a law that differentiates the reference: from lines it gets the velocity half a sample late.
 
@@ -391,7 +391,7 @@ _MEAN = replace(
 def list_reference_laws(
     setup: RobotLoop, records: Sequence[Record], problem: RobotLoopProblem, numbers: RobotNumbers, predicted: FloatArray
 ) -> list[list[FaultSignature]]:
-    """Return what other ways of its reference change of the torque of each joint, per unit of their sizes, (rows,).
+    """Return the changes of the torque of each joint by other uses of its reference, per unit of size, (rows,).
 
     One simulation for each shows it for all joints at once: what a joint's reference changes of another's torque is
     little.

@@ -192,7 +192,7 @@ def _step_alone(
     where: Cells,
     shifts: Sequence[FloatArray],
 ) -> Alone:
-    """Return what a record says alone, one step from the common x, (free,).
+    """Return the solution of one record alone, one step from the common x, (free,).
 
     Args:
         free: its parameters.

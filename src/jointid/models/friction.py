@@ -98,7 +98,7 @@ class MotionSize(NamedTuple):
 
 
 class Term(NamedTuple):
-    """What a friction law has beside its lines.
+    """Numbers of a friction law beside its lines.
 
     Attributes:
         adds: in words. instead: what its lines are, where only lines are written.

@@ -193,7 +193,7 @@ def _design(
 
 
 def _as_tuple(given: One | Sequence[One] | None) -> tuple[One, ...]:
-    """Return what is given of each axis."""
+    """Return the given values of each axis."""
     return () if given is None else tuple(given) if isinstance(given, Sequence) else (given,)
 
 

@@ -221,7 +221,7 @@ def regress(
 
 
 def _read_timing(rows: Rows, held: FloatArray, sampled: FloatArray) -> tuple[int, float, str]:
-    """Return whether a torque is sampled, how many half samples around that are open, and where the record puts it.
+    """Return whether a torque is sampled, the half samples that are undecided, and the timing that the record shows.
 
     Args:
         rows: of the regression.

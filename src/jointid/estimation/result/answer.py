@@ -186,7 +186,7 @@ def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
 
 
 def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
-    """Return what an answer depends on that was not checked; "" if nothing."""
+    """Return the conditions of an answer that were not checked; "" if nothing."""
     if estimate.motion_measured or loop is None:  # another record has the same bias where the motion was measured
         left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
         remedy = _MEASURED if estimate.motion_measured else "validate it on another record"
@@ -201,7 +201,7 @@ def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
 
 
 def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield what is wrong with loop and log, where it moves the value; all that is wrong where no value is asked for.
+    """Yield the faults of loop and log that move the value; all that is wrong where no value is asked for.
 
     Where a parameter is held at a bound, or the torque is not explained, others make up for what is wrong: how far it
     moves a value alone says little then.
@@ -231,7 +231,7 @@ def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[M
 
 
 def _of_others(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield what the other checks that failed say against a value, and its interval if that is wide."""
+    """Yield the reasons of other failed checks against a value, and its interval if that is wide."""
     failed = [v for v in estimate.checks.verdicts if v.status is Status.FAILED and v.subject is not Subject.LOOP]
     for verdict in failed:
         name = asked.name if asked is not None and verdict.subject in _OF_VALUES else ""

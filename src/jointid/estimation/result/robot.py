@@ -1,4 +1,4 @@
-"""What an estimate of a robot says of springs, and its parameters as sums of a robot's numbers."""
+"""Springs in an estimate of a robot, and its parameters as sums of a robot's numbers."""
 
 from __future__ import annotations
 
