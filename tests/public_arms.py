@@ -111,7 +111,6 @@ def logs_of(robot: Robot, seed: int, noise: float) -> tuple[Record, ...]:
     """Return the record of each joint; the noise is white, a share of each torque."""
     random, found = np.random.default_rng(seed + 100), []
     for k, record in enumerate(records_of(robot, seed)):
-        assert record.torque is not None and record.motor_position is not None
         values = record.torque.values
         values = values + noise * float(np.std(values)) * random.normal(size=values.size)
         torque = replace(record.torque, values=values, unit=robot.torque_unit(k))

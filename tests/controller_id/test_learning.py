@@ -177,12 +177,10 @@ def test_of_laws_alike_a_much_simpler_one_is_taken() -> None:
 
 
 def _without_motion(record: Record) -> Record:
-    assert record.reference is not None
     return replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
 
 
 def _all_injected(record: Record) -> Record:
-    assert record.torque is not None
     return replace(record, injected=Injection(replace(record.torque, timing=Timing.HELD), InjectionPoint.AFTER_LIMIT))
 
 

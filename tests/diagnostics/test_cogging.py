@@ -18,13 +18,10 @@ from tests.estimates import faults_of, identify
 @pytest.mark.parametrize("seed", [100, 102, 103])
 def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
-    assert made is not None
     check = faults_of(identify(made.record, made.axis.loop), made.record, most=1)
     first = check.findings[0]
     assert first.test.fault is COGGING
-    assert first.test.shape is not None
     reference = made.record.reference
-    assert reference is not None
     travel = float(np.ptp(reference.values))
     assert travel / first.test.shape == pytest.approx(
         travel / made.truth["pitch"], abs=0.6
@@ -37,7 +34,6 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
 @pytest.mark.slow
 def test_none_is_found_where_there_is_none() -> None:
     made = spoiled(103, "none", 8.0)
-    assert made is not None
     tests = faults_of(identify(made.record, made.axis.loop), made.record).tests
     assert next(one.p_value for one in tests if one.fault is COGGING) > 0.05
 
@@ -45,7 +41,6 @@ def test_none_is_found_where_there_is_none() -> None:
 @pytest.mark.slow
 def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     made = spoiled(103, "cogging", 8.0)
-    assert made is not None
     joint = replace(made.axis.loop.joint, ripple=PositionHarmonics(made.truth["pitch"]))
     loop = replace(made.axis.loop, joint=joint)
     check = faults_of(identify(made.record, loop), made.record)

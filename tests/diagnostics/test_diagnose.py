@@ -37,7 +37,6 @@ def _saturated(on: str) -> Told:
     """The drive's limit is at 0.7 of the torque it would take, and the log shows that."""
     made = axis(on)  # type: ignore[arg-type]
     free, _ = without_mistake(made)
-    assert free.torque is not None
     size = float(np.quantile(np.abs(free.torque.values), 0.9))
     law = replace(made.controller, limit=0.8 * size * made.controller.limit / made.controller.law(made.rate).limit)
     return run(made, law), ClosedLoop(made.joint, law)
@@ -45,7 +44,6 @@ def _saturated(on: str) -> Told:
 
 def _wrong_gain(on: str) -> Told:
     record, loop = without_mistake(axis(on))  # type: ignore[arg-type]
-    assert record.torque is not None
     return record.with_channels({"torque": replace(record.torque, values=2.0 * record.torque.values)}), loop
 
 
@@ -57,7 +55,6 @@ def _motionless(on: str) -> Told:
 
 def _noise(on: str) -> Told:
     record, loop = without_mistake(axis(on))  # type: ignore[arg-type]
-    assert record.torque is not None
     noise = np.random.default_rng(1).standard_normal(record.torque.values.size)
     return record.with_channels({"torque": replace(record.torque, values=float(noise.std()) * 30 * noise)}), loop
 
@@ -107,7 +104,6 @@ def test_nothing_is_wrong_with_a_record_at_its_declared_limit() -> None:
     reference = trapezoids((4.0, 8.0), 30.0, 3.0, 1e-3, rest=0.1, duration=8.0)
     noise = 5e-3 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise, tap="measured")
-    assert record.torque is not None
     assert 0.1 < np.mean(np.abs(record.torque.values) > 0.99 * 1.1) < 0.4
     found = diagnose(record, loop)
     assert found.healthy, str(found)
@@ -130,7 +126,6 @@ def test_a_law_holds_that_is_fifty_times_faster_than_the_log_of_a_motion_up_to_a
         motor_position=Channel(position(time), "rad", 5e-3, Timing.SAMPLED),
     )
     found = compare_law(record, ClosedLoop(RigidJoint("revolute"), law))
-    assert found is not None
     assert found.left < 0.01  # lines between the positions leave 44 %, and show a delay of half a sample
     assert found.late == 0.0
     assert found.holds
@@ -140,19 +135,15 @@ def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:
     made = axis("rigid")
     record, loop = without_mistake(varied(made, 3))
     found = compare_law(record, loop)
-    assert found is not None
     assert found.left < 0.05
     assert found.late == 0.0
     assert found.gain == pytest.approx(1.0, abs=0.01)
     assert compare_law(record.without("motor_position"), loop) is None
-    assert record.torque is not None
     late = replace(record.torque, values=np.roll(record.torque.values, 3))
     shifted = compare_law(record.with_channels({"torque": late}), loop)
-    assert shifted is not None
     assert shifted.late == pytest.approx(3 * record.torque.sample_time, abs=0.05 * record.torque.sample_time)
     half = replace(record.torque, values=0.5 * record.torque.values)
     scaled = compare_law(record.with_channels({"torque": half}), loop)
-    assert scaled is not None
     assert scaled.gain == pytest.approx(0.5 * found.gain, rel=1e-6)
 
 
@@ -167,7 +158,6 @@ def test_a_real_axis_is_looked_over(name: str, data_dir: Path) -> None:
     assert found.healthy, str(found)
     assert "spoils its answer" in found.sentence
     compared = compare_law(record, file.loop)
-    assert compared is not None
     assert compared.left < 0.003
     assert compared.left < 1.05 * compared.noise  # nothing but rounding
 
@@ -176,7 +166,6 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     record, loop = without_mistake(axis("rigid"))
     found = diagnose(record.without("reference"), loop)
     assert found.symptoms[0].code == "unreadable"
-    assert record.torque is not None
     dead = replace(record.torque, values=0.0 * record.torque.values)
     found = diagnose(record.with_channels({"torque": dead}), loop)
     assert found.symptoms[0].code == "motion_poor"
@@ -201,7 +190,6 @@ def test_positions_alone_are_diagnosed_and_said_to_be_what_was_compared() -> Non
 
 def test_a_reference_that_never_moves_is_no_misfit_to_be_explained() -> None:
     record, loop = without_mistake(axis("rigid"))
-    assert record.reference is not None
     still = record.with_channels({"reference": replace(record.reference, values=0.0 * record.reference.values)})
     assert find_failure_causes(still, loop) is None
     assert [one.code for one in diagnose(still, loop).symptoms] == ["motion_poor"]
@@ -213,7 +201,6 @@ def test_each_joint_of_a_robot_is_looked_over_under_its_name_and_the_clock_once(
     found = diagnose(records, arm(), IDIM())
     assert found.healthy and found.axes
     torque = records[2].torque
-    assert torque is not None
     coarse = replace(torque, values=np.repeat(torque.values[::10], 10)[: torque.values.size])
     records[2] = replace(records[2], torque=coarse)
     spoiled = diagnose(records, arm(), IDIM())

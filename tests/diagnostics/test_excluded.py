@@ -29,7 +29,6 @@ def logged(
     """Return a log of torque, noise of 0.3 N on it, reference and motor position."""
     reference = trapezoids((0.05, 0.1, 0.2), 2.0, 0.1, 1e-3, duration=seconds)
     record = simulated_record(ClosedLoop(joint, law), reference, values, sample_time=1e-3)
-    assert record.torque is not None
     noise = 0.3 * np.random.default_rng(1).standard_normal(reference.size)
     return record.with_channels({"torque": replace(record.torque, values=gain * record.torque.values + noise)})
 
@@ -50,7 +49,6 @@ def test_a_fault_that_the_motor_position_shows_is_not_excluded(law: Cascade, gai
     loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
     record = logged(loop.joint, PLAIN, law, gain)
     followed = compare_law(record, loop)
-    assert followed is not None
     assert followed.holds  # within the 3 % that it may be off
     assert not excludes(record, loop, law, gain=gain - 1.0)
     right = logged(loop.joint, PLAIN)
@@ -60,7 +58,6 @@ def test_a_fault_that_the_motor_position_shows_is_not_excluded(law: Cascade, gai
 def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
     loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
     record = logged(loop.joint, PLAIN)
-    assert record.torque is not None
     assert excludes(record, loop, LAW, late=5e-4)
     late = np.interp(record.torque.time - 2e-4, record.torque.time, record.torque.values)
     assert not excludes(record.with_channels({"torque": replace(record.torque, values=late)}), loop, LAW, late=2e-4)
@@ -79,6 +76,5 @@ def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
     assert gross | {"delay"} <= names(record.without("motor_position"))
     assert not gross & names(record)
     assert "delay" in names(record)  # behind the log
-    assert record.torque is not None
     wrong = record.with_channels({"torque": replace(record.torque, values=10.0 * record.torque.values)})
     assert gross <= names(wrong)

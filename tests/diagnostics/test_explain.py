@@ -75,7 +75,6 @@ def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one()
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
     """It is about what the right loop leaves, whatever loop is declared, and all of it for another motion."""
     record, loop = without_mistake(axis("direct"))
-    assert record.reference is not None
     right = identify(record, loop)
     for gain in (0.1, 1.0):
         other = replace(loop, controller=with_numbers(loop.controller, {"gain": gain}))
@@ -134,7 +133,6 @@ def test_what_the_samples_show_is_said_without_a_search(
 def test_nothing_is_plain_of_a_healthy_record(name: AxisName) -> None:
     record, _ = without_mistake(axis(name))
     assert find_plain_cause(record) is None
-    assert record.torque is not None
     step = float(np.std(record.torque.values)) / 50
     rough = replace(record.torque, values=np.round(record.torque.values / step) * step)
     assert find_steps(record.with_channels({"torque": rough})) is None
@@ -174,7 +172,6 @@ def late_drive(record_period: float = 4e-3, law: Any = DRIVE) -> ji.Record:
     truth = {"inertia": 0.1, "viscous": 0.2, "coulomb": 0.4, "offset": 0.0}
     record = simulated_record(loop, reference, truth, sample_time=record_period, injected=pulses)
     torque = record.torque
-    assert torque is not None
     noise = 0.02 * np.std(torque.values) * np.random.default_rng(0).standard_normal(torque.values.size)
     return replace(record, torque=replace(torque, values=torque.values + noise))
 
@@ -196,7 +193,6 @@ def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
 def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() -> None:
     """What is added to the torque keeps its own scale, which tells the torque from law and reference."""
     record = late_drive().without("motor_position")
-    assert record.torque is not None
     before = replace(record, torque=replace(record.torque, values=record.torque.values / 9))
     causes = find_causes(before, ClosedLoop(RigidJoint("revolute"), DRIVE), free=("delay",))
     assert [one.name for one in causes.explanations] == ["torque_scale"]

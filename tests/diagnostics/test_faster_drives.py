@@ -26,8 +26,6 @@ def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[AxisFaults, 
     """The check, value and two deviations of what is asked, and the value with the first finding corrected."""
     estimate = identify(record, loop)
     check, row = faults_of(estimate, record, most=1), estimate[asked]
-    assert row.value is not None
-    assert row.stderr is not None
     by = check.findings[0].changes[asked].by if check.findings else 0.0
     return check, row.value, 2 * row.stderr, row.value + by
 
@@ -39,7 +37,6 @@ def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
     first = check.findings[0]
     assert first.test.fault is PERIOD
     assert first.test.size == pytest.approx(1.0, abs=0.2)
-    assert first.law is not None
     assert first.law.rate == pytest.approx(1e3 * times)
     assert check.sentences[0].startswith(f"the controller runs faster than the log, at {times} kHz")
     assert f"declare its period, {1 / times:g} ms" in check.sentences[0]
@@ -51,7 +48,6 @@ def test_what_the_log_leaves_open_of_the_reference_is_tried_both_ways() -> None:
     """A law that differentiates it sees straight lines late, and another rate would make up for that."""
     check, _, _, _ = _checked(*drive(SERVO, 8, noise=0.05), "inertia")
     first = check.findings[0]
-    assert first.law is not None
     assert 'interpolation = "cubic"' in check.sentences[0]
     assert first.law.rate >= 4e3
 
@@ -95,7 +91,6 @@ def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoo
     controller = replace(law, delay=fine, period=fine, interpolation=way)
     reference = at_period(log, fine, times * commands.size, "reference", controller.interpolation)
     record = simulated_record(ClosedLoop(joint, controller), reference, RIGID, sample_time=fine, name="drive")
-    assert record.torque is not None
     noise = 0.05 * np.random.default_rng(1).standard_normal(commands.size)
     torque = replace(record.torque, values=record.torque.values[::times] + noise, sample_time=LOG)
     shown = replace(record, torque=torque, reference=log, motor_position=None, load_position=None)
@@ -108,8 +103,6 @@ def test_a_reference_that_is_filled_in_otherwise_is_named(law: Cascade | PD, way
     record, loop = _filled_in(way, law)
     estimate = ji.identify(record, loop)
     row = estimate["inertia"]
-    assert row.value is not None
-    assert row.stderr is not None
     assert abs(row.value - RIGID["inertia"]) > 2 * row.stderr
     assert not estimate.answer.reliable
     assert f'declare interpolation = "{way}"' in str(estimate.answer)
@@ -138,7 +131,6 @@ def _averaged(mean: float, coarse: int = 1) -> tuple[Record, ClosedLoop, Cascade
     setpoints = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, coarse * LOG, duration=6.0)
     loop = ClosedLoop(RigidJoint("revolute"), law)
     record = simulated_record(loop, np.repeat(setpoints, coarse), RIGID, sample_time=LOG, name="drive")
-    assert record.torque is not None
     noise = 0.05 * np.random.default_rng(1).standard_normal(record.torque.values.size)
     torque = replace(record.torque, values=record.torque.values + noise)
     shown = replace(record, torque=torque, motor_position=None, load_position=None)
@@ -167,7 +159,6 @@ def test_what_moves_a_value_by_less_than_a_thousandth_is_in_its_interval() -> No
     record, loop = drive(CASCADE, 10, noise=1e-4)
     found = ji.identify(record, replace(loop, controller=replace(CASCADE, period=1e-4, delay=1e-4)))
     inertia = found["inertia"]
-    assert inertia.value is not None and inertia.interval is not None and inertia.stderr is not None
     assert abs(inertia.value - RIGID["inertia"]) > 5 * inertia.stderr
     assert inertia.interval[0] < RIGID["inertia"] < inertia.interval[1]
     assert found.answer.reliable

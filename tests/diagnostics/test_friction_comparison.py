@@ -29,7 +29,6 @@ def rising() -> tuple[Record, ClosedLoop, dict[str, float]]:
     loop, values = slow(case, RISES)
     torque = simulate(loop, prepare(loop, case.clean), values).torque
     noise = 0.01 * np.std(torque) * np.random.default_rng(5).standard_normal(torque.size)
-    assert case.clean.torque is not None
     record = replace(case.clean, torque=replace(case.clean.torque, values=torque + noise))
     return record.without("motor_position", "load_position"), loop, values
 

@@ -86,7 +86,6 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
 def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Estimate]:
     """Return a drive with a fault, and its estimate without checks."""
     made = spoiled(seed, fault, longest)
-    assert made is not None
     return made, identify(made.record, made.axis.loop)
 
 
@@ -118,7 +117,6 @@ def test_what_is_wrong_is_named_first(fault: str, seed: int, named: Fault) -> No
 )
 def test_what_adds_a_force_along_the_motion_is_named_with_its_size(fault: str, seed: int, named: Fault) -> None:
     made = spoiled(seed, fault, 5.0)
-    assert made is not None
     check = faults_of(identify(made.record, made.axis.loop), made.record)
     test, truth = check.findings[0].test, made.truth
     friction = truth["motor_coulomb"] + truth["load_coulomb"]
@@ -138,7 +136,6 @@ def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, se
     before, after = plain["stiffness"], found["stiffness"]
     assert before.value is not None and before.stderr and after.value == before.value
     assert after.stderr == before.stderr  # from run to run it scatters as before
-    assert after.deviation is not None and after.interval is not None
     truth = made.truth["stiffness"]  # near no deflection, or of the first spring
     assert abs(before.value - truth) > 3 * before.stderr
     assert after.interval[0] < truth < after.interval[1]
@@ -161,7 +158,6 @@ def geared(seed: int, noise: float, loop: ji.ClosedLoop = GEARED_LOOP, gear: flo
     force, values = np.zeros(reference.size), GEARED | more
     for _ in range(3 if gear else 0):
         made = ji.simulated_record(loop, reference, values, sample_time=1e-3, disturbance=force)
-        assert made.motor_position is not None and made.load_position is not None
         speed = np.gradient(made.motor_position.values, 1e-3)
         bend = made.motor_position.values - made.load_position.values
         force = -gear * values["stiffness"] * np.abs(bend) * np.sign(speed) * (np.abs(speed) > 1e-4)
@@ -203,12 +199,10 @@ def test_a_load_friction_on_either_side_is_in_the_interval(seed: int) -> None:
 @pytest.mark.slow
 def test_a_spring_that_is_not_linear_has_no_stiffness_to_rely_on() -> None:
     made = spoiled(3005, "cubic spring")
-    assert made is not None
     found = ji.identify(made.record, made.axis.loop)
     assert found.answer.trust.code == Trust.NOT_YET
     assert Reason.SPRING_NOT_LINEAR in found.answer.trust.values["reasons"]
     said = re.search(r"at the largest torque it is stiffer than near none, by (\d+) %", found.sentence)
-    assert said is not None
     assert 5 <= int(said[1]) <= 100 * made.size  # at least so much, and not more than it is
 
 

@@ -111,7 +111,6 @@ def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     assert found.test.size == pytest.approx(1.0, abs=3 * found.test.std)
     assert check.sentences[0].startswith("the integral takes in the present sample, too: declare velocity_gain 6.0 %")
     truth, inertia = _quiet().values["inertia"], estimate.params["inertia"]
-    assert inertia.value is not None
     corrected = inertia.value + found.changes["inertia"].by
     assert abs(corrected - truth) < abs(inertia.value - truth)
     assert corrected == pytest.approx(truth, rel=0.01)

@@ -51,7 +51,6 @@ def test_steps_of_a_torque_that_rests_with_the_reference_are_the_drive_s_own() -
 def test_steps_of_a_coarse_log_are_its_rounding() -> None:
     slow = np.cumsum(np.random.default_rng(3).standard_normal(REFERENCE.size)) / 100
     record = logged(slow)
-    assert record.torque is not None
     step = float(np.std(slow)) / 8
     coarse = Channel(np.round(record.torque.values / step) * step, "N m", T)
     assert find_steps(record.with_channels({"torque": coarse})) is None
@@ -88,7 +87,6 @@ def without(record: ji.Record, first: int, count: int) -> ji.Record:
 @pytest.mark.parametrize("count", [1, 4, 12])
 def test_an_identification_names_the_place_and_the_number(count: int) -> None:
     whole = moved(short_moves())
-    assert whole.reference is not None
     speed = np.abs(np.diff(whole.reference.values))
     first = int(np.flatnonzero(speed > 0.9 * speed.max())[20])  # at full speed
     found = ji.identify(without(whole, first, count), LOOP)
@@ -160,7 +158,6 @@ def test_that_is_what_an_identification_says_then() -> None:
 def test_a_few_steps_of_an_encoder_are_hardly_a_motion() -> None:
     _, record, loop = smaller("direct", 0.01)
     motor = record.motor_position
-    assert motor is not None
     step = np.ptp(motor.values) / 6
     coarse = record.with_channels({"motor_position": replace(motor, values=step * np.round(motor.values / step))})
     message = find_standstill(coarse, loop)
@@ -189,7 +186,6 @@ def test_parts_in_which_the_drive_is_off_are_named_with_their_times() -> None:
     truth = {"inertia": 0.02, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0, "gravity_cos": 1.5, "gravity_sin": 0.0}
     reference = 0.8 * np.sin(4.0 * np.arange(8000) * T) * np.sin(0.9 * np.arange(8000) * T + 0.1)
     record = ji.simulated_record(loop, reference, truth, sample_time=T)
-    assert record.torque is not None and record.motor_position is not None
     assert find_parts_off(record) is None
     torque, position = record.torque.values.copy(), record.motor_position.values.copy()
     count = 1500

@@ -29,7 +29,6 @@ def some_of(record: Record, samples: int) -> Record:
     """The first samples of a record."""
     cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in record.items()}
     injected = record.injected
-    assert injected is not None
     return replace(record, **{**cut, "injected": replace(injected, channel=cut["injected"])})
 
 
@@ -43,7 +42,6 @@ def gapped() -> tuple[Case, LawComparison]:
 def plain() -> tuple[Case, LawComparison]:
     case = prismatic(1)
     record = some_of(case.clean, 4000)
-    assert record.torque is not None
     noise = 0.02 * np.std(record.torque.values) * np.random.default_rng(2).standard_normal(4000)
     record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
     return case, compare_springs(record, case.loop, didim=ji.DIDIM(frequency=case.mode))
@@ -81,7 +79,6 @@ def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    assert record.torque is not None
     noise = 0.5 * np.random.default_rng(3).standard_normal(len(record.torque))
     record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
     found = compare_springs(record, replace(loop, joint=ji.FlexibleJoint("prismatic")))
@@ -134,7 +131,6 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
 )
 def test_the_spring_of_another_simulator_is_shown(fault: str, spring: str) -> None:
     made = spoiled(0, fault, 8.0)
-    assert made is not None
     assert compare_springs(made.record, made.axis.loop).shown.name == spring
 
 

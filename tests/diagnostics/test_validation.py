@@ -53,7 +53,6 @@ def test_a_load_encoder_counts_from_elsewhere_in_any_record() -> None:
     values |= {"load_inertia": 0.3, "load_viscous": 0.8, "load_coulomb": 0.5, "offset": 0.2}
     reference = ji.excitation.trapezoids((1.0, 2.0), 20.0, 1.0, RATE, rest=0.1, duration=4.0)
     record = ji.simulated_record(loop, reference, values, sample_time=RATE)
-    assert record.load_position is not None
     other = replace(record.load_position, values=record.load_position.values + 0.3)
     own, moved = (
         ji.validate(ji.identify(record, joint), one) for one in (record, record.with_channels({"load_position": other}))
@@ -84,7 +83,6 @@ def test_each_of_several_records_is_an_own_one() -> None:
 
 def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
     record = made(0.13, 4)
-    assert record.torque is not None
     turned = record.with_channels({"torque": replace(record.torque, values=-record.torque.values)})
     code = answer(turned)
     assert code == Prediction.NOT_AS_DECLARED
@@ -102,7 +100,6 @@ def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
 def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
     twin = two()
     first, second = twin.robot.joints
-    assert second.coulomb is not None
     changed = replace(twin.robot, joints=(first, replace(second, coulomb=1.5 * second.coulomb)))
     one, other = (twin.records(6.0, seed) for seed in (1, 4))
     estimate = ji.identify(recorded(twin.loop(), one, 0.02)[0], twin.loop() if by_torques else twin.robot, checks=False)

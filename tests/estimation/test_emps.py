@@ -33,7 +33,6 @@ def test_idim_repeats_the_published_results_to_every_digit(emps: Record, emps_pu
     expected = {"inertia": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
     assert rounded(estimate, digits) == expected
     assert round(100 * estimate.fit.filtered_error, 4) == 4.0834
-    assert estimate.fit.conditioning is not None
     assert round(estimate.fit.conditioning.raw, 4) == 25.9883
     cross = validate(estimate, emps_pulses)
     assert cross.test == "cross"
@@ -107,7 +106,6 @@ def test_each_of_several_records_has_the_interval_that_it_has_alone(emps: Record
 
 
 def test_a_gain_that_was_forgotten_is_thought_of(emps: Record) -> None:
-    assert emps.torque is not None
     volts = replace(emps, torque=replace(emps.torque, values=emps.torque.values / CONTROLLER.gain))
     with pytest.raises(
         MethodError, match=r"inertia 2\.8.* loop is not stable.*check the sign, gain and unit of the torque"

@@ -84,9 +84,6 @@ def test_an_axis_that_moves_at_the_first_sample_is_found_moving() -> None:
     axis = twin(noise="none")
     cut = 300  # in mid-ramp
     record = torque_only(axis)
-    assert record.torque is not None
-    assert record.reference is not None
-    assert record.injected is not None
     late = Record(
         torque=replace(record.torque, values=record.torque.values[cut:]),
         reference=replace(record.reference, values=record.reference.values[cut:]),
@@ -113,7 +110,6 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     axis = twin(noise="none")
     truth = {**axis.truth, "motor_coulomb": 0.0}
     reference = axis.record.reference
-    assert reference is not None
     noise = 3.0 * np.random.default_rng(0).standard_normal(len(reference))
     made = simulated_record(axis.loop, reference.values, truth, sample_time=1e-3, torque_noise=noise)
     estimate = identify(made, axis.loop, DIDIM(frequency=30.0))
@@ -162,7 +158,6 @@ def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it(seed:
 def test_a_torque_of_the_wrong_sign_is_refused_in_a_sentence() -> None:
     axis = twin(noise="white")
     record = torque_only(axis)
-    assert record.torque is not None
     wrong = replace(record, torque=replace(record.torque, values=-record.torque.values))
     with pytest.raises(MethodError, match="explains half of this torque; check the sign"):
         identify(wrong, axis.loop)

@@ -144,7 +144,6 @@ def test_rows_at_rest_are_left_out() -> None:
     found = identify(record, RigidJoint("revolute"), IDIM())
     for name, value in values.items():
         line = found[name]
-        assert line.value is not None and line.stderr is not None
         assert abs(line.value - value) < 3 * line.stderr, name
     assert found["coulomb"].stderr is not None and found["coulomb"].stderr < 0.015 * values["coulomb"]
 
@@ -154,7 +153,6 @@ def test_the_difference_of_two_encoders_zeros_is_found(stated: bool) -> None:
     """Also where the timing of the torque is not stated."""
     axis, off = twin(noise="none"), 2e-4
     load, torque = axis.record.load_position, axis.record.torque
-    assert load is not None and torque is not None
     changed = {"load_position": replace(load, values=load.values + off), "torque": replace(torque, stated=stated)}
     moved = axis.record.with_channels(changed)
     plain = identify(axis.record, axis.loop.joint, IDIM())

@@ -259,7 +259,6 @@ def test_prewhitened_equations_have_the_same_estimate() -> None:
     Z, error = J + 0.3 * random.standard_normal(J.shape), np.diff(random.standard_normal(ROWS + 1))
     found = Influence(J, error, Z, series=[ROWS // 3, ROWS - ROWS // 3]).prewhiten()
     other, white = found.instruments, found.error
-    assert other is not None
     assert pytest.approx(Z.T @ J, rel=1e-9, abs=1e-9) == other.T @ found.J
     assert other.T @ white == pytest.approx(Z.T @ error, rel=1e-9, abs=1e-9)
     assert abs(white[1:] @ white[:-1]) < 0.1 * (white @ white) < -0.1 / 0.4 * (error[1:] @ error[:-1])

@@ -33,7 +33,6 @@ def slow_record(seed: int, inertia: float) -> Record:
     """Return a motion so slow that the torque never brakes, with 0.2 N of noise."""
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 4.0)
     made = simulated_record(LOOP, reference, TRUTH | {"inertia": inertia}, sample_time=1e-3)
-    assert made.torque is not None
     noise = 0.2 * np.random.default_rng(seed).standard_normal(len(made.torque.values))
     return replace(made, torque=replace(made.torque, values=made.torque.values + noise))
 
@@ -41,7 +40,6 @@ def slow_record(seed: int, inertia: float) -> Record:
 def without_torque(record: Record, rng: np.random.Generator) -> Record:
     """Return a record of positions alone, with 1e-5 rad of noise."""
     position = record.motor_position
-    assert position is not None
     noise = 1e-5 * rng.standard_normal(position.values.size)
     return replace(record, torque=None, motor_position=replace(position, values=position.values + noise))
 
@@ -64,7 +62,6 @@ def test_two_payloads_tell_the_share_of_every_axis(by: Literal["torque", "motor_
     if by == "motor_position":
         logs = tuple(tuple(without_torque(one, rng) for one in log) for log in logs)  # type: ignore[assignment]
     robot = identify(logs, arm.loop, ji.DIDIM(outputs=(by,))).robot
-    assert robot is not None
     z = (robot.values - robot.parameters_of(arm.robot)) / robot.covariance.std
     assert np.max(np.abs(z)) < 4.0
     share = robot.names.index("lower.friction_per_torque")

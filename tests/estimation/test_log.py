@@ -62,8 +62,6 @@ def test_windows_say_what_the_whole_says() -> None:
     assert parts.data.windows.count == 24
     for name, truth in TRUTH.items():
         std = whole[name].stderr
-        assert std is not None
-        assert parts[name].stderr is not None
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
         assert abs(parts[name].value - truth) <= 3.5 * std, name
         assert 0.4 <= parts[name].stderr / std <= 2.5, name
@@ -80,7 +78,6 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
     whole, parts = identify(record, loop, method), identify(record, loop, windows=15.0, method=method)
     for name in TABLE_2:
         std = whole[name].stderr
-        assert std is not None
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
 
 
@@ -143,7 +140,6 @@ def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
 def test_windows_without_motion_are_left_out() -> None:
     still = np.zeros(20_000)
     record = rigid(40.0)
-    assert record.torque is not None
     quiet = Record(
         torque=replace(record.torque, values=2.0 + 0.1 * np.random.default_rng(0).standard_normal(still.size)),
         reference=Channel(np.full(still.size, record.reference.values[-1]), "m", PERIOD),
@@ -152,7 +148,6 @@ def test_windows_without_motion_are_left_out() -> None:
     assert estimate.data.windows.still >= 3
     for name, truth in TRUTH.items():
         std = estimate[name].stderr
-        assert std is not None
         assert abs(estimate[name].value - truth) <= 4 * std
 
 

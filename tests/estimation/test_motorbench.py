@@ -49,8 +49,6 @@ def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate)
 def test_stiffness_and_inertias_are_those_of_both_encoders(hidden: ji.Estimate, reference: dict[str, float]) -> None:
     for name in PHYSICAL:
         line = hidden[name]
-        assert line.value is not None
-        assert line.stderr is not None
         assert line.value == pytest.approx(reference[name], rel=0.03), name
         assert abs(line.value - reference[name]) < 2 * line.stderr, name
         assert 2 * line.stderr < 0.06 * line.value, name  # widened for a force in the loop
@@ -73,7 +71,6 @@ def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_b
         ji.identify(both(bench, rows), JOINT, ji.IDIM(), filtering=FILTERING)["stiffness"]
         for rows in (slice(None), slice(half), slice(half, None))
     )
-    assert whole.value is not None and whole.stderr is not None
     assert 549.0 < whole.value < 554.0
     assert 2 * whole.stderr < 0.01 * whole.value
     for one in halves:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.numbers import robot_parameters
@@ -94,7 +93,6 @@ def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
     found = ji.identify(logged().without("torque"), loop)
     checked = found.checks.diagnosis
-    assert isinstance(checked, Diagnosis)
     assert not {"log_gain", "log_delay"} & {test.name for test in checked.axes[0].faults.tests}
 
 

@@ -31,7 +31,6 @@ def run_away() -> None:
 
 def resting() -> None:
     """A reference that asks for no motion."""
-    assert RECORD.reference is not None
     still = replace(RECORD.reference, values=np.zeros(len(RECORD.reference)))
     ji.identify(replace(RECORD.without("motor_position"), reference=still), LOOP)
 

@@ -177,7 +177,6 @@ def test_a_record_that_is_much_noisier_does_no_harm() -> None:
     """It counts for what it is worth: nearly nothing."""
     axis = twins("white")
     quiet, loud = (logged(axis.loop, axis.truth, "white", seed) for seed in (50, 51))
-    assert loud.torque is not None
     more = 100.0 * np.random.default_rng(52).standard_normal(len(loud.torque))
     loud = replace(loud, torque=replace(loud.torque, values=loud.torque.values + more))
     found = identify([quiet, loud], axis.loop, method=QUICK)
@@ -210,7 +209,6 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
         if friction == "symmetric"
         else ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), CONTROLLER)
     )
-    assert emps_pulses.injected is not None
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
     found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)
     alone = [{p.name: p for p in record.alone}["inertia"] for record in found.data.records]

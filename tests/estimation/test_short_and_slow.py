@@ -22,7 +22,6 @@ def cut(record: ji.Record, first: int, count: int) -> ji.Record:
 
     assert record.torque is not None
     assert record.reference is not None
-    assert record.injected is not None
     injected = replace(record.injected, channel=of(record.injected.channel))
     return ji.Record(torque=of(record.torque), reference=of(record.reference), injected=injected)
 
@@ -32,8 +31,6 @@ def test_two_seconds_of_an_axis_that_moves_are_enough(seed: int) -> None:
     axis = twin("L19", noise="white", seed=seed)
     estimate = ji.identify(cut(axis.record, 3000, 2000), axis.loop, checks=False)
     line = estimate["stiffness"]
-    assert line.value is not None
-    assert line.stderr is not None
     assert line.value == pytest.approx(TABLE_2["stiffness"], abs=3 * line.stderr)
     assert line.stderr < 0.03 * line.value
 
@@ -61,7 +58,6 @@ def test_a_mode_inside_the_bandwidth_is_found_though_the_rigid_joint_is_none() -
     axis = drive(9247, 12.0)
     estimate = ji.identify(axis.record, axis.loop, checks=False)
     stiffness = estimate["stiffness"]
-    assert stiffness.interval is not None
     assert stiffness.interval[0] < axis.truth["stiffness"] < stiffness.interval[1]
 
 
@@ -86,7 +82,6 @@ def test_six_seconds_that_begin_anywhere_have_one_answer(
     speeds = tuple(rng.permutation([0.05, 0.1, 0.2]) * rng.uniform(0.7, 1.3))
     reference = ji.excitation.trapezoids(speeds, rng.uniform(0.8, 2.0), 0.2, 1e-3, duration=30.0, rest=0.3)
     whole = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    assert whole.torque is not None
     noise = 0.01 * np.std(whole.torque.values)
     noisy = replace(whole.torque, values=whole.torque.values + noise * rng.standard_normal(reference.size))
     part = slice(first, first + 6000)
@@ -121,8 +116,6 @@ def test_steps_on_scaled_gains_that_lead_to_no_joint_leave_the_start(seed: int) 
         )  # fmt: skip
 
     torque = record(np.zeros(400)).torque
-    assert torque is not None
     found = ji.identify(record(0.04 * np.std(torque.values) * rng.standard_normal(400)), loop, checks=False)
     deviation = found["inertia"].deviation
-    assert deviation is not None
     assert found["inertia"].value == pytest.approx(0.012, abs=3 * deviation)

@@ -55,8 +55,6 @@ def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, 
     found, truth = gapped
     for name in ("stiffness", "gap", "load_inertia", "motor_inertia"):
         row = found[name]
-        assert row.value is not None
-        assert row.stderr is not None
         assert abs(row.value - truth[name]) < 3 * row.stderr, name
         assert row.stderr < 0.05 * row.value, name
 
@@ -67,17 +65,13 @@ def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, 
 )
 def test_recovers_the_spring_of_another_simulator(fault: str, spring: Spring, seed: int) -> None:
     made = spoiled(seed, fault, 8.0)
-    assert made is not None
     linear = identify(made.record, made.axis.loop)
     found = identify(made.record, with_spring(made.axis.loop, spring))
     truth = of_pieces(made, spring)
     for name, value in truth.items():
         row = found[name]
-        assert row.value is not None
-        assert row.stderr is not None
         assert abs(row.value - value) < 3 * row.stderr, name
     off = linear["stiffness"].value
-    assert off is not None
     assert abs(off / truth["stiffness"] - 1) > 0.2
     assert found.fit.filtered_error < 0.3 * linear.fit.filtered_error
 

@@ -24,7 +24,6 @@ def noisy(case: Case, loop: ClosedLoop, values: dict[str, float], share: float =
     """The record of the drive with that friction, from torque and reference alone."""
     torque = simulate(loop, prepare(loop, case.clean), values).torque
     seen = torque + share * np.std(torque) * np.random.default_rng(3).standard_normal(torque.size)
-    assert case.clean.torque is not None
     record = replace(case.clean, torque=replace(case.clean.torque, values=seen))
     return record.without("motor_position", "load_position")
 
@@ -36,8 +35,6 @@ def test_a_rigid_axis_tells_its_friction_towards_standstill(shares: dict[str, fl
     estimate = identify(noisy(case, loop, values), loop)
     for name in ("inertia", "viscous", "coulomb", "stribeck_force", "stribeck_speed", "offset"):
         row = estimate[name]
-        assert row.value is not None
-        assert row.stderr is not None
         assert abs(row.value - values[name]) < 3.5 * row.stderr, name
         assert row.stderr < 0.05 * abs(values[name]), name
 
@@ -50,8 +47,6 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
     estimate = identify(noisy(case, loop, values), loop)
     for row in estimate.params.rows:
         if row.name in values:
-            assert row.value is not None
-            assert row.stderr is not None
             assert abs(row.value - values[row.name]) < 3.5 * row.stderr, row.name
     assert estimate["stiffness"].stderr < 1e-3 * values["stiffness"]  # type: ignore[operator]
 
@@ -66,7 +61,6 @@ def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps:
     assert round(100 * validate(estimate, emps_pulses).filtered_error, 2) == pytest.approx(kept, abs=0.02)
     if friction != "symmetric":
         change = estimate["stribeck_force"]
-        assert change.interval is not None
         assert change.interval[0] < -7.7 < change.interval[1] < 0
         assert estimate["stribeck_speed"].value == pytest.approx(0.015, abs=0.001)
 

@@ -35,8 +35,6 @@ def axis() -> Twin:
 
 def driven(axis: Twin, loop: ClosedLoop, values: dict[str, float]) -> Record:
     reference, injected = axis.record.reference, axis.record.injected
-    assert reference is not None
-    assert injected is not None
     return simulated_record(loop, reference.values, values, sample_time=1e-3, injected=injected.channel.values)
 
 

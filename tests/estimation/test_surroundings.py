@@ -35,7 +35,6 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
     assert not estimate["delay"].of_joint
     assert "delay" not in estimate.values
     assert estimate.settings.delay == estimate["delay"].value
-    assert estimate.settings.loop is not None
     assert estimate.settings.loop.controller.law(1e-3).delay == estimate["delay"].value
     for name, value in RIGID.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-5)
@@ -45,7 +44,6 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
 def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     where = setting("L19", brief=True)
     made = problem(where, Fault(line_7), None)
-    assert where.record.torque is not None
     record = replace(where.record, torque=replace(where.record.torque, values=made.measured))
     estimate = identify(record, where.loop, DIDIM(frequency=30.0, free=("position_gain", "velocity_gain", "delay")))
     for name, value in (where.truth | line_7(where.loop)).items():

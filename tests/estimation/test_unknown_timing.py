@@ -38,7 +38,6 @@ def test_intervals_of_a_robot_hold_the_truth():
 @pytest.mark.parametrize("samples", [2, -3])
 def test_intervals_cover_a_log_that_is_late(samples):
     record = logged(200.0, True, 1)[0]
-    assert record.torque is not None
     late = replace(record, torque=replace(record.torque, values=np.roll(record.torque.values, samples)))
     found = ji.identify(late, ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
     assert all(abs(found[name].value - true) <= 2 * found[name].stderr for name, true in TRUE.items())

@@ -46,7 +46,6 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
     assert all(1e4 <= bound.stiffness <= 1e9 for bound in estimate.checks.bounds if bound.stiffness is not None)
-    assert estimate.checks.known is not None
     whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(105.0, rel=0.05)
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
@@ -57,7 +56,6 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
 def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(stiff_axis: tuple[Record, Estimate]) -> None:
     record, estimate = stiff_axis
     loop = estimate.settings.loop
-    assert loop is not None
     wrong = replace(loop, controller=replace(loop.controller, gain=0.8 * loop.controller.gain))
     assert check_without_joint(record, loop).status is Status.PASSED
     verdict = check_without_joint(record, wrong)
@@ -80,7 +78,6 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     assert bounds == sorted(bounds)
     assert 0.1e6 <= bounds[0] <= 4e6
     assert bounds[-1] >= 2e6
-    assert estimate.checks.known is not None
     whole = {known.combination.quantity: known.value for known in estimate.checks.known.physical}
     assert whole["inertia"] == pytest.approx(95.0, abs=1.5)
 

@@ -49,9 +49,7 @@ def assert_same(parts: ji.Estimate, whole: ji.Estimate, apart: float = 0.5, rati
     known = dict(whole.params)
     for name, part in parts.params.items():
         one = known[name]
-        assert part.value is not None and one.value is not None
         if one.stderr:
-            assert part.stderr is not None
             assert abs(part.value - one.value) <= apart * one.stderr, part.name
             assert 1 / ratio <= part.stderr / one.stderr <= ratio, part.name
 
@@ -102,7 +100,6 @@ def test_a_last_window_that_is_shorter_than_its_filters_is_passed_over() -> None
 
 def test_a_window_in_which_a_brake_holds_a_joint_is_passed_over() -> None:
     arm, (first, second) = arm_log(20.0)
-    assert second.torque is not None
     held = second.torque.values.copy()
     held[len(held) // 2 :] = 0.0
     records = (first, replace(second, torque=replace(second.torque, values=held)))
@@ -115,7 +112,6 @@ def test_a_window_in_which_a_brake_holds_a_joint_is_passed_over() -> None:
 def test_a_force_in_the_loop_widens_an_inverse_model_in_windows_as_in_the_whole() -> None:
     """A slow force, which the loop carries into the motion, as a random walk that is held to the middle."""
     reference = rigid(60.0).reference
-    assert reference is not None
     random, force = np.random.default_rng(7), np.zeros(len(reference))
     for k in range(1, force.size):
         force[k] = 0.995 * force[k - 1] + 0.3 * random.standard_normal()
@@ -127,7 +123,6 @@ def test_a_force_in_the_loop_widens_an_inverse_model_in_windows_as_in_the_whole(
 
 def test_a_window_at_rest_says_nothing_of_an_inverse_model() -> None:
     record = rigid(40.0)
-    assert record.torque is not None and record.motor_position is not None
     random, still = np.random.default_rng(2), 20_000
     torque = np.concatenate([record.torque.values, 9.0 + random.standard_normal(still)])
     position = np.concatenate([record.motor_position.values, 1e-7 * random.standard_normal(still)])
@@ -138,7 +133,6 @@ def test_a_window_at_rest_says_nothing_of_an_inverse_model() -> None:
     assert found.data.windows is not None and found.data.windows.still >= 3
     for name, truth in TRUTH.items():
         row = found.params[name]
-        assert row.value is not None and row.stderr is not None
         assert abs(row.value - truth) < 4 * row.stderr, name
 
 
@@ -165,7 +159,6 @@ def test_several_records_go_in_windows_by_themselves(monkeypatch: pytest.MonkeyP
 def test_records_that_differ_are_seen_in_windows() -> None:
     records = [rigid(40.0, 1), rigid(40.0, 2, viscous=100.0)]
     found = ji.identify(records, LOOP, windows=4.0, checks=False)
-    assert found.checks.agreement is not None
     assert found.checks.agreement["viscous"].differs
     assert not found.checks.agreement["inertia"].differs
     std = found.params["viscous"].stderr

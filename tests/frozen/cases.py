@@ -92,7 +92,6 @@ def healthy(kind: str, noise: str, seed: int) -> ji.Estimate:
 
 def follow(logged: ji.Record) -> ji.Record:
     """Give the motor's position as the reference."""
-    assert logged.reference is not None and logged.motor_position is not None
     return logged.with_channels({"reference": replace(logged.reference, values=logged.motor_position.values)})
 
 

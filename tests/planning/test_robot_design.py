@@ -76,7 +76,6 @@ def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
     q = reference_of(found)
     v, a = np.gradient(q, T, axis=0), np.gradient(np.gradient(q, T, axis=0), T, axis=0)
     for k, one in enumerate(LIMITS):
-        assert one.lower is not None and one.upper is not None
         assert one.lower < q[:, k].min() and q[:, k].max() < one.upper
         assert np.abs(v[:, k]).max() < (one.speed or 0.0) and np.abs(a[:, k]).max() < (one.acceleration or 0.0)
         assert np.abs(found.proposed.torques[k]).max() < (one.torque or 0.0)

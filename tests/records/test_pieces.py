@@ -94,7 +94,6 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
     ):
         assert [p.last for p in pieces] == [False] * (count - 1) + [True]
         torque = pieces[-1].record.torque
-        assert torque is not None
         assert len(torque) == rows - 20 * (count - 1)
 
 

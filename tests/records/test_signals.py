@@ -34,7 +34,6 @@ def test_a_lowpass_has_no_phase_and_squares_the_attenuation() -> None:
 def test_decimation_is_by_scipy_s_filter_and_keeps_the_last_sample(samples: int, columns: int, cutoff: float) -> None:
     """On a random walk, whose ends are far apart, with columns of very different sizes."""
     filtering = Filtering(cutoff=cutoff).resolve(T)
-    assert filtering.cutoff is not None
     rng = np.random.default_rng(3)
     values = np.cumsum(rng.standard_normal((samples, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
     sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")

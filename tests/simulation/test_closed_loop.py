@@ -281,7 +281,6 @@ def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
     slow = replace(SLOW, period=4 * T, position_period=16 * T, position_offset=8 * T)
     for learned in (SLOW, slow):
         declared = shift_start(learned, -later * T)
-        assert isinstance(declared, Cascade)
         cycle = learned.position_period or T
         assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
         assert shift_start(declared, later * T) == learned

@@ -52,6 +52,5 @@ def test_a_bound_of_a_refused_stiffness_is_true_and_a_plain_spring_is_given(seed
 )
 def test_the_search_of_a_robot_ends_at_the_noise(seed: int, flexible: bool) -> None:
     found = judge(seed, flexible=flexible)
-    assert found is not None
     assert found.at_noise
     assert np.mean(np.abs(found.z) < 2) > 0.85

@@ -25,7 +25,6 @@ from tests.robots_plants import two
 def with_torque(records: Sequence[Record], joint: int, added: FloatArray) -> tuple[Record, ...]:
     """Return records with a torque added at one joint."""
     torque = records[joint].torque
-    assert torque is not None
     more = replace(records[joint], torque=replace(torque, values=torque.values + added))
     return (*records[:joint], more, *records[joint + 1 :])
 
@@ -36,7 +35,6 @@ def logged_by(loop: RobotLoop, drives: Sequence[Record] | None = None) -> tuple[
     made, rng = simulate(loop, driven).records(driven), np.random.default_rng(3)
     noisy = []
     for one in made:
-        assert one.torque is not None
         values = one.torque.values + 1e-3 * np.std(one.torque.values) * rng.normal(size=one.torque.values.size)
         noisy.append(replace(one, torque=replace(one.torque, values=values)))
     return tuple(noisy)
@@ -54,7 +52,6 @@ def named(found: Diagnosis) -> list[tuple[str, str]]:
 def logged_torque(records: Sequence[Record], joint: int, of: Callable[[FloatArray], FloatArray]) -> tuple[Record, ...]:
     """Return records with the torque of one joint logged otherwise."""
     torque = records[joint].torque
-    assert torque is not None
     other = replace(records[joint], torque=replace(torque, values=of(torque.values)))
     return (*records[:joint], other, *records[joint + 1 :])
 
@@ -64,7 +61,6 @@ def with_noise(records: Sequence[Record], seed: int, size: float) -> tuple[Recor
     rng, found = np.random.default_rng([seed, 7]), []
     for one in records:
         q = one.motor_position
-        assert q is not None
         found.append(replace(one, motor_position=replace(q, values=q.values + size * rng.normal(size=len(q)))))
     return tuple(found)
 
@@ -95,7 +91,6 @@ def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_othe
     records = logged_torque(records_of(arm(count), 2, noise=0.05), joint, LOGS[fault])
     found = identify(records, arm(count), IDIM())
     diagnosis = found.checks.diagnosis
-    assert isinstance(diagnosis, Diagnosis)
     cause = diagnosis.cause
     assert [*named(diagnosis), *([] if cause is None else [(*cause.joints, cause.name)])] == [
         (f"joint{joint + 1}", fault)
@@ -112,7 +107,6 @@ def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
     records[1], records[2] = replace(second, torque=third.torque), replace(third, torque=second.torque)
     estimate = identify(records, arm(3), IDIM())
     found = estimate.checks.diagnosis
-    assert isinstance(found, Diagnosis)
     assert found.cause is not None and named(found) == []
     assert (found.cause.name, found.cause.joints) == ("swapped_channels", ("joint2", "joint3"))
 
@@ -131,7 +125,6 @@ def more_current(torque: FloatArray) -> FloatArray:
 def under_load(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
     del q
     torque = records[1].torque
-    assert torque is not None
     return with_torque(records, 1, 0.1 * np.abs(torque.values) * np.sign(v))
 
 

@@ -34,7 +34,6 @@ def cause_of(declared: Robot, truth: Robot) -> Cause | None:
 
 def scaled(record: Record, position: float, torque: float) -> Record:
     """Return a record with position and torque times these."""
-    assert record.motor_position is not None and record.torque is not None
     return replace(
         record,
         motor_position=replace(record.motor_position, values=position * record.motor_position.values),

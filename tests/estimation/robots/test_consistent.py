@@ -55,7 +55,6 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     assert found.misfit < 1.0
     part = estimate.require_robot()
     values, true = (part.parameters_of(robot) for robot in (found.robot, ARM))
-    assert values is not None and true is not None
     assert np.abs((values - true) / part.covariance.std)[part.parameters.inertial].max() < 5
     # The rotors of joints 1 and 2 are told only with their links.
     assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)

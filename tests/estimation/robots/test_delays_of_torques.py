@@ -12,7 +12,6 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.numbers import with_delays
-from jointid.models.robots.robot import JointSpring
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate
@@ -38,8 +37,6 @@ def twin_logged() -> tuple[RobotLoop, tuple[Record, ...]]:
 def assert_found(estimate: ji.Estimate, *joints: int) -> None:
     for j in joints:
         found = estimate.params[f"joint{j + 1}.delay"]
-        assert found.value is not None
-        assert found.stderr is not None
         assert (found.unit, found.of_joint, found.axis) == ("s", False, f"joint{j + 1}")
         assert abs(found.value - LATE[j]) < min(3e-4, 3 * found.stderr)
         assert found.stderr < 1.5e-4
@@ -91,7 +88,6 @@ def test_delays_of_flexible_joints() -> None:
     assert_found(estimate, 0, 1)
     for joint in twin.robot.joints:
         found = estimate.params[f"{joint.name}.stiffness"]
-        assert isinstance(joint.spring, JointSpring)
         assert found.value == pytest.approx(joint.spring.stiffness, abs=3 * (found.stderr or 0.0))
 
 

@@ -72,7 +72,6 @@ def test_a_robot_of_one_joint_is_identified_as_that_joint(joint: Joint) -> None:
         if p.name not in linear or p.name == "stiffness":
             value, std = fit.value(name_in_robot("one", p.name))
             other = alone[p.name]
-            assert other.value is not None and other.stderr is not None
             assert abs(value - other.value) < 0.75 * other.stderr, p.name
             assert std == pytest.approx(other.stderr, rel=0.35), p.name
 
