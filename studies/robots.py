@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.estimation.problems.simulated import decimate_each
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
@@ -234,8 +235,8 @@ def judge(seed: int, flexible: bool) -> Found | None:
 def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
     problem = problem_of(made.loop, made.records, fit.parameters)
-    noise = problem.by_joint(problem.decimate(made.noise[: len(problem.measured)]))
-    found = problem.error_of(fit.run.numbers)
+    noise = problem.by_joint(decimate_each(problem.log, list(made.noise[: len(problem.measured)].T)))
+    found = problem.error_of(fit.numbers)
     assert found is not None
     error = problem.by_joint(found)
     return float(np.max(np.linalg.norm(error, axis=1) / np.linalg.norm(noise, axis=1)))

@@ -23,16 +23,15 @@ from jointid.diagnostics.suspects import list_signatures
 from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, read_as
+from jointid.estimation.problems.simulated import LoopLog, SolvedRobot, decimate_each
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.drive_side import RobotDriveSideProblem
-from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.simulate import Run, Simulation
+from jointid.simulation.simulate import Simulation
 
 _TURN = 1e-4  # rad or m: step of a derivative
 ROTORS = (0.0, 0.25, 0.5, 0.75)
@@ -184,22 +183,21 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
 
 def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: SolvedRobot) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
-    problem = cast("RobotLoopProblem | RobotDriveSideProblem", solved.problem)
-    measured = problem.by_joint(problem.decimate(problem.measured))
-    predicted = measured - problem.by_joint(solved.problem.error(solved.run))
+    problem, log = solved.problem, solved.problem.log
+    measured = problem.by_joint(problem.filtered_torque)
+    predicted = measured - problem.by_joint(problem.error((solved.run,)))
 
     def thin(columns: FloatArray) -> FloatArray:
-        rows = problem.decimate_each(list(np.moveaxis(columns, 1, 0)))
+        rows = decimate_each(log, list(np.moveaxis(columns, 1, 0)))
         return rows.reshape(len(robot), -1, columns.shape[2])
 
     laws: list[list[FaultSignature]] = [[] for _ in robot.names]
-    if isinstance(problem, RobotLoopProblem):
-        assert isinstance(solved.run, Run)
+    if isinstance(log, LoopLog):
         moved, seen, raw = Simulation.of(solved.run).motion, np.ones(measured.shape, dtype=np.bool_), None
         motion = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
         laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
     else:
-        measured_motion, seen, raw = problem.motion, problem.motion.whole_rows, problem.motion.raw
+        measured_motion, seen, raw = log.motion, log.motion.whole_rows, log.motion.raw
         motion = [one @ robot.coupling.T for one in (measured_motion.q, measured_motion.v, measured_motion.a)]
     found = _torques(
         robot.names, problem.filtering, problem.sample_time, (measured, predicted), seen, motion, problem.measured,

@@ -25,16 +25,16 @@ from jointid.diagnostics.faults import AxisFaults, Fault, FaultSignature
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER
+from jointid.estimation.problems.simulated import SolvedRobot, decimate_each
 from jointid.estimation.result.answer import SLIGHT
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.judge import Widening
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.estimation.robots.problem import RobotLoopProblem, SolvedRobot
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.derivatives import respond_to_laws
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.simulate import Outcome, Run
+from jointid.simulation.simulate import Outcome
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import cells
 
@@ -132,15 +132,14 @@ def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> 
 
 def _respond(solved: SolvedRobot, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
     """Return the changes of a robot's filtered torques by each element, (n, rows), to first order."""
-    problem, run = solved.problem, solved.run
-    assert isinstance(problem, RobotLoopProblem) and isinstance(run, Run)
-    each = problem.experiment.axes
+    log, run = solved.problem.log, solved.run
+    each = log.experiment.axes
     others = [(one.axis, each[one.axis].with_law(each[one.axis].law_of(one.controller))) for one in tried]
     found, direct = respond_to_laws(run, others)
     for c, (one, own) in enumerate(zip(tried, direct, strict=True)):
-        if not any(problem.seen) or problem.seen[one.axis] is None:  # else the declared law shows the position
+        if not any(log.seen) or log.seen[one.axis] is None:  # else the declared law shows the position
             found[one.axis][:, c] += own
-    rows = problem.decimate_each(found)
+    rows = decimate_each(log, found)
     return list(np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0))
 
 

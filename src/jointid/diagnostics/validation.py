@@ -38,11 +38,10 @@ from jointid.models.joints import ClosedLoop
 from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
-from jointid.records.signals.filtering import differentiate
 from jointid.simulation.controller_torque import compute_controller_torque
-from jointid.simulation.drive_side import PARTS, DriveSide
+from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulate import require_success
+from jointid.simulation.simulate import Outcome, require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 
@@ -423,13 +422,11 @@ def _simulate_along_motion(estimate: Estimate, record: Record) -> Predicted:
     free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, delay)
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
     x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
-    predicted, _, finished = problem.simulate(x, ())
-    if not finished:
+    run, moved = problem.run(x), problem.log.motion
+    if run.outcome is not Outcome.FINISHED:
         raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-    position, velocity = problem.motion.position[::PARTS, 0], problem.motion.velocity[::PARTS, 0]
-    motion = [position, velocity, differentiate(velocity, problem.sample_time)]
-    found = _predict_by(problem, free, x, predicted, [one[: problem.measured.size] for one in motion])
-    return found._replace(compared=problem.weights[:, np.newaxis])
+    motion = [one[:, 0] for one in (moved.q, moved.v, moved.a)]
+    return _predict_by(problem, free, x, problem.predict(x), motion)._replace(compared=moved.moving)
 
 
 def _predict_by(
@@ -470,16 +467,17 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
     part = estimate.require_robot()
     robot, numbers = part.model, part.numbers()
     problem: Any = problem_of(part.setup, records, robot_parameters(robot), estimate.settings.filtering)
-    run = problem.run_of(numbers)
-    if run is None:
+    runs = problem.run_of(numbers)
+    if runs is None:
         what = "references" if part.has_controllers else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
+    (run,) = runs
     if part.has_controllers:
-        moved = motion_at(run, problem.experiment.clock.log_index)
+        moved = motion_at(run, problem.log.experiment.clock.log_index)
         path = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
     else:
-        path = [one @ robot.coupling.T for one in (problem.motion.q, problem.motion.v, problem.motion.a)]
-    error = problem.error(run)
+        path = [one @ robot.coupling.T for one in (problem.log.motion.q, problem.log.motion.v, problem.log.motion.a)]
+    error = problem.error(runs)
 
     def fit_anew() -> FloatArray | None:
         parameters = problem.parameters
@@ -495,8 +493,8 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
         return np.asarray(problem.by_joint(left))
 
     return Predicted(
-        problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(run),
+        problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(runs),
         problem.by_joint(error), problem.by_joint(problem.filtered_torque), path, fit_anew,
-        None if part.has_controllers else problem.motion.moving,
+        None if part.has_controllers else problem.log.motion.moving,
         nominal_errors=lambda: errors_of(problem, nominal_numbers(robot, numbers)),
     )  # fmt: skip

@@ -36,7 +36,7 @@ from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
+from jointid.estimation.problems.simulated import Simulated, decimate_each, loop_problem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_numbers, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
@@ -389,7 +389,7 @@ _MEAN = replace(
 
 
 def list_reference_laws(
-    setup: RobotLoop, records: Sequence[Record], problem: RobotLoopProblem, numbers: RobotNumbers, predicted: FloatArray
+    setup: RobotLoop, records: Sequence[Record], problem: Simulated, numbers: RobotNumbers, predicted: FloatArray
 ) -> list[list[FaultSignature]]:
     """Return the changes of the torque of each joint by other uses of its reference, per unit of size, (rows,).
 
@@ -403,7 +403,7 @@ def list_reference_laws(
         numbers: of the robot.
         predicted: (n, rows) filtered torques of its simulation.
     """
-    mean, inputs = _SCREENED * problem.sample_time, problem.experiment.axes
+    mean, inputs = _SCREENED * problem.sample_time, problem.log.experiment.axes
     each = list[dict[Fault, Any]]()
     for law, record, read in cast("Any", zip(setup.controllers, records, inputs, strict=True)):
         ways = list_other_ways(law, record, read.law.period)
@@ -414,10 +414,10 @@ def list_reference_laws(
     for fault in dict.fromkeys(fault for laws in each for fault in laws):
         laws = tuple(own.get(fault, law) for own, law in zip(each, setup.controllers, strict=True))
         with contextlib.suppress(JointidError):  # a log that such a controller cannot have
-            other = robot_problem(replace(setup, controllers=laws), records, problem.parameters, problem.filtering)
+            other = loop_problem(replace(setup, controllers=laws), records, problem.parameters, problem.filtering)
             if (run := other.run_of(numbers, keep=False)) is None:
                 continue
-            moved = other.by_joint(other.decimate(other.predict(run))) - predicted
+            moved = other.by_joint(decimate_each(other.log, list(other.predict(run).T))) - predicted
             for k in (k for k, own in enumerate(each) if fault in own):
                 found[k].append(FaultSignature(fault, moved[k] / (mean if fault is _MEAN else 1.0)))
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,7 +80,7 @@ class History:
         self._last: Counted | None = None
         self._starts, self._best = 0, math.inf
 
-    def count_evaluations(self, problem: ClosedLoopProblem) -> Counted:
+    def count_evaluations(self, problem: Any) -> Counted:
         """Return the problem with counted evaluations; it remembers the last point that was linearised."""
         if self._last is None or self._last.problem is not problem:
             self._last = Counted(problem, self.tally)
@@ -88,6 +88,10 @@ class History:
 
     def solve(self, problem: ClosedLoopProblem, solver: LevenbergMarquardt, start: FloatArray) -> Solved:
         """Descend from a start, and report the steps."""
+        return Solved(problem, self.report(problem, solver, start))
+
+    def report(self, problem: Any, solver: LevenbergMarquardt, start: FloatArray) -> Solution:
+        """Return the end of a descent of a joint or a robot, and report the steps."""
         size = problem.size or 1.0
         self._starts += 1
 
@@ -98,7 +102,7 @@ class History:
             self._best = min(self._best, error)
             self.progress(Detail(f"{which}torque error {100 * error:.4f} %{best}"))
 
-        return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
+        return solve(self.count_evaluations(problem), solver, start, watch)
 
     def finish(self, rough: Solved, tolerance: float) -> Solved:
         """Descend from the end of a rough descent to the full tolerance."""

@@ -21,13 +21,13 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
+from jointid.estimation.problems.simulated import of_record
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import finite, read
 from jointid.estimation.result.judge import judged
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
-from jointid.estimation.robots.drive_side import of_record
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers

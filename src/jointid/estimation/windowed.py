@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -31,8 +30,8 @@ from jointid.estimation.problems.inverse_model import (
     read_as,
 )
 from jointid.estimation.problems.log_windows import NotSimulatedError, Seen, WindowModel
+from jointid.estimation.problems.simulated import outcome_of
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.problem import RobotProblem
 from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers, problem_of
 from jointid.models.controllers import REFERENCE
@@ -217,10 +216,10 @@ def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filter
     def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
         if not moves(records):
             return None
-        problem: RobotProblem[Any] = replace(problem_of(under, records, parameters, filtering), parameters=parameters)
-        run = problem.run(x)
-        _require_finished(run.outcome, records[0])
-        error = problem.by_joint(problem.error(run))
+        problem = replace(problem_of(under, records, parameters, filtering), parameters=parameters)
+        runs = problem.run(x)
+        _require_finished(outcome_of(runs), records[0])
+        error = problem.by_joint(problem.error(runs))
         samples, keep = len(problem.measured), filtering.decimation
         assert keep is not None
         at = decimated_at(-(-samples // keep), samples, filtering)
@@ -229,7 +228,7 @@ def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filter
         poses = [one.values[:samples] for one in map(commanded, records) if one is not None]
         return Seen(
             error,
-            -problem.slopes(run, x).reshape(*error.shape, -1),
+            -problem.slopes(runs, x).reshape(*error.shape, -1),
             problem.by_joint(problem.filtered_torque),
             at,
             samples,

@@ -26,10 +26,10 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
+from jointid.estimation.problems.simulated import loop_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import motion_of_robot
 from jointid.estimation.robots.simulated import nominal_numbers, parameter_units
 from jointid.models.limits import AxisLimits
@@ -218,11 +218,11 @@ class RobotModel:
         parameters = robot_parameters(loop.robot)
         kept = run_loop(prepare(loop, driven), RobotNumbers.of(loop.robot), keep=True)
         run = require_success(Simulation.of(kept), "The robot's motion")
-        problem = robot_problem(loop, run.records(driven), parameters, self.filtering)
+        problem = loop_problem(loop, run.records(driven), parameters, self.filtering)
         values = parameters.group(kept.numbers)
-        J = problem.slopes(kept, values)
+        J = problem.slopes((kept,), values)
         assert problem.filtering.decimation is not None
-        weights = problem.with_sigma(self.sizes / math.sqrt(problem.filtering.decimation)).weights(len(J))
+        weights = replace(problem, sigma=self.sizes / math.sqrt(problem.filtering.decimation)).weights(len(J))
         assert run.load_position is not None and run.load_velocity is not None
         windup = np.abs(run.motor_position - run.load_position @ loop.robot.coupling.T).max(axis=0)
         q, v, a = motion

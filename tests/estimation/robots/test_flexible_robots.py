@@ -64,14 +64,14 @@ def test_springs_come_back_with_their_intervals() -> None:
     found, noise = identified(twin)
     truth = RobotNumbers.of(twin.robot).springs[:, 0]
     assert found.converged
-    assert found.sigma == pytest.approx(np.std(noise, axis=0) * np.sqrt(2 * 60.0 * 1e-3), rel=0.15)
+    assert found.problem.sigma == pytest.approx(np.std(noise, axis=0) * np.sqrt(2 * 60.0 * 1e-3), rel=0.15)
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
     for spring, stiffness in zip(found.springs, truth, strict=True):
         assert spring.shown
         assert spring.deviation < 0.03 * stiffness
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
     again = simulate(RobotLoop(found.robot(twin.robot), twin.loop().controllers), twin.records(6.0, multisine=0.004))
-    assert again.torque == pytest.approx(found.run.torque, abs=1e-9)
+    assert again.torque == pytest.approx(found.runs[0].torque, abs=1e-9)
 
 
 def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:

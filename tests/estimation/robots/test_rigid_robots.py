@@ -94,7 +94,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
     assert ("joint1.viscous_backwards" in fit.names) == (what == "friction another backwards")
     again = simulate(replace(loop, robot=fit.robot(twin.robot)), records)
-    assert again.torque == pytest.approx(fit.run.torque, abs=1e-8)
+    assert again.torque == pytest.approx(fit.runs[0].torque, abs=1e-8)
 
 
 @pytest.mark.slow
@@ -108,7 +108,7 @@ def test_noise_floor_and_intervals() -> None:
         assert fit.converged
         assert fit.iterations <= 6
         expected = np.std(noise, axis=0) * np.sqrt(2 * 40.0 * 1e-3)  # of white noise below the cut-off of 40 Hz
-        assert fit.sigma == pytest.approx(expected, rel=0.15)
+        assert fit.problem.sigma == pytest.approx(expected, rel=0.15)
         inside.append(np.abs(deviations(fit, twin)) < 2)
     assert np.mean(inside) > 0.85
 

@@ -11,7 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.validation import Prediction
-from jointid.estimation.robots.drive_side import identify_flexible_drive_side
+from jointid.estimation.robots.didim import search_drive_side
 from jointid.estimation.robots.fit import RobotFit
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
@@ -57,7 +57,7 @@ def blank(robot: Robot) -> Robot:
 
 
 def identified(twin: Twin, records: tuple[Record, ...], **how: object) -> RobotFit:
-    return identify_flexible_drive_side(blank(twin.robot), records, **how)  # type: ignore[arg-type]
+    return search_drive_side(blank(twin.robot), records, None, ji.DriveSideFit(**how))  # type: ignore[arg-type]
 
 
 def inside(found: RobotFit, twin: Twin) -> float:
@@ -94,7 +94,7 @@ def test_a_log_that_is_late_is_told_from_damping(late: int) -> None:
     assert found.value("log_delay")[0] == pytest.approx(late * 1e-3, abs=2e-5)
     assert_springs(found, twin, 0.02)
     assert inside(found, twin) > 0.85
-    given = identified(twin, records, frequencies=hertz(twin), delay=late * 1e-3)
+    given = identified(twin, records, frequencies=hertz(twin), log_delay=late * 1e-3)
     assert "log_delay" not in given.names
     assert inside(given, twin) > 0.85
 
@@ -132,7 +132,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
 @pytest.mark.slow
 def test_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
-    found = identify_flexible_drive_side(changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot, logged(twin))
+    found = search_drive_side(changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot, logged(twin))
     assert_springs(found, twin, 0.02)
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.value(f"{joint}.stribeck_force")

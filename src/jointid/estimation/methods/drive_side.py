@@ -35,10 +35,12 @@ from jointid.estimation.problems.base import FAILED, LOG_DELAY, RecordProblem, l
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
     SAID,
+    MeasuredMotion,
     moving_weights,
     steady_weights,
     torque_and_positions,
 )
+from jointid.estimation.problems.simulated import MotionLog
 from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
@@ -47,9 +49,9 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
     describe_noise_limit,
+    differentiate,
     find_noise_limit,
     lowpass,
-    window_parts,
     window_torque,
 )
 from jointid.simulation.drive_side import (
@@ -57,11 +59,7 @@ from jointid.simulation.drive_side import (
     PARTS,
     DriveSide,
     DriveSideRun,
-    PrescribedMotion,
-    differentiate_drive_side,
-    moves_links,
     prescribe,
-    run_drive_side,
 )
 from jointid.simulation.plant import JointNumbers
 from jointid.simulation.simulate import Outcome
@@ -89,67 +87,45 @@ class DriveSideProblem(RecordProblem):
 
     Attributes:
         joint: what is identified.
-        motion: of the motor, prescribed.
-        weights: (samples,) 0 where the motor rests, or as a rigid joint turns round, else 1.
-        sample_time: seconds.
-        limit: Hz, the highest cut-off that the noise of the position allows.
+        log: the motion of its motor, prescribed, and the rows that are compared.
     """
 
     joint: Joint
-    motion: PrescribedMotion
-    weights: FloatArray
-    sample_time: float
-    limit: float
+    log: MotionLog
 
     @property
-    def inside(self) -> slice:
-        """The samples that are compared."""
-        return self.filtering.inside(self.measured.size)
-
-    def predict(self, x: FloatArray) -> FloatArray:
-        """Return the prediction of `measured`, (samples,)."""
-        return self.simulate(x, ())[0]
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
-        return self._compare(x, ())[0]
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        return self._compare(x, tuple(p.name for p in self.free))
-
-    def _compare(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-        prediction, slopes, finished = self.simulate(x, names)
-        error = self.measured - prediction
-        if not finished:
-            error = np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
-        seen = self.filter(np.column_stack([error, -slopes]))
-        return seen[:, 0], seen[:, 1:]
+    def sample_time(self) -> float:
+        """Of the measured signal, seconds."""
+        return self.log.sample_time
 
     def filter(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
-        weights = self.weights if columns.ndim == 1 else self.weights[:, np.newaxis]
-        return self.filtering.decimate((weights * columns)[self.inside], self.sample_time)
-
-    def simulate(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-        """Return the predicted torque, (samples,), its derivatives, and their validity."""
-        run, parts = self.run(x), len(self.motion.direction)
-        late, finished = run.numbers.values[LOG_DELAY.name] / self.sample_time, run.outcome is Outcome.FINISHED
-        slopes = np.zeros((parts, len(names)))
-        if names and finished:
-            ((own, columns),) = run.columns(names)
-            slopes[:, own] = columns
-            moving = [i for i, name in enumerate(names) if moves_links(name, run.numbers)]
-            slopes[:, moving] += differentiate_drive_side(run, [names[i] for i in moving])[:, 0]
-        seen = window_parts(np.column_stack([run.torque, slopes]), PARTS, late)
-        if LOG_DELAY.name in names:
-            by_delay = window_parts(run.torque, PARTS, late, 1)[:, 0] / self.sample_time
-            seen[:, 1 + names.index(LOG_DELAY.name)] = by_delay
-        return seen[:, 0], seen[:, 1:], finished
+        return self.log.decimate_joint(0, columns)
 
     def run(self, x: FloatArray) -> DriveSideRun:
         """Return the simulation itself, part by part."""
-        return run_drive_side(self.motion, JointNumbers(self.joint, self.values(x)))
+        return self.log.run(JointNumbers(self.joint, self.values(x)))
+
+    def predict(self, x: FloatArray) -> FloatArray:
+        """Return the prediction of `measured`, (samples,)."""
+        return self.log.predict(self.run(x))[:, 0]
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
+        return self._error(self.run(x))
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        run = self.run(x)
+        error = self._error(run)
+        if run.outcome is not Outcome.FINISHED:
+            return error, np.zeros((error.size, x.size))
+        return error, -self.log.slopes(run, [p.name for p in self.free])
+
+    def _error(self, run: DriveSideRun) -> FloatArray:
+        if run.outcome is not Outcome.FINISHED:
+            return FAILED * self.filter(self.measured)
+        return self.filter(self.measured - self.log.predict(run)[:, 0])
 
 
 def motion_problem(
@@ -178,36 +154,25 @@ def motion_problem(
     limit = find_noise_limit([position], sample_time)
     filtering = filtering.resolve(sample_time, setup.joint.model, limit)
     assert filtering.position_cutoff is not None
-    smooth = lowpass(position, filtering.position_cutoff, sample_time)
-    motion = prescribe(smooth[:, np.newaxis], sample_time, PARTS)
-    # Of a motor that rests, the rounding of an encoder would have its load begin where Coulomb friction drags it.
-    motion = motion if weights_of(motion)[0] else prescribe(smooth[:, np.newaxis], sample_time, PARTS, resting=True)
-    weights = weights_of(motion)
+    smooth = lowpass(position, filtering.position_cutoff, sample_time)[:, np.newaxis]
+    prescribed = prescribe(smooth, sample_time, PARTS)
+    rests = not moving_weights(prescribed.velocity[::PARTS, 0])[0]
+    if rests:  # the rounding of an encoder would have its load begin where Coulomb friction drags it
+        prescribed = prescribe(smooth, sample_time, PARTS, resting=True)
+    velocity = prescribed.velocity[::PARTS]
+    weights = moving_weights(velocity[:, 0])
     if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
-        weights = steady_weights(motion.velocity[::PARTS, 0], filtering.position_cutoff, sample_time)[1]
-    return DriveSideProblem(
-        (*parameters, *_load_state(setup.joint, motion), delay),
-        window_torque(torque),
-        filtering,
-        setup.joint,
-        motion,
-        weights,
-        sample_time,
-        limit,
-    )
-
-
-def weights_of(motion: PrescribedMotion) -> FloatArray:
-    """Return 0 for the samples at which the motor rests, and 1 for the others (see the module)."""
-    return moving_weights(motion.velocity[::PARTS, 0])
-
-
-def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]:
-    """Return the load's first state, free where the motor moves then: a load at rest rests where it was left."""
-    if joint.model == "rigid":
-        return ()
-    moving = bool(weights_of(motion)[0])
-    return tuple(replace(p, free=moving, start=0.0) for p in _LOAD_PARAMETERS)
+        weights = steady_weights(velocity[:, 0], filtering.position_cutoff, sample_time)[1]
+    motion = MeasuredMotion(
+        smooth, velocity, differentiate(velocity, sample_time), window_torque(torque)[:, np.newaxis],
+        weights[:, np.newaxis], sample_time, filtering, limit, position[:, np.newaxis],
+    )  # fmt: skip
+    motion = replace(motion, stated=np.ones(motion.rows_at().size, dtype=np.bool_))  # faint rows count, too
+    around = () if setup.joint.model == "rigid" else _LOAD_PARAMETERS
+    # A load at rest rests where it was left.
+    first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)
+    log = MotionLog(motion.torque, filtering, motion, prescribed, PARTS)
+    return DriveSideProblem((*parameters, *first, delay), motion.torque[:, 0], filtering, setup.joint, log)
 
 
 @add_settings_to_docstring
@@ -256,9 +221,11 @@ class DriveSideFit(Method):
         assert record.torque is not None
         delay = log_delay(self.log_delay, record.torque.sample_time, stated=record.torque.stated)
         problem = motion_problem(record, setup, task.filtering, task.parameters, delay)
+        motion = problem.log.motion
+        moving = moving_weights(motion.v[:, 0])[:, np.newaxis]
         if task.joint.model == "rigid" and _linear(problem, None)[0] == math.inf:
             # Of a light joint in noise the reversals may be all that tells of its inertia.
-            problem = replace(problem, weights=weights_of(problem.motion))
+            problem = replace(problem, log=problem.log.with_rows(moving))
         starts, simulations = grid_starts(problem, self.frequency)
         numbers = itertools.count(1)
 
@@ -272,8 +239,8 @@ class DriveSideFit(Method):
         # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
         idle = np.asarray(~J.any(axis=0), dtype=np.bool_)
         covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
-        warnings = list(describe_noise_limit(problem.filtering, problem.limit, problem.sample_time, task.joint.model))
-        if (resting := 1 - float(np.mean(weights_of(problem.motion)))) > SAID:
+        warnings = list(describe_noise_limit(problem.filtering, motion.limit, problem.sample_time, task.joint.model))
+        if (resting := 1 - float(np.mean(moving))) > SAID:
             warnings.append(
                 f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
             )

@@ -1,9 +1,10 @@
-"""DIDIM of a robot: all parameters from the motors' torques and the commanded references alone.
+"""The search of a robot's parameters: by DIDIM from torques and references, or on the drive side of its motors.
 
-The robot is simulated under its controllers, and the torque error of all joints is made least by steps with derivatives
-by variation (`solvers.bounded_least_squares`). The joints are weighted by their errors, which are estimated anew until
-they settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb friction are
-not let below 0. The robot is at rest at the first sample, or moving as its references do.
+The robot is simulated (`problems.simulated`), and the torque error of all joints is made least by steps with
+derivatives by variation (`solvers.bounded_least_squares`). The joints are weighted by their errors, which are estimated
+anew until they settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb
+friction are not let below 0. Under its controllers the robot is at rest at the first sample, or moving as its
+references do.
 
 **Rigid joints.** From what the inverse model finds on a motion that the records imply, Gauss and Newton's steps settle
 in two or three. Valid for rigid joints, or below about a fifth of the first resonance.
@@ -36,7 +37,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -46,10 +46,12 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join, pluralise
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.linear import solve_rows
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.inverse_model import motion_along
+from jointid.estimation.problems.simulated import Simulated, loop_problem, motion_problem, outcome_of
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.fit import OFF, UNSEEN, Descents, End, RobotFit
 from jointid.estimation.robots.numbers import (
@@ -60,7 +62,6 @@ from jointid.estimation.robots.numbers import (
     robot_parameters,
     with_delays,
 )
-from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, RobotRuns, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log, inverse_of_robot
 from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
 from jointid.estimation.starts.nonlinear_laws import JointMotion, law_starts, name_laws
@@ -72,7 +73,7 @@ from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import NumberOf, law_places, values_of_joint
-from jointid.simulation.simulate import Outcome, Run, motion_at
+from jointid.simulation.simulate import Outcome, motion_at
 from jointid.solvers.solve import Status
 
 SLOW = Filtering(cutoff=4.0)
@@ -112,22 +113,21 @@ def search_robot(
         MethodError: the records do not determine the parameters, nothing can be simulated at the start, a frequency is
             missing, or a robot of rigid joints explains the torques better than the springs that were found.
     """
-    settings, known, logs, robot = settings or DIDIM(), known or {}, each_log(records), loop.robot
+    settings, known, robot = settings or DIDIM(), known or {}, loop.robot
     late = find_free_delays(loop, settings.free)
 
-    def pose(under: RobotLoop, through: Filtering | None, freed: Sequence[int] = ()) -> list[RobotLoopProblem]:
+    def pose(under: RobotLoop, through: Filtering | None, freed: Sequence[int] = ()) -> Simulated:
         parameters = robot_parameters(under.robot, offsets=settings.offsets, logarithmic=True)
-        parameters = add_delays(apply_constraints(parameters, known), under, freed)
-        return [robot_problem(under, log, parameters, through) for log in logs]
+        return loop_problem(under, records, add_delays(apply_constraints(parameters, known), under, freed), through)
 
     def search_rigid(under: RobotLoop, through: Filtering | None) -> RobotFit:
-        parts, descents = pose(under, through), Descents(settings.evaluations, progress)
-        return descents.settle(add_problems(parts), _start_rigid(parts[0], under, logs[0]))
+        problem = pose(under, through)
+        start = _start_rigid(problem, under, each_log(records)[0])
+        return Descents(settings.evaluations, progress).settle(problem, start)
 
     linear, near = replace(loop, robot=robot.linear), loop
     if any(robot.flexible):
-        problem: RobotProblem[Any] = add_problems(pose(linear, filtering))
-        frequencies = settings.frequencies or None
+        problem, frequencies = pose(linear, filtering), settings.frequencies or None
         require_springs(robot, frequencies, problem.sample_time)
         rigid = search_rigid(replace(linear, robot=linear.robot.rigid), SLOW)
         found = search_springs(problem, linear.robot, rigid, frequencies, settings.evaluations, progress)
@@ -144,8 +144,8 @@ def search_robot(
             raise failures[0]
         found, near = min(ends, key=lambda one: float(np.linalg.norm(one[0].relative_error)))
 
-    def with_laws(of: Robot) -> RobotProblem[Any]:
-        return add_problems(pose(replace(near, robot=of), filtering, late))
+    def with_laws(of: Robot) -> Simulated:
+        return pose(replace(near, robot=of), filtering, late)
 
     if robot.linear.joints == robot.joints and not late:
         return found
@@ -153,24 +153,71 @@ def search_robot(
     return replace(fit, iterations=found.iterations + fit.iterations, springs=_judge_springs(fit, robot))
 
 
+def search_drive_side(
+    robot: Robot,
+    records: Records,
+    filtering: Filtering | None = None,
+    settings: DriveSideFit | None = None,
+    *,
+    known: Mapping[str, Parameter] | None = None,
+    progress: Progress = ignore_progress,
+) -> RobotFit:
+    """Identify a robot, of which some joints are flexible, from motor torques and positions; references are not read.
+
+    Args:
+        robot: whose joints with a spring are flexible. Of its numbers only the links' places and gravity are read.
+        records: one for each joint, with torque and motor position behind the gear, of one log, or those of several;
+            to show a spring the motion must excite its mode, as a multisine on top of it does.
+        filtering: of positions and torques; the torques' cut-off above the modes, the positions' five times that.
+        settings: of the method.
+        known: values and bounds to keep, by name; see `apply_constraints`.
+        progress: receives the steps.
+
+    Raises:
+        RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: as of `search_robot`, or one of several logs begins in motion.
+    """
+    robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
+    settings, known, stiff = settings or DriveSideFit(), known or {}, robot.rigid
+    frequencies, evaluations, offsets = settings.frequencies or None, settings.evaluations, settings.offsets
+    stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
+    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
+    problem = motion_problem(robot, records, parameters, filtering, settings.log_delay, stated=stated)
+    require_springs(robot, frequencies, problem.sample_time)
+    of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)
+    # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
+    # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
+    slow = motion_problem(stiff, records, of_stiff, SLOW).map_logs(
+        lambda log: log.with_rows(np.ones_like(log.motion.moving))
+    )
+    rigid = Descents(evaluations, progress).settle(slow, np.zeros(len(slow.free)))
+    found = search_springs(problem, robot, rigid, frequencies, evaluations, progress)
+    if any(one.shown for one in found.springs) or problem.roughly() is problem:
+        return found
+    progress("no spring is seen by the beginning of the record; searching along all of it")
+    whole = problem.map_logs(lambda log: replace(log, thorough=True))
+    return search_springs(whole, robot, rigid, frequencies, evaluations, progress)
+
+
 # The start of rigid joints
 
 
-def _start_rigid(problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
+def _start_rigid(problem: Simulated, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
     """Return the start of a search: the inverse model on the motion that the controllers saw.
 
     Where a controller cannot be turned round, the commanded motion is taken. A start of regular inertias is not tried:
     M(q) of one may not be positive definite in a pose.
     """
-    clock, failures = problem.experiment.clock, list[str]()
-    commanded = problem.experiment.references[clock.log_index // clock.lengths.size]
-    for name, read in (("inversion", _reconstruct), ("reference", lambda *_: (problem.measured, commanded))):
+    log, failures = problem.log, list[str]()
+    clock = log.experiment.clock
+    commanded = log.experiment.references[clock.log_index // clock.lengths.size]
+    for name, read in (("inversion", _reconstruct), ("reference", lambda *_: (log.measured, commanded))):
         try:
             x = _regress(problem, loop.robot, *read(problem, loop, records, commanded))
         except MethodError as error:
             failures.append(str(error))
             continue
-        outcome = problem.run(x, keep=False).outcome
+        outcome = log.run(problem.parameters.numbers(problem.parameters.values(x)), keep=False).outcome
         if outcome is Outcome.FINISHED:
             return x
         failures.append(f"at the {name} start {outcome.value}.")
@@ -184,12 +231,13 @@ def _start_rigid(problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[R
 
 
 def _reconstruct(
-    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record], commanded: FloatArray
+    problem: Simulated, loop: RobotLoop, records: Sequence[Record], commanded: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
-    torques, positions = problem.measured.copy(), commanded.copy()
+    log, positions = problem.log, commanded.copy()
+    torques = log.measured.copy()
     for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
-        if problem.experiment.axes[j].clock.shows > 1:  # the log shows each output of this slow controller many times
+        if log.experiment.axes[j].clock.shows > 1:  # the log shows each output of this slow controller many times
             continue
         joint = RigidJoint(link.kind)
         alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
@@ -198,12 +246,12 @@ def _reconstruct(
     return torques, positions
 
 
-def _regress(problem: RobotLoopProblem, robot: Robot, torques: FloatArray, positions: FloatArray) -> FloatArray:
+def _regress(problem: Simulated, robot: Robot, torques: FloatArray, positions: FloatArray) -> FloatArray:
     """Return the inverse model's weighted estimate on a motion, within bounds."""
     parameters, borders = problem.parameters, _BORDERS if len(torques) > _SHORT else 0
     held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
     filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
-    delays = [one.law.delay for one in problem.experiment.axes]
+    delays = [one.law.delay for one in problem.log.experiment.axes]
     motion, joints = motion_along(held, positions, filtering, delays), np.linalg.inv(robot.coupling).T
     motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
     rows = inverse_of_robot(robot, parameters).rows([motion])
@@ -244,7 +292,7 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None, sampl
 
 
 def search_springs(
-    problem: RobotProblem[Any],
+    problem: Simulated,
     robot: Robot,
     rigid: RobotFit,
     frequencies: Mapping[str, float] | None,
@@ -264,20 +312,20 @@ def search_springs(
     Raises:
         MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
     """
-    error = problem.error(rigid.run)
+    error = problem.error(rigid.runs)
     problem = problem.reweight(error, rigid.values.size)
     start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
     hertz = frequencies or start.search(progress)
     problem = bound_springs(problem, start)
     rough = problem.roughly()
-    error = rough.error(rough.simulate(rigid.run.numbers))
+    error = rough.error(rough.simulate(rigid.numbers))
     without = float(np.linalg.norm(error * rough.weights(error.size)))
     descents = Descents(evaluations, progress)
     end = descents.begin(rough, start, hertz, without)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError(
-            f"The robot cannot be simulated where its search begins: {rough.run(end.solution.x).outcome.value}. Give "
-            "other frequencies, or a record in which all joints move more."
+            f"The robot cannot be simulated where its search begins: {outcome_of(rough.run(end.solution.x)).value}. "
+            "Give other frequencies, or a record in which all joints move more."
         )
     stiff = not end.solution.converged and end.norm > without
     if stiff:
@@ -286,10 +334,10 @@ def search_springs(
 
     if not end.may_show or (stiff and end.norm > without):
         with suppress(MethodError):
-            seen = end.of(problem).fit(descents.made)
+            seen = end.of(problem).fit(descents.tally.evaluations)
             return replace(seen, springs=tuple(one.refused for one in _judge_springs(seen, robot)))
-    fit = descents.finish(problem, end).fit(descents.made)
-    before, after = (problem.norms(problem.error(one.run)) for one in (rigid, fit))
+    fit = descents.refine(problem, end).fit(descents.tally.evaluations)
+    before, after = (problem.norms(problem.error(one.runs)) for one in (rigid, fit))
     if np.all(after >= before):
         raise MethodError(
             "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
@@ -320,7 +368,7 @@ def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
 def _search_laws(
     robot: Robot,
     linear: RobotFit,
-    pose: Callable[[Robot], RobotProblem[Any]],
+    pose: Callable[[Robot], Simulated],
     known: Mapping[str, Parameter],
     evaluations: int,
     progress: Progress,
@@ -341,13 +389,13 @@ def _search_laws(
     Raises:
         MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
     """
-    descents, best, sigma = Descents(evaluations, progress), None, linear.sigma
-    values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.run.numbers
+    descents, best, sigma = Descents(evaluations, progress), None, linear.problem.sigma
+    values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
     bounds = {p.name: p for p in linear.parameters.parameters}
     changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
     for i in (*([-1] if delays else []), *changed):  # the delays, then axis by axis
         laws = replace(robot, joints=(*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :])))
-        problem = _restore_bounds(pose(laws), bounds).with_sigma(sigma)
+        problem = replace(_restore_bounds(pose(laws), bounds), sigma=sigma)
         values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
         if i < 0:
             progress("looking for the delays of the torques")
@@ -361,14 +409,14 @@ def _search_laws(
         if not best.solution.jacobian.any():
             raise MethodError(
                 f"The robot cannot be simulated where the search of the {what} begins: "
-                f"{best.problem.run(best.solution.x).outcome.value}. Declare simpler laws, or state starts of their "
-                "parameters."
+                f"{outcome_of(best.problem.run(best.solution.x)).value}. Declare simpler laws, or state starts of "
+                "their parameters."
             )
         found = problem.parameters.values(best.solution.x)
         values, numbers = dict(zip(problem.parameters.names, found, strict=True)), problem.parameters.numbers(found)
         sigma = best.reweight().sigma
     assert best is not None
-    return descents.finish(problem, best).fit(descents.made)
+    return descents.refine(problem, best).fit(descents.tally.evaluations)
 
 
 def _starts_of(
@@ -381,7 +429,7 @@ def _starts_of(
     return [{name_in_robot(joint.name, name): x for name, x in start.items()} for start in starts]
 
 
-def _restore_bounds(problem: RobotProblem[Any], bounds: Mapping[str, Parameter]) -> RobotProblem[Any]:
+def _restore_bounds(problem: Simulated, bounds: Mapping[str, Parameter]) -> Simulated:
     """Return the problem with the bounds that the search with linear laws had."""
     parameters = tuple(
         replace(p, lower=bounds[p.name].lower, upper=bounds[p.name].upper) if p.name in bounds else p
@@ -392,15 +440,14 @@ def _restore_bounds(problem: RobotProblem[Any], bounds: Mapping[str, Parameter])
 
 def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
     """Return the simulated motion of one axis."""
-    run = fit.run.each[0] if isinstance(fit.run, RobotRuns) else fit.run
-    assert isinstance(run, Run)
+    run = fit.runs[0]
     clock, rotor = run.experiment.clock, int(run.numbers.rotors[joint])
     seen = motion_at(run, clock.log_index)
     motor, link = ((seen.position[:, row], seen.velocity[:, row]) for row in (rotor, joint))
     return JointMotion(clock.sample_time * clock.samples, motor, link if rotor != joint else None)
 
 
-def _descend(descents: Descents, problem: RobotProblem[Any], values: Mapping[str, float]) -> End:
+def _descend(descents: Descents, problem: Simulated, values: Mapping[str, float]) -> End:
     """Descend close to the minimum that a start leads to."""
     parameters = problem.parameters
     begin = np.array([values[name] for name in parameters.names])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,18 +13,17 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import join
-from jointid.estimation.descent import ROUGH
+from jointid.estimation.descent import ROUGH, History
 from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
+from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of
 from jointid.estimation.result.robot import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
-from jointid.estimation.robots.problem import AnyRun, RobotProblem, RobotRuns
 from jointid.models.robots.robot import Robot
-from jointid.simulation.drive_side import DriveSideRun
-from jointid.simulation.robot_numbers import robot_with
-from jointid.simulation.simulate import Outcome, Run
+from jointid.simulation.robot_numbers import RobotNumbers, robot_with
+from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
-from jointid.solvers.solve import Counted, Solution, Step, solve
+from jointid.solvers.solve import Solution
 from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
 
@@ -56,33 +55,55 @@ class RobotFit:
     """The fit of a robot to the records of its joints.
 
     Attributes:
-        parameters: what they are. values: (parameters,) of them. covariance: of their errors.
-        sigma: (n,) sizes of the joints' filtered errors, N m or N.
+        problem: that was solved, weighted by the joints' filtered errors.
+        x: (free,) what is searched, at the end.
+        runs: there.
+        slopes: (rows, free) of their filtered torques by what is searched, not weighted.
+        covariance: of the errors of `values`.
         relative_error: (n,) of the filtered torques, a share each.
-        iterations: that were made. converged: whether they settled.
-        run: at the values. slopes: (rows, free) of its filtered torques by what is searched, not weighted.
+        iterations: that were made.
+        converged: whether they settled.
         springs: a verdict for each flexible joint; of one that is refused, and of its joint's two sides, no interval is
             to be believed.
-        information: (parameters, parameters) triangle R, of which ``R' R`` is the information on what is searched, for
-            white errors. Beside it the covariance has lost what is known of the sum of two that are not known.
     """
 
-    parameters: RobotParameters
-    values: FloatArray
+    problem: Simulated
+    x: FloatArray
+    runs: Runs
+    slopes: FloatArray
     covariance: Covariance
-    sigma: FloatArray
     relative_error: FloatArray
     iterations: int
     converged: bool
-    run: Run | DriveSideRun | RobotRuns
-    slopes: FloatArray
-    information: FloatArray
     springs: tuple[SpringVerdict, ...] = ()
+
+    @property
+    def parameters(self) -> RobotParameters:
+        """What was identified."""
+        return self.problem.parameters
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return self.parameters.names
+
+    @property
+    def values(self) -> FloatArray:
+        """The parameters, (parameters,)."""
+        return self.parameters.values(self.x)
+
+    @property
+    def numbers(self) -> RobotNumbers:
+        """Numbers of the robot that was found."""
+        return self.parameters.numbers(self.values)
+
+    @property
+    def information(self) -> FloatArray:
+        """Triangle R, (free, free), of which ``R' R`` is the information on what is searched, for white errors.
+
+        Beside it the covariance has lost what is known of the sum of two that are not known.
+        """
+        return triangle(self.slopes * self.problem.weights(len(self.slopes))[:, np.newaxis])
 
     def robot(self, robot: Robot) -> Robot:
         """Return a robot with what was found: the same torques, but grouped numbers stand in the one that is kept.
@@ -95,7 +116,7 @@ class RobotFit:
         Raises:
             MethodError: a rotor's inertia, with what is grouped with it, was found negative.
         """
-        return robot_with(robot, self.run.numbers)
+        return robot_with(robot, self.numbers)
 
     def value(self, name: str) -> tuple[float, float]:
         """Return a parameter and its standard deviation."""
@@ -103,67 +124,40 @@ class RobotFit:
         return float(self.values[at]), float(self.covariance.std[at])
 
 
-def conclude(
-    problem: RobotProblem[AnyRun], x: FloatArray, run: AnyRun, J: FloatArray, made: int, settled: bool
-) -> RobotFit:
+def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made: int, settled: bool) -> RobotFit:
     """Return the fit at an end, with the slopes J, (rows, free), not weighted.
 
     Raises:
-        MethodError: a friction that grows with the torque is not told from others; see `find_separable`.
+        MethodError: the robot cannot be simulated there, or a friction that grows with the torque is not told from
+            others; see `find_separable`.
     """
-    apart = zip(problem.parameters.names, find_separable(J), strict=True)
-    together = [name for name, separable in apart if not separable]
+    if (outcome := outcome_of(runs)) is not Outcome.FINISHED:
+        raise MethodError(
+            f"The search led to where the robot cannot be simulated: {outcome.value}. Record a livelier motion, "
+            "name a livelier log first, leave out springs of stiff joints, or declare simpler laws."
+        )
+    names, scales = problem.parameters.names, problem.parameters.scales(x)
+    together = [name for name, separable in zip(names, find_separable(J), strict=True) if not separable]
     if any(name.endswith("friction_per_torque") for name in together):
         raise MethodError(
             f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "
             "all. Identify records with other known loads in one fit, or brake harder."
         )
-    error = problem.error(run)
+    error = problem.error(runs)
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
-    slopes = J * weights[:, np.newaxis]
-    influence = Influence(slopes, error * weights, equations=problem.sigma.size)
+    influence = Influence(J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size)
     covariance = influence.robust()
     if problem.motion_measured:
         covariance = influence.widen_for_motion(covariance)
-    names, std = problem.parameters.names, covariance.std
-    if untold := [n for n, s in zip(names, std, strict=True) if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:
+    known = zip(names, covariance.std, strict=True)
+    if untold := [n for n, s in known if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:
         raise MethodError(
             f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
             "Move faster, record longer, or state the delay in [controller] and do not free it."
         )
-    of_values = np.where(problem.parameters.logarithmic, problem.parameters.values(x), 1.0)
-    return RobotFit(
-        problem.parameters,
-        problem.parameters.values(x),
-        replace(covariance, std=covariance.std * of_values),
-        problem.sigma,
-        problem.norms(error) / problem.sizes,
-        made,
-        settled,
-        run,
-        J,
-        triangle(slopes),
-    )
-
-
-def require_finished(run: Run | DriveSideRun | RobotRuns) -> None:
-    """Refuse a fit where the robot cannot be simulated."""
-    if run.outcome is not Outcome.FINISHED:
-        raise MethodError(
-            f"The search led to where the robot cannot be simulated: {run.outcome.value}. Record a livelier motion, "
-            "name a livelier log first, leave out springs of stiff joints, or declare simpler laws."
-        )
-
-
-def _halve(problem: RobotProblem[AnyRun], x: FloatArray, step: FloatArray, run: AnyRun) -> tuple[FloatArray, AnyRun]:
-    """Return the end of a step, halved until it can be simulated."""
-    for _ in range(_HALVINGS):
-        found = problem.run(x + step)
-        if found.outcome is Outcome.FINISHED:
-            return x + step, found
-        step = 0.5 * step
-    return x, run
+    covariance, left = replace(covariance, std=covariance.std * scales), problem.norms(error) / problem.sizes
+    return RobotFit(problem, x, runs, J, covariance, left, made, settled)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,22 +172,22 @@ class End:
             so.
     """
 
-    problem: RobotProblem[Any]
+    problem: Simulated
     solution: Solution
     reach: FloatArray
     finer: bool = False
 
-    def of(self, problem: RobotProblem[Any]) -> End:
+    def of(self, problem: Simulated) -> End:
         """Return the end as one of a problem that is simulated finer."""
         finer = problem.roughly() is not problem
-        return replace(self, problem=problem.with_sigma(self.problem.sigma), finer=finer)
+        return replace(self, problem=replace(problem, sigma=self.problem.sigma), finer=finer)
 
     def linearise(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
         weights = self.problem.weights(self.solution.residual.size)
         return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
 
-    def reweight(self) -> RobotProblem[Any]:
+    def reweight(self) -> Simulated:
         """Return the problem with the sizes of the errors that are left."""
         error, slopes = self.linearise()
         return self.problem.reweight(error, slopes.shape[1])
@@ -225,16 +219,13 @@ class End:
         """Return the fit after so many evaluations.
 
         Raises:
-            MethodError: the robot cannot be simulated there.
+            MethodError: see `conclude`.
         """
         x = self.solution.x
-        run = self.problem.run(x)
-        require_finished(run)
-        J = -self.linearise()[1]
-        return conclude(self.problem, x, run, J, made, self.solution.converged)
+        return conclude(self.problem, x, self.problem.run(x), -self.linearise()[1], made, self.solution.converged)
 
 
-class Descents:
+class Descents(History):
     """Descents to the least weighted torque error, with the evaluations of all counted.
 
     Args:
@@ -243,11 +234,10 @@ class Descents:
     """
 
     def __init__(self, evaluations: int, progress: Progress) -> None:
-        self.evaluations, self.progress, self.made = evaluations, progress, 0
+        super().__init__(progress)
+        self.evaluations = evaluations
 
-    def begin(
-        self, problem: RobotProblem[Any], start: StartOfSprings, hertz: Mapping[str, float], without: float
-    ) -> End:
+    def begin(self, problem: Simulated, start: StartOfSprings, hertz: Mapping[str, float], without: float) -> End:
         """Descend from these frequencies, Hz, and from others if that fails; return the best end.
 
         A descent fails if it creeps or leaves much of a joint's torque unexplained. Others are not tried if it leaves
@@ -268,50 +258,46 @@ class Descents:
             best = self.from_start(problem, start, chosen)
         return best
 
-    def settle(self, problem: RobotProblem[Any], x: FloatArray) -> RobotFit:
+    def settle(self, problem: Simulated, x: FloatArray) -> RobotFit:
         """Take Gauss-Newton steps from values of rigid joints until they settle, each joint by the size of its error.
 
         Raises:
             MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
         """
-        bounds, run, settled = Bounds.of(problem.free), problem.run(x), False
-        J = np.zeros((problem.filtered_torque.size, x.size))
+        bounds, runs, settled = Bounds.of(problem.free), problem.run(x), False
+        J, first = np.zeros((problem.filtered_torque.size, x.size)), True
         # What no position shows never settles: the integral takes whatever is added.
         told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
-        while run.outcome is Outcome.FINISHED and not settled and self.made < self.evaluations:
-            error, J = problem.error(run), problem.slopes(run, x)
-            self.made += 1
-            for _ in range(1 if self.made > 1 else _WEIGHED):
+        while outcome_of(runs) is Outcome.FINISHED and not settled and self.tally.evaluations < self.evaluations:
+            error, J = problem.error(runs), problem.slopes(runs, x)
+            self.tally.evaluations += 1
+            for _ in range(_WEIGHED if first else 1):
                 weights = problem.weights(error.size)
                 slopes = J * weights[:, np.newaxis]
                 step = damped_step(error * weights, -slopes, bounds.shift_to(x))
-                problem = problem.reweight(error - J @ step, x.size)
+                problem, first = problem.reweight(error - J @ step, x.size), False
             settled = float(np.sum((slopes @ np.where(told, step, 0.0)) ** 2)) <= _SETTLED
-            share = problem.norms(error) / problem.sizes
-            self.progress(Detail(f"{self.made}: torque error {100 * float(np.max(share)):.4f} % on the worst joint"))
-            x, run = _halve(problem, x, step, run)
-        require_finished(run)
-        return conclude(problem, x, run, J, self.made, settled)
+            share = float(np.max(problem.norms(error) / problem.sizes))
+            self.progress(Detail(f"{self.tally.evaluations}: torque error {100 * share:.4f} % on the worst joint"))
+            x, runs = _halve(problem, x, step, runs)
+        return conclude(problem, x, runs, J, self.tally.evaluations, settled)
 
     def from_start(
-        self, problem: RobotProblem[Any], start: StartOfSprings, values: FloatArray, evaluations: int = _FIRST
+        self, problem: Simulated, start: StartOfSprings, values: FloatArray, evaluations: int = _FIRST
     ) -> End:
         """Descend roughly from values of all parameters."""
         x = problem.parameters.to_search_variables(values)
-        return self._descend(Counted(problem), x, start.reach(values), _ROUGH, min(evaluations, self.evaluations))
+        return self._descend(problem, x, start.reach(values), _ROUGH, min(evaluations, self.evaluations))
 
-    def follow(self, problem: RobotProblem[Any], values: FloatArray, reach: FloatArray) -> End:
+    def follow(self, problem: Simulated, values: FloatArray, reach: FloatArray) -> End:
         """Descend from a start as the search of one joint's laws does, away from bounds, (parameters,) each.
 
         Where a bound takes the effect of other parameters away, as a slider without stiffness, steps of Levenberg and
         Marquardt would end there.
         """
-        x, counted = problem.parameters.to_search_variables(values), Counted(problem)
-        found = solve(counted, ROUGH, x, self._watch)
-        self.made += found.evaluations
-        return End(problem, found, reach)
+        return End(problem, self.report(problem, ROUGH, problem.parameters.to_search_variables(values)), reach)
 
-    def finish(self, problem: RobotProblem[Any], end: End) -> End:
+    def refine(self, problem: Simulated, end: End) -> End:
         """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
         end = self.from_end(end.reweight(), end, _CLOSE).of(problem)
         for _ in range(_TURNS):
@@ -322,24 +308,28 @@ class Descents:
                 break
         return end
 
-    def from_end(self, problem: RobotProblem[Any], end: End, aim: tuple[float, float]) -> End:
+    def from_end(self, problem: Simulated, end: End, aim: tuple[float, float]) -> End:
         """Descend from where another descent ended, with other weights."""
-        counted, x = Counted(problem), end.solution.x
+        x = end.solution.x
         if not end.finer:
             error, slopes = end.linearise()
             weights = problem.weights(error.size)
-            counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
-        return self._descend(counted, x, end.reach, aim, self.evaluations)
+            self.count_evaluations(problem).remember(x, error * weights, slopes * weights[:, np.newaxis])
+        return self._descend(problem, x, end.reach, aim, self.evaluations)
 
     def _descend(
-        self, counted: Counted, x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
+        self, problem: Simulated, x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
     ) -> End:
-        problem = counted.problem
-        assert isinstance(problem, RobotProblem)
         (tolerance, worth), exact = aim, problem.floor / float(np.max(problem.sigma))
-        found = solve(counted, LevenbergMarquardt(tolerance, evaluations, reach, worth, exact), x, self._watch)
-        self.made += found.evaluations
-        return End(problem, found, reach)
+        solver = LevenbergMarquardt(tolerance, evaluations, reach, worth, exact)
+        return End(problem, self.report(problem, solver, x), reach)
 
-    def _watch(self, step: Step) -> None:
-        self.progress(Detail(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}"))
+
+def _halve(problem: Simulated, x: FloatArray, step: FloatArray, runs: Runs) -> tuple[FloatArray, Runs]:
+    """Return the end of a step, halved until it can be simulated."""
+    for _ in range(_HALVINGS):
+        found = problem.run(x + step)
+        if outcome_of(found) is Outcome.FINISHED:
+            return x + step, found
+        step = 0.5 * step
+    return x, runs

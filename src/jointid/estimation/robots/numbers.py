@@ -180,6 +180,10 @@ class RobotParameters:
         """Return the parameters from what is searched, (parameters,)."""
         return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, x, 0.0)), x)
 
+    def scales(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives of the parameters by what is searched, (parameters,)."""
+        return np.where(self.logarithmic, self.values(x), 1.0)
+
     def to_search_variables(self, values: FloatArray) -> FloatArray:
         """Convert parameters, (parameters,), to search variables."""
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
@@ -187,6 +191,22 @@ class RobotParameters:
     def numbers(self, values: FloatArray) -> RobotNumbers:
         """Return the candidate with these parameters."""
         return with_values(self.base, self.places, values)
+
+    def select(self, kept: Sequence[int]) -> RobotParameters:
+        """Return some of the parameters."""
+        kept = list(kept)
+        return replace(
+            self,
+            parameters=tuple(self.parameters[i] for i in kept),
+            places=tuple(self.places[i] for i in kept),
+            logarithmic=self.logarithmic[kept],
+            grouping=self.grouping[kept],
+        )
+
+    def first_state(self, numbers: RobotNumbers) -> RobotParameters:
+        """Return those of the links' first state alone, of a robot with these numbers."""
+        own = [i for i, place in enumerate(self.places) if place.of is NumberOf.BESIDE]
+        return replace(self.select(own), base=numbers)
 
 
 def robot_parameters(
@@ -327,11 +347,8 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
             continue
         kept.append(i)
         bounded.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
-    return replace(
-        parameters, parameters=tuple(bounded), places=tuple(parameters.places[i] for i in kept),
-        logarithmic=parameters.logarithmic[kept], base=base, grouping=parameters.grouping[kept], kept=tuple(places),
-        fixed=tuple(fixed),
-    )  # fmt: skip
+    found = replace(parameters.select(kept), parameters=tuple(bounded), base=base)
+    return replace(found, kept=tuple(places), fixed=tuple(fixed))
 
 
 def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:

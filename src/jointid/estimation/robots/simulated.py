@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import numpy as np
 
@@ -20,12 +19,12 @@ from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import position_rms
+from jointid.estimation.problems.simulated import Simulated, SolvedRobot, loop_problem, motion_problem
 from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.robot import SpringVerdict, Sums
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
+from jointid.estimation.robots.didim import search_drive_side, search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import (
     RobotParameters,
@@ -35,7 +34,6 @@ from jointid.estimation.robots.numbers import (
     standard_index,
     with_delays,
 )
-from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, SolvedRobot, add_problems, robot_problem
 from jointid.estimation.robots.regression import Records, each_log
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import UNITS
@@ -45,7 +43,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
-from jointid.simulation.simulate import Outcome, Run, motion_at
+from jointid.simulation.simulate import Outcome, motion_at
 from jointid.uncertainty.covariance import Covariance
 
 _TWO = 2.0  # standard deviations
@@ -213,25 +211,22 @@ def identify_simulated_robot(
         progress: receives the steps.
 
     Raises:
-        RecordError, MethodError: see `search_robot`, `identify_flexible_drive_side`.
+        RecordError, MethodError: see `search_robot`, `search_drive_side`.
     """
     if isinstance(model, RobotDriveSide):
         side = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
-        fit = identify_flexible_drive_side(
-            model.robot, records, filtering, frequencies=side.frequencies or None, offsets=side.offsets,
-            evaluations=side.evaluations, delay=side.log_delay, known=known, progress=progress,
-        )  # fmt: skip
+        fit = search_drive_side(model.robot, records, filtering, side, known=known, progress=progress)
+        parameters = fit.parameters
         method = "drive_side", "drive side of a robot, from motor torques and motor positions"
     else:
         didim = settings if isinstance(settings, DIDIM) else DIDIM()
         fit = search_robot(model, records, filtering, didim, known=known, progress=progress)
-        fit = replace(fit, parameters=begin_delays(fit.parameters, model))
-        model = at_estimate(model, fit.parameters, fit.values)
+        parameters = begin_delays(fit.parameters, model)
+        model = at_estimate(model, parameters, fit.values)
         computed = any(record.computed for log in each_log(records) for record in log)
         method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
-    robot, parameters = model.robot, fit.parameters
-    logs, free = each_log(records), robot_parameters(robot)
-    problem = add_problems([problem_of(model, log, free, filtering) for log in logs])
+    robot, logs = model.robot, each_log(records)
+    problem = problem_of(model, records, robot_parameters(robot), filtering)
     nominal = nominal_numbers(robot, parameters.numbers(fit.values))
     part = IdentifiedRobot(
         setup=model,
@@ -254,7 +249,7 @@ def identify_simulated_robot(
         part,
         table_of_robot(part, parameters, _held_by_bounds(fit)),
         fit.relative_error,
-        (problem.measured, problem.predict(fit.run)),
+        (problem.measured, problem.predict(fit.runs)),
         (method[0], f"{method[1]}, {kind}"),
         problem.filtering,
         problem.filtered_torque.size,
@@ -264,13 +259,11 @@ def identify_simulated_robot(
     )
     if len(logs) > 1:
         return result
-    run = cast("Run", fit.run)
+    (run,) = fit.runs
     result = replace(result, solved=SolvedRobot(replace(problem, parameters=parameters), run, fit.slopes))
     if method[0] != "didim":
         return result
-    own = cast("Any", problem)
-    rotors, instants = parameters.numbers(fit.values).rotors, own.experiment.clock.log_index
-    simulated = motion_at(run, instants).position[:, rotors]
+    simulated = motion_at(run, problem.log.experiment.clock.log_index).position[:, run.numbers.rotors]
     return replace(result, fit=replace(result.fit, position_rms=position_rms(robot.names, logs[0], simulated)))
 
 
@@ -360,18 +353,18 @@ def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Fil
         RecordError, MethodError: as of the identification; or the robot cannot be simulated.
     """
     found = problem_of(part.setup, records, part.parameters, filtering)
-    problem: RobotProblem[Any] = replace(found, parameters=part.parameters)  # with those of the record
+    problem = replace(found, parameters=part.parameters)  # with those of the record
     x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
-    run = problem.run(x)
+    (run,) = runs = problem.run(x)
     if run.outcome is not Outcome.FINISHED:
         raise MethodError(
             f"The identified robot cannot be simulated along the record: {run.outcome.value}; give the record that it "
             "was identified from."
         )
-    return SolvedRobot(problem, run, problem.slopes(run, x))
+    return SolvedRobot(problem, run, problem.slopes(runs, x))
 
 
-def errors_of(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:
+def errors_of(problem: Simulated, numbers: RobotNumbers) -> FloatArray:
     """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
     error = problem.error_of(numbers)
     return np.full(problem.sigma.size, np.inf) if error is None else problem.norms(error) / problem.sizes
@@ -379,11 +372,11 @@ def errors_of(problem: RobotProblem[Any], numbers: RobotNumbers) -> FloatArray:
 
 def problem_of(
     setup: Robot | RobotLoop | RobotDriveSide,
-    records: Sequence[Record],
+    records: Records,
     parameters: RobotParameters,
     filtering: Filtering | None = None,
-) -> RobotLoopProblem | RobotDriveSideProblem:
+) -> Simulated:
     """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
     if isinstance(setup, RobotLoop):
-        return robot_problem(setup, records, parameters, filtering)
-    return drive_side_problem(setup if isinstance(setup, Robot) else setup.robot, records, parameters, filtering)
+        return loop_problem(setup, records, parameters, filtering)
+    return motion_problem(setup if isinstance(setup, Robot) else setup.robot, records, parameters, filtering)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +17,9 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.problems.simulated import Simulated, outcome_of
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
-from jointid.estimation.robots.problem import RobotProblem
 from jointid.models.joints import spring_at
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.simulate import Outcome
@@ -51,14 +50,14 @@ class StartOfSprings:
         rotors, links: (n,) inertias of the rotors, and of the links about the joints.
     """
 
-    problem: RobotProblem[Any]
+    problem: Simulated
     names: tuple[str, ...]
     split: FloatArray
     rotors: FloatArray
     links: FloatArray
 
     @classmethod
-    def of(cls, problem: RobotProblem[Any], rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
+    def of(cls, problem: Simulated, rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
         """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
 
         Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
@@ -67,7 +66,7 @@ class StartOfSprings:
         """
         numbers = problem.parameters.base
         whole = rigid.parameters.numbers(rigid.values)
-        poses = problem.poses
+        poses = np.vstack([log.poses for log in problem.logs])
         masses = np.array([_mass_matrix(problem, whole, pose) for pose in poses[:: max(len(poses) // _POSES, 1)]])
         if not np.min(np.linalg.eigvalsh(masses)) > 0.0:
             raise MethodError(
@@ -86,8 +85,7 @@ class StartOfSprings:
             values, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
             start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about))
             stiff = problem.parameters.to_search_variables(start.all_at(start.stiff))
-            run = problem.run(stiff, keep=False)
-            return start, run.outcome is Outcome.FINISHED
+            return start, outcome_of(problem.run(stiff, keep=False)) is Outcome.FINISHED
 
         for first in range(0, len(_SPREADS), threads()):
             for start, runs in in_threads(split, _SPREADS[first : first + threads()]):
@@ -155,13 +153,13 @@ def frequency_row(sample_time: float) -> list[float]:
     return row
 
 
-def _mass_matrix(problem: RobotProblem[Any], numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
+def _mass_matrix(problem: Simulated, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
     """Return that of a robot of rigid joints, rotors included, (n, n)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
     still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
     M = np.empty((pose.size, pose.size))
-    equations_of_motion(problem.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
+    equations_of_motion(problem.log.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
     return M + np.diag(numbers.masses[: pose.size, 0])
 
 
@@ -230,7 +228,7 @@ def _split(
     return values, rotors
 
 
-def bound_springs(problem: RobotProblem[Any], start: StartOfSprings) -> RobotProblem[Any]:
+def bound_springs(problem: Simulated, start: StartOfSprings) -> Simulated:
     """Return the problem with bounds on each spring."""
     lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
 

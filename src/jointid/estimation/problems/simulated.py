@@ -1,0 +1,576 @@
+"""Simulated robots: parameters in, the filtered errors of all motors' torques and their derivatives out.
+
+What moves the motors in a simulation is a log's: controllers that follow its references (`LoopLog`), or the motion that
+its motors made (`MotionLog`). There the links are simulated on their springs, and the torques that this takes compared
+with those that were logged (`simulation.drive_side`), through one window and one filter. The positions' own filter goes
+over the torques and over the direction of friction, too: of random robots, logged at 500 Hz, it left twice the noise
+otherwise. Where a motor rests or turns round its row is left out, as in IDIM. Noise of the positions is not modelled:
+what the filter leaves of it pulls the values, as in IDIM by least squares.
+
+Several logs share the parameters. The rows of a joint are those of all logs, so that each joint has one size of its
+error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parallel import in_threads, threads
+from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.problems.base import FAILED, LOG_DELAY
+from jointid.estimation.problems.base import log_delay as delay_of_log
+from jointid.estimation.problems.inverse_model import MeasuredMotion, join_rows, moving_weights
+from jointid.estimation.robots.numbers import RobotParameters
+from jointid.estimation.robots.regression import (
+    Records,
+    each_log,
+    motion_of_robot,
+    require_one_log,
+    require_torques,
+)
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.robots.names import symbol_of
+from jointid.models.robots.robot import Robot, Tree
+from jointid.records.record import Record
+from jointid.records.signals.filtering import (
+    Filtering,
+    decimate_all,
+    drop_ends,
+    lowpass,
+    noise_limit_of_computed,
+    window_parts,
+)
+from jointid.simulation.controller_torque import SeenPosition, seen_position
+from jointid.simulation.derivatives import differentiate
+from jointid.simulation.drive_side import (
+    PARTS_OF_ROBOT,
+    DriveSideRun,
+    PrescribedMotion,
+    differentiate_drive_side,
+    moves_links,
+    prescribe,
+    run_drive_side,
+)
+from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
+from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
+from jointid.simulation.start import Keys, Numbers
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import solve
+
+_FEWEST = 16  # parameters whose derivatives are worth a thread
+EXACT = 1e-6  # of the torques: an error that the simulation itself may have
+_MOVES = 0.05  # of the samples: a motor that moves less determines nothing
+_STILL = 20  # samples in a row, from the first on: a motor that rests there
+_SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
+_BEGINNING = 4.0  # s of a record, along which the search begins
+_SHORTER = 0.7  # of a record: a beginning that saves time
+_FIRST_STATE = LevenbergMarquardt(1e-6, 6)  # of the links at the first sample, on which torques depend nearly in a line
+_DELAY = NumberPlace(NumberOf.LOG, 0, 0)
+
+Runs: TypeAlias = tuple[Any, ...]
+"""Runs of one candidate along several logs, each a `Run` or a `DriveSideRun`."""
+
+
+def outcome_of(runs: Runs) -> Outcome:
+    """Return the outcome of the first unfinished run; FINISHED without any."""
+    return next((run.outcome for run in runs if run.outcome is not Outcome.FINISHED), Outcome.FINISHED)
+
+
+# What moves the motors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopLog:
+    """A log whose motors are moved by their controllers, which follow its references.
+
+    Attributes:
+        measured: (samples, n) torques.
+        filtering: resolved.
+        experiment: what the loops are driven with.
+        stride: rad of the fastest motion in one step of the integrator.
+        seen: of each joint, what takes a motor position to a torque that was computed; None where it was logged. The
+            derivatives are those of the controller's output, the same but for what a faster controller sees between.
+    """
+
+    measured: FloatArray
+    filtering: Filtering
+    experiment: LoopInput
+    stride: float = FINE
+    seen: tuple[SeenPosition | None, ...] = ()
+
+    @property
+    def tree(self) -> Tree | None:
+        """Of the links."""
+        return self.experiment.tree
+
+    @property
+    def sample_time(self) -> float:
+        """Of the log, s."""
+        return self.experiment.clock.sample_time
+
+    @property
+    def poses(self) -> FloatArray:
+        """Approximate positions of the shafts, (samples, n): the references."""
+        return self.experiment.references
+
+    def roughly(self) -> LoopLog:
+        """Return the log simulated in steps twice as long."""
+        return replace(self, stride=COARSE)
+
+    def run(self, numbers: Numbers, *, keep: bool = True) -> Run:
+        """Simulate a candidate."""
+        return run_loop(self.experiment, numbers, keep=keep or any(self.seen), stride=self.stride)
+
+    def predict(self, run: Run) -> FloatArray:
+        """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
+        torque = run.torque
+        if any(self.seen) and run.outcome is Outcome.FINISHED:
+            position = motion_at(run, run.experiment.clock.log_index).position[:, run.numbers.rotors]
+            for j, seen in enumerate(self.seen):
+                if seen is not None:
+                    torque[:, j] = seen.torque(position[:, j])[: len(torque)]
+        return torque
+
+    def slopes(self, run: Run, keys: Keys) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
+        return _in_blocks(lambda some: decimate_each(self, differentiate(run, some)[0]), keys)
+
+    def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
+        """Return columns of one joint, (samples, ...), filtered; without the ends if a torque is computed."""
+        del joint
+        rows = decimate_all([columns], self.filtering, self.sample_time)[0]
+        return drop_ends(rows, self.filtering, len(columns)) if any(self.seen) else rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionLog:
+    """A log whose motors move as they did.
+
+    Attributes:
+        measured: (samples, n) torques.
+        filtering: resolved.
+        motion: as it was measured.
+        prescribed: the motors' motion.
+        parts: of a sample, in which it is.
+        thorough: whether the start of a search takes the whole log, too.
+    """
+
+    measured: FloatArray
+    filtering: Filtering
+    motion: MeasuredMotion
+    prescribed: PrescribedMotion
+    parts: int = PARTS_OF_ROBOT
+    thorough: bool = False
+
+    @property
+    def tree(self) -> Tree | None:
+        """Of the links."""
+        return self.prescribed.tree
+
+    @property
+    def sample_time(self) -> float:
+        """Of the log, s."""
+        return self.motion.sample_time
+
+    @property
+    def poses(self) -> FloatArray:
+        """Positions of the shafts, (samples, n)."""
+        return self.prescribed.position[:: self.parts]
+
+    def roughly(self) -> MotionLog:
+        """Return the log's beginning, up to its share of each motor's acceleration, squared.
+
+        Less does to find springs: of six joints and 45 s at 1 kHz a search took seven times as long along the whole.
+        """
+        samples = len(self.motion.a)
+        least = math.ceil(_BEGINNING / self.sample_time)
+        if self.thorough or least >= samples:
+            return self
+        moved = np.cumsum(np.square(self.motion.a), axis=0)
+        size = max(least, 1 + int(np.max(np.argmax(moved >= least / samples * moved[-1], axis=0))))
+        if size > _SHORTER * samples:
+            return self
+        prescribed = self.prescribed.begin((size - 1) * self.parts)
+        return replace(
+            self, measured=self.measured[:size], motion=self.motion.begin(size), prescribed=prescribed, thorough=True
+        )
+
+    def with_rows(self, moving: FloatArray) -> MotionLog:
+        """Return the log with other samples that count, (samples, n) of 0 and 1."""
+        return replace(self, motion=replace(self.motion, moving=moving))
+
+    def run(self, numbers: Numbers, *, keep: bool = True) -> DriveSideRun:
+        """Simulate a candidate; its tape is kept anyway."""
+        del keep
+        return run_drive_side(self.prescribed, numbers)
+
+    def predict(self, run: DriveSideRun) -> FloatArray:
+        """Return the torque of a run as the log shows it, (samples, n)."""
+        return self._show(run, run.torque)
+
+    def slopes(self, run: DriveSideRun, keys: Keys) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
+        parts = run.columns(keys)
+
+        def of_joint(j: int) -> FloatArray:
+            own, columns = parts[j]
+            seen = self.decimate_joint(j, self._show(run, columns))
+            rows = np.zeros((len(seen), len(keys)))
+            rows[:, own] = seen
+            return rows
+
+        def moved_by(some: Keys) -> FloatArray:
+            moved = differentiate_drive_side(run, some)
+            return decimate_each(self, [self._show(run, moved[:, j]) for j in range(moved.shape[1])])
+
+        found = np.concatenate(in_threads(of_joint, range(len(parts))))
+        moving = [c for c, key in enumerate(keys) if moves_links(key, run.numbers)]
+        if moving:
+            found[:, moving] += _in_blocks(moved_by, [keys[c] for c in moving])
+        if self._delay in keys:
+            late = self._show(run, run.torque, 1) / self.sample_time
+            found[:, list(keys).index(self._delay)] = decimate_each(self, list(late.T))
+        return found
+
+    def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
+        """Return columns of one joint, (samples, ...), filtered, 0 at rest."""
+        rows = self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
+        return rows.reshape(-1, *columns.shape[1:])
+
+    @property
+    def _delay(self) -> Any:
+        """The parameter by which the log shows torques late."""
+        return LOG_DELAY.name if self.tree is None else _DELAY
+
+    def _show(self, run: DriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
+        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them."""
+        if self.tree is None:
+            late = run.numbers.values[LOG_DELAY.name]
+        else:
+            late = float(run.numbers.log[0, 0]) if run.numbers.log.size else 0.0
+        return window_parts(parts, self.parts, late / self.sample_time, order, curved=self.parts == 1)
+
+
+Log: TypeAlias = LoopLog | MotionLog
+
+
+def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
+    """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
+    return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
+
+
+def _in_blocks(of: Callable[[Any], FloatArray], keys: Keys) -> FloatArray:
+    """Return columns of parameters, (rows, keys), some at a time in threads."""
+    share = max(math.ceil(len(keys) / threads()), _FEWEST)
+    return np.column_stack(in_threads(of, [tuple(keys[i : i + share]) for i in range(0, len(keys), share)]))
+
+
+# The problem of all logs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """The torques of logs against a simulation of their robot.
+
+    Rows are those of one joint after the other, which share their instants, each divided by the joint's `sigma`.
+
+    Attributes:
+        logs: each simulated by itself.
+        parameters: what is identified.
+        sigma: (n,) of the joints' errors, by which they are weighted.
+    """
+
+    logs: tuple[Log, ...]
+    parameters: RobotParameters
+    sigma: FloatArray
+
+    @classmethod
+    def of(cls, logs: Sequence[Log], parameters: RobotParameters) -> Simulated:
+        """Return the problem of logs, each joint by the size of its torque."""
+        return cls(tuple(logs), parameters, np.std(np.vstack([log.measured for log in logs]), axis=0) + 1e-300)
+
+    @property
+    def log(self) -> Any:
+        """The first log."""
+        return self.logs[0]
+
+    @property
+    def measured(self) -> FloatArray:
+        """Torques of all logs, one after the other, (samples, n)."""
+        return np.vstack([log.measured for log in self.logs])
+
+    @property
+    def filtering(self) -> Filtering:
+        """Of the first log, resolved."""
+        return self.logs[0].filtering
+
+    @property
+    def sample_time(self) -> float:
+        """Of the first log, s."""
+        return self.logs[0].sample_time
+
+    @property
+    def motion_measured(self) -> bool:
+        """True if the motors move as measured; a force in the loop then biases least squares."""
+        return isinstance(self.logs[0], MotionLog)
+
+    @property
+    def integrates(self) -> bool:
+        """True if torques are computed under an integral, whose content hides a constant torque."""
+        seen = (one for log in self.logs if isinstance(log, LoopLog) for one in log.seen)
+        return any(one is not None and one.axis.law.integrates for one in seen)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters, with bounds of what is searched."""
+        return self.parameters.parameters
+
+    def map_logs(self, change: Callable[[Any], Log]) -> Simulated:
+        """Return the problem of changed logs; itself where none changes."""
+        logs = tuple(map(change, self.logs))
+        return replace(self, logs=logs) if any(a is not b for a, b in zip(logs, self.logs, strict=True)) else self
+
+    def roughly(self) -> Simulated:
+        """Return the problem in longer steps, or of the logs' beginnings, for the start of a search."""
+        return self.map_logs(lambda log: log.roughly())
+
+    def reweight(self, left: FloatArray, count: int) -> Simulated:
+        """Return the problem weighted by the residual, (rows,), of a fit of `count` parameters."""
+        rows = self.by_joint(left)
+        degrees = max(rows.size - count, 1) / rows.size
+        least = self.floor / math.sqrt(rows.shape[1])
+        return replace(self, sigma=np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
+
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Runs:
+        """Simulate a robot along all logs, and keep what its derivatives need."""
+        return tuple(log.run(numbers, keep=keep) for log in self.logs)
+
+    def run(self, x: FloatArray, *, keep: bool = True) -> Runs:
+        """Simulate a candidate."""
+        return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
+
+    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> Runs | None:
+        """Simulate a robot with these numbers; None if it cannot be simulated.
+
+        Where its links are at the first sample is of the record: it is fitted, of any robot alike.
+        """
+        numbers = replace(numbers, beside=self.parameters.base.beside)
+        runs, first = self.simulate(numbers, keep=keep), self.parameters.first_state(numbers)
+        if outcome_of(runs) is not Outcome.FINISHED:
+            return None
+        if not first.places:
+            return runs
+        beginning = replace(self, parameters=first)
+        return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(first.places))).x)
+
+    def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
+        """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
+        runs = self.run_of(numbers, keep=False)
+        return None if runs is None else self.error(runs)
+
+    def predict(self, runs: Runs) -> FloatArray:
+        """Return the torques of the runs as the logs show them, one after the other, (samples, n)."""
+        return np.vstack([log.predict(run) for log, run in zip(self.logs, runs, strict=True)])
+
+    def error(self, runs: Runs) -> FloatArray:
+        """Return the filtered error of the runs, measured less predicted, (rows,), not weighted."""
+        return self._join([log.measured - log.predict(run) for log, run in zip(self.logs, runs, strict=True)])
+
+    def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
+        """Return the derivatives of the runs' filtered torques by what is searched, (rows, free), not weighted."""
+        each = [log.slopes(run, self.parameters.places) for log, run in zip(self.logs, runs, strict=True)]
+        return np.asarray(join_rows(each, self.sigma.size) * self.parameters.scales(x))
+
+    def by_joint(self, rows: FloatArray) -> FloatArray:
+        """Return rows as (n, instants)."""
+        return rows.reshape(self.sigma.size, -1)
+
+    def norms(self, rows: FloatArray) -> FloatArray:
+        """Return the norms of the joints' rows, (n,)."""
+        return np.asarray(np.linalg.norm(self.by_joint(rows), axis=1))
+
+    @property
+    def filtered_torque(self) -> FloatArray:
+        """Measured torques, filtered, (rows,)."""
+        return self._join([log.measured for log in self.logs])
+
+    def _join(self, each: Sequence[FloatArray]) -> FloatArray:
+        """Return signals of each log, (samples, n), filtered, (rows,)."""
+        filtered = [decimate_each(log, list(one.T)) for log, one in zip(self.logs, each, strict=True)]
+        return join_rows(filtered, self.sigma.size)
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Norms of the joints' filtered torques, (n,)."""
+        return self.norms(self.filtered_torque)
+
+    @property
+    def size(self) -> float:
+        """Norm of the weighted torques."""
+        return float(np.linalg.norm(self.sizes / self.sigma))
+
+    @property
+    def floor(self) -> float:
+        """Norm of an error that the simulation itself may have: no joint's is taken for smaller."""
+        return EXACT * float(np.max(self.sizes))
+
+    def weights(self, rows: int) -> FloatArray:
+        """Return one over the size of each row's error, (rows,)."""
+        return np.repeat(1.0 / self.sigma, rows // self.sigma.size)
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
+        runs = self.run(x, keep=False)
+        error = self.error(runs) if outcome_of(runs) is Outcome.FINISHED else FAILED * self.filtered_torque
+        return np.asarray(error * self.weights(error.size))
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
+        runs = self.run(x)
+        if outcome_of(runs) is not Outcome.FINISHED:
+            error = FAILED * self.filtered_torque
+            return error * self.weights(error.size), np.zeros((error.size, x.size))
+        error = self.error(runs)
+        weights = self.weights(error.size)
+        return error * weights, -self.slopes(runs, x) * weights[:, np.newaxis]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedRobot:
+    """The problem of a robot's log with its run at the estimate.
+
+    Attributes:
+        problem: that was solved, or is evaluated anew.
+        run: of its log, at the estimate.
+        slopes: (rows, free) of its filtered torques by what is searched, not weighted.
+    """
+
+    problem: Simulated
+    run: Any
+    slopes: FloatArray
+
+
+def loop_problem(
+    loop: RobotLoop, records: Records, parameters: RobotParameters, filtering: Filtering | None = None
+) -> Simulated:
+    """Return the problem of reproducing the torques of a robot's records by simulating its loops.
+
+    Raises:
+        RecordError: a record lacks a channel that is needed.
+        MethodError: see `prepare`; or the filtering is impossible.
+    """
+    return Simulated.of([_loop_log(loop, log, filtering) for log in each_log(records)], parameters)
+
+
+def _loop_log(loop: RobotLoop, records: Sequence[Record], filtering: Filtering | None) -> LoopLog:
+    require_one_log(records)
+    for record in records:
+        record.require(("torque",), "DIDIM of a robot")
+    experiment = prepare(loop, records)
+    samples = experiment.clock.samples
+    measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
+    axes = zip(records, loop.robot.links, loop.controllers, strict=True)
+    seen = tuple(seen_position(record, ClosedLoop(RigidJoint(link.kind), law)) for record, link, law in axes)
+    for j, (one, record) in enumerate(zip(seen, records, strict=True)):
+        if one is not None and record.motor_position is not None:
+            measured[:, j] = one.torque(record.motor_position.values)[:samples]
+    require_torques(loop.robot, measured.T)
+    model = "flexible" if any(loop.robot.flexible) else "rigid"
+    sample_time = experiment.clock.sample_time
+    resolved = (filtering or Filtering()).resolve(sample_time, model, noise_limit_of_computed(records, sample_time))
+    return LoopLog(measured, resolved, experiment, seen=seen)
+
+
+def motion_problem(
+    robot: Robot,
+    records: Records,
+    parameters: RobotParameters,
+    filtering: Filtering | None = None,
+    delay: float | None = 0.0,
+    *,
+    stated: bool = True,
+) -> Simulated:
+    """Return the problem of reproducing the torques of a robot's records along its motors' motion.
+
+    Beside the robot's parameters two of the record are searched: by how much the log shows the torques late, one number
+    for all joints, which else would be taken for the springs' damping; and where motors move at the first sample the
+    links' position and velocity there, beside those of steady motion.
+
+    Args:
+        robot: that moves.
+        records: of each joint, with torque and motor position behind the gear, on one clock; of one log or several.
+        parameters: of the robot.
+        filtering: of positions and torques.
+        delay: s, by which the log shows the torques late; None to search it.
+        stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
+
+    Raises:
+        RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: a motor hardly moves, a torque is 0 throughout, the delay is none, the log's timing is not used, or
+            one of several logs begins in motion.
+    """
+    if filtering is not None and filtering.timing == "as_sampled":
+        raise MethodError(
+            'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
+        )
+    found = [_motion_log(robot, log, filtering or Filtering()) for log in each_log(records)]
+    flexible = np.array(robot.flexible)
+    for count, (_, resting) in enumerate(found if len(found) > 1 else (), start=1):
+        if moving := [robot.names[j] for j in np.flatnonzero(flexible & ~resting)]:
+            raise MethodError(
+                f"The motor of {', '.join(sorted(moving))} moves at the first sample of log {count}; expected that "
+                "each of several logs begins at rest: cut it by record.start, or identify it alone."
+            )
+    (first, resting), *_ = found
+    most = delay_of_log(None, first.sample_time).upper
+    if delay is not None and not abs(delay) <= most:
+        raise MethodError(
+            f"log_delay is {delay:g} s; expected at most {most:g} s either way, twenty samples: give it in s, or leave "
+            "it out to have it identified."
+        )
+    parameters = of_record(parameters, robot, resting, delay_of_log(delay, first.sample_time, stated=stated))
+    return Simulated.of([log for log, _ in found], parameters)
+
+
+def _motion_log(robot: Robot, records: Sequence[Record], filtering: Filtering) -> tuple[MotionLog, Bools]:
+    """Return a log along the motors' motion, and which motors rest at its first sample, (n,)."""
+    if records[-1].payload:
+        raise MethodError(
+            "A payload of a record is taken by IDIM and DIDIM; received one on the drive side: leave it out."
+        )
+    model = "flexible" if any(robot.flexible) else "rigid"
+    motion = motion_of_robot(robot, records, filtering, "The drive side of a robot", model, _SMEAR)
+    still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]
+    if still:
+        raise MethodError(
+            f"The motor of {', '.join(still)} rests, or turns round, nearly all the time; expected a motion of every "
+            "motor: move it, or leave its joint out of the model."
+        )
+    resting = np.array([moving_weights(each, _STILL, 0)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
+    prescribed = prescribe(motion.q @ robot.coupling.T, motion.sample_time, PARTS_OF_ROBOT, robot.tree, resting)
+    # What the filter takes from the motion it is to take from the torques, too, and from friction's own.
+    cutoff = motion.filtering.position_cutoff
+    assert cutoff is not None
+    motion = replace(motion, torque=lowpass(motion.torque, cutoff, motion.sample_time))
+    prescribed = replace(prescribed, direction=lowpass(prescribed.direction, cutoff, prescribed.step))
+    return MotionLog(motion.torque, motion.filtering, motion, prescribed), resting
+
+
+def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
+    """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
+    more = [(delay, _DELAY)] if delay.free else []
+    for j in np.flatnonzero(np.array(robot.flexible) & ~resting):
+        for column, (word, quantity) in enumerate((("position", Quantity.POSITION), ("velocity", Quantity.VELOCITY))):
+            own = f"initial_link_{word}"
+            parameter = Parameter(f"{robot.joints[j].name}.{own}", symbol_of(own, int(j)), quantity)
+            more.append((parameter, NumberPlace(NumberOf.BESIDE, int(j), column)))
+    base = replace(parameters.base, beside=np.zeros((len(robot), 2)), log=np.array([[delay.start]]))
+    return replace(parameters.add(*more), base=base)
