@@ -238,5 +238,4 @@ def _left(made: Drives, fit: RobotFit) -> float:
     noise = problem.by_joint(decimate_each(problem.log, list(made.noise[: len(problem.measured)].T)))
     found = problem.error_of(fit.numbers)
     assert found is not None
-    error = problem.by_joint(found)
-    return float(np.max(np.linalg.norm(error, axis=1) / np.linalg.norm(noise, axis=1)))
+    return float(np.max(problem.norms(found) / np.linalg.norm(noise, axis=1)))
