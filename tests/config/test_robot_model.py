@@ -127,6 +127,10 @@ def test_models_that_are_refused(text: str) -> None:
         (URDF.replace('type="continuous"', 'type="floating"'), "turn", 0),
         (URDF.replace('<parent link="base"/>', '<parent link="world"/>'), "", 0),
         (URDF.replace('friction="4"', 'friction="-4"'), "", 1),
+        (URDF.replace('izz="0.25"', 'izz="0.3000001"'), "", 0),  # a rounded plate
+        (URDF.replace('ixy="0" ixz="0" iyy="0.2" iyz="0"', 'iyy="0.2"'), "", 0),
+        (URDF.replace('<mass value="5"/>', ""), "", 1),
+        (mjcf("", '<default><joint damping="1"/></default><actuator><motor joint="j"/></actuator>'), "", 0),
     ],
 )
 def test_habits_of_public_models_are_read(text: str, locked: str, remarks: int) -> None:
@@ -149,6 +153,18 @@ def test_masses_that_no_body_has_are_unknown(old: str, new: str) -> None:
     robot, _ = read_robot(URDF.replace(old, new), "arm.urdf")
     assert len(robot.remarks) == 1 and robot.remarks[0].startswith("arm.urdf: link tool has")
     assert not np.any(robot.inertials[1]) and robot.inertials[0][0] == 2.0
+
+
+def test_a_finger_that_follows_another_is_locked_with_it() -> None:
+    finger = (
+        '<link name="tip"/><joint name="finger" type="continuous"><parent link="rod"/><child link="tip"/>'
+        '<mimic joint="lift"/></joint></robot>'
+    )
+    text = URDF.replace("</robot>", finger)
+    robot, _ = read_robot(text, locked={"lift": 0.02, "finger": 0.02})
+    assert robot.names == ("turn",) and robot.inertials[0, 0] == 7.0
+    with pytest.raises(JointFileError):
+        read_robot(text)
 
 
 def test_files_that_are_no_model(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from jointid.apps.cli.demo import FIRST_DAY
 from jointid.config import File, load
 from jointid.controller_id.learned_controller import LearnedController
 from jointid.output.report import tune_to_limit
-from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
+from jointid.paper.twin import TABLE_2, twin
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
 from tests.rigid_axis import JOINT, run, write_axis
@@ -49,19 +49,6 @@ def test_the_demo_writes_a_folder_to_play_with(demo: Path) -> None:
         assert abs(found["value"] - value) <= 3 * found["stderr"], name
     assert abs(answer["parameters"]["stiffness"]["value"] / 8e5 - 1) <= 0.01
     assert answer["data"]["channels"] == ["torque", "reference", "injected"]
-
-
-@pytest.mark.slow
-def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(tmp_path: Path, brief: Path) -> None:
-    out, picture = tmp_path / "tuning.json", tmp_path / "loop.png"
-    (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
-    words = ("--record", brief, "--no-notch", "--phase-margin", "50", "--json", out, "--figure", picture, "-q")
-    assert run("tune", tmp_path / "joint.toml", *words) == 0
-    answer = json.loads(out.read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.Tuned/2"
-    assert answer["notch"] is None
-    assert answer["proposed"]["worst"]["phase"] >= np.radians(49.7)
-    assert picture.stat().st_size > 10_000
 
 
 @pytest.mark.slow
@@ -152,28 +139,6 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> ji.controller.Cascade:
     return controller
 
 
-@pytest.mark.parametrize("place", [".", "learned/here", "../beside"])
-def test_a_learned_joint_file_finds_its_record_from_any_folder(
-    tmp_path: Path, learned: ji.controller.Cascade, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    home = tmp_path / "home"
-    home.mkdir()
-    columns = dict.fromkeys(("torque", "position", "reference"), np.sin(np.arange(400.0)))
-    write_table(home / "run 1.csv", Table({"t": np.arange(400) * 1e-3, **columns}))
-    text = "[joint]\nkind = 'revolute'\n[record]\nfile = 'run 1.csv'               # of the morning\n"
-    text += "[drive]\nprofile = 'generic'\n[method]\nname = 'idim'\n"
-    (home / "joint.toml").write_text(text, encoding="utf-8")
-    folder = home / place
-    folder.mkdir(parents=True, exist_ok=True)
-    monkeypatch.chdir(home)
-    assert run("learn-controller", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
-    made = load(folder / "out.toml")
-    assert made.source.file is not None
-    assert not Path(made.source.file).is_absolute()
-    assert made.record().name == "run 1"
-    assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -237,15 +202,6 @@ def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_id
     assert run(command, demo / "joint.toml", "-q") == 2
 
 
-def test_the_rigid_example_finds_the_sums(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rigid = ROOT / "examples" / "twin" / "rigid.toml"
-    assert run("identify", rigid, "--record", demo / "record.csv", "--debug", "--json", tmp_path / "out.json") == 0
-    assert "torque error" in capsys.readouterr().err
-    found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"]
-    for name, truth in (("inertia", 105.0), ("viscous", 202.0), ("coulomb", 20.4), ("offset", -3.16)):
-        assert abs(found[name]["value"] - truth) <= 3 * found[name]["stderr"], name
-
-
 def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
     demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,19 +228,6 @@ def test_a_demo_that_is_interrupted_leaves_no_folder(tmp_path: Path, monkeypatch
     assert not [*tmp_path.iterdir()]
 
 
-@pytest.mark.slow
-def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path) -> None:
-    """It is identified as the comparison of the laws says, beside the delay within a sample."""
-    law, out = "asymmetric-stribeck", tmp_path / "out.json"
-    assert run("diagnose", EMPS, "--laws", "--record", emps_path, "--json", out, "-q") == 3
-    (frictions,) = json.loads(out.read_text(encoding="utf-8"))["laws"]
-    assert (frictions["kind"], frictions["shown"]["name"]) == ("friction", law)
-    keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
-    assert run("identify", EMPS, "--record", emps_path, *keys) == 0
-    force = json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"]
-    assert force == pytest.approx(-9.3, abs=0.2)
-
-
 def test_every_command_is_documented() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^## `jointid ([a-z-]+)", page, re.MULTILINE)) == {
@@ -301,12 +244,6 @@ def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], m
     loop = SimpleNamespace(controller=SimpleNamespace(limit=1.0))
     estimate = SimpleNamespace(settings=SimpleNamespace(loop=loop))
     assert "by design" in str(tune_to_limit(estimate))
-
-
-def test_versions_are_those_of_what_computes(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("--version") == 0
-    names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert names == ["jointid", "Python", "numpy", "scipy", "numba"]
 
 
 @pytest.mark.slow

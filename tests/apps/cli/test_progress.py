@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,10 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.terminal import Bars
 from jointid.common.messages import Detail, follow, ignore_progress
-from tests.rigid_axis import LOOP, TRUTH, run, write_axis
+from tests.rigid_axis import run, write_axis
 
 
 def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,15 +27,6 @@ def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -
     assert list(follow(range(35), said.append, "bootstrapping", 35, "draws")) == list(range(35))
     assert [isinstance(one, Detail) and one.pace for one in said] == [True] * 8
     assert said[0] == "bootstrapping: 4 of 35 draws"
-
-
-def test_the_first_pass_over_a_log_is_told_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jointid.common.messages._OFTEN", 0.0)
-    reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=30.0)
-    said: list[str] = []
-    record = ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3)
-    ji.identify(record, LOOP, windows=6.0, progress=said.append)
-    assert next(one for one in said if isinstance(one, Detail) and one.pace) == "passing over the log: 1 windows"
 
 
 def test_a_terminal_shows_the_last_line_and_nothing_is_left_behind() -> None:
@@ -57,20 +46,6 @@ def test_who_listens_depends_on_the_terminal(terminal: bool, monkeypatch: pytest
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
     assert console.listen(quiet=True) is ignore_progress
     assert isinstance(console.listen(quiet=False), Bars) == terminal
-
-
-def test_details_are_for_who_asks_for_them(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def search(listener: Callable[[str], None]) -> list[str]:
-        listener("searching the spring")
-        listener(Detail("iteration 0: torque error 17 %"))
-        listener(Detail("The loop is not stable; check the gain.", "searching by least squares"))
-        listener("searching by least squares")
-        return capsys.readouterr().err.splitlines()
-
-    assert search(console.listen(quiet=False)) == ["searching the spring", "searching by least squares"]
-    monkeypatch.setattr(console, "details", True)
-    told = search(console.listen(quiet=False))
-    assert told[1] == "iteration 0: torque error 17 %" and told[2].endswith("check the gain.")
 
 
 def interrupt(*_: Any, **__: Any) -> Any:

@@ -10,7 +10,7 @@ import pytest
 
 from jointid.apps.web.folder import Draft
 from tests.apps.cli.test_robots import HEAD, write_robot
-from tests.apps.web.asking import LAW, UNITS, Asker
+from tests.apps.web.asking import UNITS, Asker
 from tests.estimation.robots.twin import arm
 from tests.rigid_axis import run as command
 
@@ -67,20 +67,6 @@ def answers_of(run: Draft, folder: Path) -> tuple[Any, Any]:
     """Return the answers of the page and of the command in the folder of the run."""
     assert command("identify", run.path / run.file, "--json", folder / "again.json", "-q") == 0
     return run.json("answer.json"), json.loads((folder / "again.json").read_text(encoding="utf-8"))
-
-
-@pytest.mark.slow
-def test_several_records_are_identified_as_by_the_command(asker: Asker, log: bytes, tmp_path: Path) -> None:
-    other = b"\n".join(log.split(b"\n")[:6000]) + b"\n"  # a shorter one, as the same record is refused
-    assert send(asker, {"one.csv": log, "two.csv": other}) == "channels"
-    assert asker.post("/channels", UNITS)[0] == 200
-    asker.post("/joint", LAW)
-    run = asker.page.runs[0]
-    assert asker.ended(run) == "done"
-    page, command = answers_of(run, tmp_path)
-    assert page["parameters"] == command["parameters"]
-    assert len(page["data"]["records"]) == 2
-    assert asker.page.jobs.state(run)["sentence"] and not run.has("report.html")
 
 
 @pytest.mark.slow

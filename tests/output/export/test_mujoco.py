@@ -136,15 +136,6 @@ def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
     assert any("viscous" in one for one in ji.export(model(joint, uneven), "mjcf").lost)
 
 
-@pytest.mark.slow
-def test_a_vertical_axis_weighs_what_it_does() -> None:
-    law = CONTROLLERS["L19"]
-    weighing = ji.FlexibleJoint("prismatic", gravity=ji.Gravity("constant", ji.spring.Counterbalance(rate=40.0)))
-    values = TABLE_2 | {"offset": 0.0, "gravity_constant": 35.0, "counterbalance_rate": 40.0}
-    ours = simulated(weighing, law, REFERENCE, values)
-    assert apart(mjcf_torque(weighing, values, law, REFERENCE, timestep=1e-4), ours) < 0.003
-
-
 def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:
     joint, law = ji.RigidJoint("prismatic"), CONTROLLERS["L19"]
     values = FlexibleJoint.rigid_sums(TABLE_2) | {"offset": 0.0}
