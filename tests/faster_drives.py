@@ -18,25 +18,12 @@ CASCADE = ji.controller.Cascade(position_gain=25.0, velocity_gain=110.0)
 SERVO = ji.controller.PD(position_gain=2500.0, derivative_gain=95.0, velocity_filter=ji.controller.FirstOrder(0.8e-3))
 
 
-def _pulses(samples: int, fine: float) -> np.ndarray:
-    """A known torque for 20 ms about every 0.4 s."""
-    rng = np.random.default_rng(5)
-    pulses, begin = np.zeros(samples), 0.3
-    while begin < samples * fine - 0.1:
-        first = round(begin / fine)
-        pulses[first : first + round(0.02 / fine)] = 12.0 * rng.choice([-1, 1])
-        begin += round(rng.uniform(0.3, 0.5), 3)
-    return pulses
-
-
 def drive(
     law: ji.controller.Cascade | ji.controller.PD,
     times: int,
     *,
     flexible: bool = False,
-    pulsed: bool = False,
     noise: float = 0.3,
-    force: float = 0.0,
 ) -> tuple[ji.Record, ji.ClosedLoop]:
     """The log, at 1 kHz, of a drive that runs so many times as fast, and its loop without the period."""
     fine, rng = LOG / times, np.random.default_rng(1)
@@ -45,8 +32,6 @@ def drive(
     reference = ji.excitation.trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, fine, duration=12.0 if flexible else 6.0)
     record = ji.simulated_record(
         ji.ClosedLoop(joint, controller), reference, FLEXIBLE if flexible else RIGID, sample_time=fine,
-        injected=_pulses(reference.size, fine) if pulsed else None,
-        disturbance=np.repeat(force * rng.standard_normal(reference.size // times + 1), times)[: reference.size],
         name="drive",
     )  # fmt: skip
 
@@ -57,9 +42,7 @@ def drive(
     assert record.reference is not None
     torque = logged(record.torque)
     torque = replace(torque, values=torque.values + noise * rng.standard_normal(torque.values.size))
-    injected = None if record.injected is None else replace(record.injected, channel=logged(record.injected.channel))
     shown = replace(
         record, torque=torque, reference=logged(record.reference), motor_position=None, load_position=None,
-        injected=injected,
     )  # fmt: skip
     return shown, ji.ClosedLoop(joint, controller)

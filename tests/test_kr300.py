@@ -12,7 +12,6 @@ from scipy.io import loadmat
 
 import jointid as ji
 from jointid.config import File
-from jointid.diagnostics.diagnosis import diagnose_robot
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.robots.consistent import mass_matrix_at
 from tests.estimates import errors_of_bodies
@@ -100,18 +99,3 @@ def test_its_springs_are_refused_on_the_drive_side(file: File, data_dir: Path, n
             ji.robots.RobotDriveSide(replace(file.robot, joints=joints)),
             file.records(data_dir / "kr300" / f"rec_{name}.mat"),
         )
-
-
-@pytest.mark.slow
-def test_no_law_of_reference_and_position_makes_its_torque(file: File, data_dir: Path) -> None:
-    """The loops of record A: any linear law leaves a fifth of the torques, so that something else is added to them."""
-    records = file.records(data_dir / "kr300" / "rec_A.mat")
-    laws = [ji.controller.Cascade(position_gain=15.0, velocity_gain=gain) for gain in (3e4, 3e4, 2e4, 2e3, 2e3, 1e3)]
-    found = diagnose_robot(identified(file.robot, records), records, laws)
-    assert found.as_declared is False
-    free = [one.law.noise for one in found.axes if one.law is not None]
-    assert len(free) == 6
-    assert min(free) > 0.1 and max(free) < 0.45
-    assert not any(one.explained for one in found.axes)
-    # What the model lacks is of several axes, so which fault is named on which of them hangs on the order of the tests.
-    assert sum(bool(one.faults.findings) for one in found.axes) >= 2

@@ -12,22 +12,11 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import POSITION
-from jointid.models.joints import FlexibleJoint
-from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
+from jointid.paper.twin import CONTROLLERS, twin
 from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import Filtering, apply_window, differentiate_twice, window_torque
 
 T = 1e-3
-
-
-def test_the_frequencies_are_the_pole_and_the_zero_of_the_apparent_mass() -> None:
-    """(T3)"""
-    hertz, rho_per_w2 = FlexibleJoint.frequencies(TABLE_2), TABLE_2["load_inertia"] / TABLE_2["stiffness"]
-    shown = {"free_free": 29.51, "motor_locked": 24.13, "load_locked": 16.99}
-    assert all(hertz[name] == pytest.approx(value, abs=0.005) for name, value in shown.items())
-    assert (2 * math.pi * hertz["motor_locked"]) ** 2 * rho_per_w2 == pytest.approx(1.0)
-    rho = (2 * math.pi * hertz["free_free"]) ** 2 * rho_per_w2
-    assert TABLE_2["motor_inertia"] + TABLE_2["load_inertia"] / (1 - rho) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_noise_of_an_inverted_law() -> None:

@@ -29,6 +29,7 @@ def test_every_default() -> None:
 
 
 def test_all_of_a_file() -> None:
+    """Controllers are in the test of their writing, filters in that of units, parameters and gravity further down."""
     file = loads(
         """
         [joint]
@@ -47,20 +48,8 @@ def test_all_of_a_file() -> None:
         header = true
         [record.channels]
         torque = { column = "i", unit = "mA", gain = 0.5, sign = -1, timing = "averaged", tap = "measured" }
-        reference = { column = "r [deg]" }
-        reference_velocity = { column = "dr", unit = "rpm", timing = "held" }
         load_position = { column = "p", optional = true, sample_time = 0.002 }
         injected = { column = "x", unit = "A", at = "after_limit", in_torque = false }
-        [controller]
-        law = "pd"
-        position_gain = 3.0
-        derivative_gain = 0.1
-        reference_velocity = "channel"
-        velocity_filter = { numerator = [0.2], denominator = [1.0, -0.8] }
-        gain = 2.0
-        limit = 5.0
-        period = 0.002
-        delay = 0.0005
         [filtering]
         position_cutoff = 100.0
         cutoff = 20.0
@@ -68,16 +57,11 @@ def test_all_of_a_file() -> None:
         borders = [10, 0]
         timing = "as_sampled"
         [method]
-        name = "didim"
-        frequency = 25.0
-        rigid_cutoff = 4.0
-        tolerance = 1e-3
-        free = ["position_gain", "delay"]
+        name = "idim"
+        estimator = "iv"
         [parameters]
         stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
-        damping = 126
         motor_inertia = { value = 0.1, upper = 1.0 }
-        load_inertia = { lower = 0.01 }
         """,
         folder="here",
     )
@@ -88,26 +72,12 @@ def test_all_of_a_file() -> None:
         joint=joint,
         columns={
             "torque": ji.Column("i", "mA", 0.5, -1, Timing.AVERAGED, tap=Tap.MEASURED),
-            "reference": ji.Column("r [deg]"),
-            "reference_velocity": ji.Column("dr", "rpm", timing=Timing.HELD),
             "load_position": ji.Column("p", optional=True, sample_time=0.002),
             "injected": ji.Column("x", "A", in_torque=False),
         },
-        controller=ji.controller.PD(
-            position_gain=3.0,
-            derivative_gain=0.1,
-            reference_velocity="channel",
-            velocity_filter=ji.controller.DigitalFilter((0.2,), (1.0, -0.8)),
-            gain=2.0,
-            limit=5.0,
-            period=0.002,
-            delay=0.0005,
-        ),
         parameters={
             "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
-            "damping": known["damping"].fix(126.0),
             "motor_inertia": dataclasses.replace(known["motor_inertia"].fix(0.1), upper=1.0),
-            "load_inertia": dataclasses.replace(known["load_inertia"], lower=0.01),
         },
         source=Source(
             "runs/run1.csv",
@@ -120,14 +90,12 @@ def test_all_of_a_file() -> None:
     )
     assert file == File(
         axes=(axis,),
-        method=ji.DIDIM(frequency=25.0, rigid_cutoff=4.0, tolerance=1e-3, free=("position_gain", "delay")),
+        method=ji.IDIM("iv"),
         filtering=ji.Filtering(100.0, 20.0, 5, (10, 0), "as_sampled"),
         parameters=axis.parameters,
         name="axis 3",
     )
     assert file.path == Path("here/joint.toml")
-    assert file.loop.joint is file.joint
-    assert file.loop.controller is file.controller
 
 
 def test_gravity() -> None:

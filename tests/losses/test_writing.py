@@ -85,22 +85,6 @@ def test_a_full_disk_keeps_the_old_result_whole(writer: str, place: Path) -> Non
         assert contents(place) == before, size
 
 
-CAMPAIGN = '[sweep]\n"filtering.cutoff" = [40.0, 50.0]\n[fleet]\njoint = "joint.toml"\nrecords = "record.csv"\n'
-
-
-def test_a_campaign_on_a_full_disk_loses_nothing(place: Path) -> None:
-    """What is finished at one size is there at the next, and on a free disk the same command goes on."""
-    (place / "campaign.toml").write_text(CAMPAIGN)
-    words, before = ["campaign", "campaign.toml", "--workers", "1", "-q"], contents(place)
-    for turn in range(max(COUNT // 4, 3)):
-        ended = run_program(*words, folder=place, most=1_000 * turn // max(COUNT // 4, 3))
-        require_calm(ended, (2,))
-        assert before.items() <= contents(place).items()
-    ended = run_program(*words, folder=place)
-    require_calm(ended, (0,))
-    assert len((place / "campaign.jsonl").read_text().splitlines()) == 2
-
-
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
 def test_any_terminal_shows_what_it_can(encoding: str, place: Path) -> None:
     program = [sys.executable, "-c", "from jointid.apps.cli import main; main()", "inspect", "table.csv"]

@@ -65,15 +65,6 @@ def test_f12_is_not_without_influence(run: Reproduction) -> None:
     assert abs(run.damping_shifts["stiffness"]) < 0.01
 
 
-@pytest.mark.slow
-def test_the_relative_errors_have_both_denominators(run: Reproduction) -> None:
-    first, _ = run.relative_errors("DIDIM")
-    by_idim, _ = run.relative_errors("IDIM")
-    idim, didim = run.first.idim.values["motor_viscous"], run.first.didim.values["motor_viscous"]
-    assert first["motor_viscous"] == pytest.approx(100 * abs(idim - didim) / didim)
-    assert by_idim["motor_viscous"] == pytest.approx(100 * abs(idim - didim) / idim)
-
-
 def torque_png(answer: ji.Estimate | Validation) -> bytes:
     """The figures of the page, as `jointid reproduce` has them."""
     return render(torque(answer), "png", 100)

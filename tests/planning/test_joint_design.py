@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
+from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.planning import search as search_module
 from jointid.planning.designed import Design
 from jointid.planning.floor import least_deviation
@@ -26,7 +26,6 @@ from jointid.planning.search import search
 from jointid.simulation import excitation
 from jointid.tuning.margins import joint_set
 from tests.planning.planned import LOOP, TRUTH, T, planned_record, predict_test
-from tests.rigid_axis import run
 
 AXIS = twin("L19", noise="white")
 NOISE = Noise(log=AXIS.noise)
@@ -185,26 +184,6 @@ def test_every_family_plays_within_its_ranges() -> None:
             assert np.sum(power[(hertz < 19.0) | (hertz > 61.0)]) < 0.02 * np.sum(power), (family, share)
         smaller = plan.scale(0.5).play(time)
         np.testing.assert_allclose(smaller[0] - smaller[0][0], 0.5 * (reference - reference[0]), atol=1e-12)
-
-
-@pytest.mark.slow
-def test_the_command_plans_from_a_record(tmp_path: Path) -> None:
-    axis = twin("L19")
-    ji.write(replace(axis.record, motor_position=None, load_position=None), tmp_path / "record.csv")
-    (tmp_path / "joint.toml").write_text(f'{JOINT_FILE}[limits]\nspeed = "300 mm/s"\nwindup = 0.5\n')
-    asked = ("design", tmp_path / "joint.toml", "-q", "--goal", "stiffness")
-    out = ("--out", tmp_path / "next", "--json", tmp_path / "next.json", "--set", "limits.windup=0.001")
-    assert run(*asked, "--search-time", "6", *out) == 0
-    assert (tmp_path / "next" / "test.csv").exists()
-    answer = json.loads((tmp_path / "next.json").read_text())
-    assert answer["axes"][0]["limits"]["windup"] == 0.001  # the option's, not the file's
-    assert answer["axes"][0]["limits"]["speed"] == pytest.approx(0.3)
-    assert answer["axes"][0]["reached"]["windup"] < 0.001
-    out = ("--json", tmp_path / "own.json", "--set", "limits.stroke=0.01")
-    assert run(*asked, "--motion", tmp_path / "next" / "test.csv", *out) == 0
-    own = json.loads((tmp_path / "own.json").read_text())
-    told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
-    assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
 
 
 @pytest.mark.slow

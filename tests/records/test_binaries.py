@@ -60,16 +60,6 @@ def test_what_is_no_real_number_is_passed_over(tmp_path: Path) -> None:
         read_variables(tmp_path / "run.mat", others)
 
 
-def test_sides_of_one_number_do_not_count(tmp_path: Path) -> None:
-    matrix = np.arange(21.0).reshape(3, 7)
-    arrays = {"telemetry": matrix[:, None, :], "one": matrix[None, :1, :], "upright": matrix.T[None]}
-    table = read_variables(tmp_path / "run.mat", {**arrays, "rec": {"data": matrix[:, None, :]}})
-    for name in ("telemetry", "upright", "rec.data"):
-        np.testing.assert_array_equal([table.columns[f"{name}[{channel}]"] for channel in range(3)], matrix)
-    np.testing.assert_array_equal(table.columns["one"], matrix[0])
-    assert not table.passed
-
-
 def element(kind: int, data: bytes) -> bytes:
     return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
 

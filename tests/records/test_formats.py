@@ -197,14 +197,6 @@ def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
     assert found["c/q"] == (None, None)  # its clock runs back
 
 
-@pytest.mark.parametrize("name", ["t", "time [s]", "Zeit [ms]"])
-def test_a_column_called_time_is_the_clock_of_the_others(name: str, tmp_path: Path) -> None:
-    (tmp_path / "run.csv").write_text(f"{name};torque\n0;1,5\n1;2,5\n2;0,5\n")
-    time, torque = ji.inspect(tmp_path / "run.csv").channels
-    assert time.time == time.name
-    assert torque.time == name
-
-
 def test_hostile_names_are_shown_escaped(tmp_path: Path) -> None:
     path = tmp_path / "run.npy"
     hostile = "\x1b[2J\x07q\n\u202ex$^_{$"

@@ -13,7 +13,7 @@ import pytest
 import jointid
 import jointid as ji
 from jointid.apps.cli.app import app
-from jointid.apps.cli.demo import FIRST_DAY
+from jointid.apps.cli.demo import FIRST_DAY, _write_robot
 from jointid.config import File, load
 from jointid.controller_id.learned_controller import LearnedController
 from jointid.output.report import tune_to_limit
@@ -266,6 +266,19 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     value, interval, true = found["K1"]
     assert true == 2560.0 and interval < 0.01 * value
     assert run("demo", "--robot", place, "-q") == 2, "it holds files"
+
+
+def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path) -> None:
+    _write_robot(tmp_path)
+    joint, found = tmp_path / "robot.toml", tmp_path / "found.json"
+    text, strays = joint.read_text(encoding="utf-8"), []
+    for gains in (("1000.0", "36.0"), ("0.0", "0.0")):
+        joint.write_text(text.replace("1000.0", gains[0]).replace("36.0", gains[1]), encoding="utf-8")
+        assert run("simulate", joint, "--json", found) == 0
+        answer = json.loads(found.read_text(encoding="utf-8"))
+        assert answer["schema"] == "jointid.Simulation/2" and answer["outcome"] == "finished"
+        strays.append(list(answer["strays"]))
+    assert strays == [[], ["elbow"]]
 
 
 def test_a_fleet_is_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,7 +25,7 @@ def public_arm(name: str, place: Path) -> Robot:
 
 @pytest.mark.parametrize(
     "plant", [lambda _: two().robot, lambda _: six().robot,
-              *(lambda place, name=name: public_arm(name, place) for name in ("irb120", "scara", "widowx"))],
+              *(lambda place, name=name: public_arm(name, place) for name in ("irb120", "panda", "scara"))],
 )  # fmt: skip
 def test_only_a_rotor_alone_has_its_name(plant: Callable[[Path], Robot], tmp_path: Path) -> None:
     robot = plant(tmp_path)

@@ -72,18 +72,6 @@ def test_fixed_values_are_kept_and_paths_lead_to_the_same_record(folder: Path) -
     assert file.source.file == "../record.csv"
 
 
-def test_simulate_takes_the_joint_file_and_gives_the_torque_of_the_estimate(folder: Path) -> None:
-    reference = ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.1, 1e-3, duration=2.0)
-    loop = ji.load(folder / "joint.toml").loop
-    assert loop is not None
-    made = ji.simulated_record(loop, reference, TABLE_2 | {"offset": -3.0}, sample_time=1e-3)
-    ji.load(folder / "joint.toml").write(made, folder / "record.csv")
-    assert exported(folder, "filled.toml") == 0
-    assert run("simulate", folder / "filled.toml", "--out", folder / "torque.csv", "-q") == 0
-    again = ji.load(folder / "filled.toml").record(folder / "torque.csv")
-    assert abs(again.torque.values - made.torque.values).max() < 1e-9
-
-
 def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> None:
     file = ji.load(folder / "joint.toml")
     values: dict[str, float | None] = {**TABLE_2, "stiffness": None, "motor_viscous": -4.0}
