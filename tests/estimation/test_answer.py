@@ -11,7 +11,6 @@ import jointid as ji
 from jointid.common.messages import Message
 from jointid.estimation.result.answer import Found, Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import judged as with_verdicts
 from jointid.estimation.result.parts import Params
 from jointid.estimation.result.verdict import (
     AGAINST_EVERY_VALUE,
@@ -21,6 +20,7 @@ from jointid.estimation.result.verdict import (
     Subject,
     Verdict,
 )
+from jointid.estimation.result.verdict import judged as with_verdicts
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import EncoderLag
 from tests.estimates import amended

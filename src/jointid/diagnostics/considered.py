@@ -28,8 +28,8 @@ from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER
 from jointid.estimation.problems.simulated import SolvedRobot, decimate_each
 from jointid.estimation.result.answer import SLIGHT
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import Widening
 from jointid.estimation.result.parts import EstimatedParameter
+from jointid.estimation.result.verdict import Widening
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.derivatives import respond_to_laws

@@ -23,8 +23,16 @@ from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import CheckResults, Widening, assemble
-from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, skip_test
+from jointid.estimation.result.verdict import (
+    CheckResults,
+    Reason,
+    Status,
+    Subject,
+    Verdict,
+    Widening,
+    assemble,
+    skip_test,
+)
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -243,7 +251,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
         rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))
-    noise = Message(Reason.NOTHING_REPEATS, "what the model leaves is noise, or little")
+    noise = Message(Reason.PASSED, "what the model leaves is noise, or little")
     reasons = (*rest, *found.name_faults(of_model=True)) if rest else (noise,)
     residual = Verdict(Subject.REPEATABLE, Status.of(not rest), reasons)
 

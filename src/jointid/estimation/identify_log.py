@@ -51,8 +51,8 @@ from jointid.estimation.result.build_result import (
     warn_of_limit,
 )
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.judge import negative_friction
 from jointid.estimation.result.parts import Checks, Params, RecordFit, Windows
+from jointid.estimation.result.verdict import negative_friction
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.estimation.windowed import (
     model_of_windows,

@@ -24,10 +24,9 @@ from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import finite, read
-from jointid.estimation.result.judge import judged
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import SpringVerdict
-from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict
+from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, judged
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers

@@ -43,7 +43,7 @@ def test_a_robot_under_its_declared_controllers_is_relied_on() -> None:
     assert {Subject.SOLVER, Subject.FIT, Subject.BOUNDS, Subject.REPEATABLE, Subject.LOOP} == set(verdicts(found))
     assert found.answer.trust.code is Trust.RELIABLE and found.fit.converged
     row = found.params["joint2.coulomb"]
-    assert (row.axis, row.unit, row.side) == ("joint2", "N m", None)
+    assert (row.axis, row.unit) == ("joint2", "N m")
     low, high = row.interval
     assert low < 1.5 < high
     assert found.params.correlation.shape == (len(found.params),) * 2

@@ -14,8 +14,8 @@ from jointid.common.text import join
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.judge import negative_friction
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
+from jointid.estimation.result.verdict import negative_friction
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -33,13 +33,9 @@ _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
 def build_params(problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Collection[str] = ()) -> Params:
-    """Return the parameters of a problem's solution, those of the joint and of what surrounds it.
+    """Return the parameters of a problem's solution x, (free,), those of the joint and of what surrounds it.
 
-    Args:
-        problem: of one record, of several, or of a window of a log.
-        x: its free parameters.
-        covariance: of their errors; a deviation that is no number is not known.
-        held: names of those at a bound.
+    A deviation that is no number is not known; `held` are the names of those at a bound.
     """
     own, units = {p.name for p in problem.joint.parameters}, problem.units
     std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
@@ -65,26 +61,24 @@ def build_rows(
         of_joint: names of those that belong to the joint, and not to what surrounds it.
         held: names of those at a bound.
     """
-    return tuple(
-        EstimatedParameter(
-            p.name,
-            p.symbol,
-            unit(p),
-            values[p.name],
-            std.get(p.name),
-            p.free,
-            of_joint=p.name.partition("@")[0] in of_joint,
-            at_bound=min(p.lower, p.upper, key=lambda b: abs(values[p.name] - b)) if p.name in held else None,
-        )
-        for p in parameters
-    )
+    rows = []
+    for p in parameters:
+        value, own = values[p.name], p.name.partition("@")[0] in of_joint
+        row = EstimatedParameter(p.name, p.symbol, unit(p), value, std.get(p.name), p.free, of_joint=own)
+        bound = min(p.lower, p.upper, key=partial(_apart, value)) if p.name in held else None
+        rows.append(replace(row, at_bound=bound))
+    return tuple(rows)
+
+
+def _apart(value: float, bound: float) -> float:
+    return abs(value - bound)
 
 
 def build_estimate(
     records: Sequence[Record],
     params: Params,
     torques: tuple[FloatArray, FloatArray],
-    error: float,
+    error: float | Mapping[str, float],
     rows: int,
     end: tuple[str, bool],
     simulations: int,
@@ -98,7 +92,7 @@ def build_estimate(
         records: that were read; of a robot those of its joints, one log after the other.
         params: the parameters.
         torques: (samples,) each, measured and predicted; of a robot (samples, n).
-        error: share of the filtered torque that the model leaves.
+        error: share of the filtered torque that the model leaves; of a robot by joint.
         rows: of the filtered torque that were fitted.
         end: why the search ended, and whether that is a good end.
         simulations: that were run.
@@ -106,32 +100,23 @@ def build_estimate(
         channels: that were read.
         checks: what the method has tested.
     """
-    (measured, predicted), (stop, converged), borders = torques, end, settings.filtering.borders
+    (measured, predicted), borders = torques, settings.filtering.borders
     read = [record.torque for record in records if record.torque is not None]
-    return Estimate(
-        params=params,
-        fit=Fit(
-            measured=measured,
-            predicted=predicted,
-            borders=borders,
-            relative_error=relative_error(measured, predicted, borders),
-            filtered_error=error,
-            rows=rows,
-            simulations=simulations,
-            stop=stop,
-            converged=converged,
-        ),
-        checks=checks or Checks(),
-        data=Data(
-            record=join(list(dict.fromkeys(record.name for record in records))),
-            channels=tuple(channels),
-            sample_time=read[0].sample_time,
-            torque_unit=join(list(dict.fromkeys(torque.unit for torque in read))),
-            fingerprint=fingerprint(np.concatenate([torque.values for torque in read])),
-            resampled=records[0].resampled if len(records) == 1 else None,
-        ),
-        settings=settings,
+    axes = error if isinstance(error, Mapping) else {}
+    fit = Fit(
+        measured, predicted, borders, relative_error(measured, predicted, borders),
+        error if not isinstance(error, Mapping) else float(np.sqrt(np.mean(np.square([*axes.values()])))),
+        rows, simulations, *end, axis_errors=axes,
+    )  # fmt: skip
+    data = Data(
+        record=join(list(dict.fromkeys(record.name for record in records))),
+        channels=tuple(dict.fromkeys(channels)),
+        sample_time=read[0].sample_time,
+        torque_unit=join(list(dict.fromkeys(torque.unit for torque in read))),
+        fingerprint=fingerprint(np.concatenate([torque.values for torque in read])),
+        resampled=records[0].resampled if len(records) == 1 else None,
     )
+    return Estimate(params, fit, checks or Checks(), data, settings)
 
 
 def build_closed_loop_result(
@@ -156,25 +141,22 @@ def build_closed_loop_result(
         J: (rows, free) sensitivities, filtered.
         simulations: that were run.
     """
-    assert record.torque is not None
-    assert problem.filtering.cutoff is not None
-    (error,) = problem.filter_error(run)
-    step = problem.sample_time * (problem.filtering.decimation or 1)
-    report = ResidualReport(whiteness(error, step, problem.filtering.cutoff), known.repeatable)
+    (error,), f = problem.filter_error(run), problem.filtering
+    assert f.cutoff is not None
     checks = Checks(
         warnings=warn_of_limit(run.at_limit),
         notes=tuple(map(str, known.warnings)),
         known=identifiability(problem.free, problem.units, x, J, known.covariance),
     )
     delay = problem.values(x).get("delay", problem.axis.law.delay)
-    loop = problem.loop_at(x)
-    settings = Settings("didim", "DIDIM by least squares", problem.joint, loop, problem.filtering, delay)
+    settings = Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), f, delay)
     params = build_params(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J))
     found = build_estimate(
         [record], params, (problem.measured, run.torque), problem.filtered_error(error), error.size, end, simulations,
         settings, list_loop_channels(problem.loop, record), checks,
     )  # fmt: skip
-    fit = replace(found.fit, residuals=report)
+    white = whiteness(error, problem.sample_time * (f.decimation or 1), f.cutoff)
+    fit = replace(found.fit, residuals=ResidualReport(white, known.repeatable))
     return replace(found, fit=fit, problem=problem, x=x, shifts=known.shifts)
 
 
@@ -192,7 +174,7 @@ def build_robot_result(
     *,
     warnings: tuple[str, ...] = (),
 ) -> Estimate:
-    """Return the fit of a robot.
+    """Return the fit of a robot, see `build_estimate`.
 
     Args:
         records: of its joints, those of one log after those of another.
@@ -208,27 +190,22 @@ def build_robot_result(
         warnings: of the method.
     """
     model, free = part.model, [i for i, row in enumerate(rows) if row.free]
-    torques_of = [record.torque.values for record in records if record.torque is not None]
-    logs = [torques_of[at : at + len(model)] for at in range(0, len(torques_of), len(model))]
+    read = [record.torque.values for record in records if record.torque is not None]
+    logs = [np.concatenate(read[at : at + len(model)]) for at in range(0, len(read), len(model))]
     found = build_estimate(
         records,
         Params(rows, tuple(rows[i].name for i in free), part.covariance.correlation[np.ix_(free, free)]),
         torques,
-        float(np.sqrt(np.mean(errors**2))),
+        dict(zip(model.names, map(float, errors), strict=True)),
         count,
         end,
         simulations,
         Settings(*method, system=model, loop=None, filtering=filtering),
-        dict.fromkeys(name for record in records for name in record.channels),
+        [name for record in records for name in record.channels],
         Checks(negative_friction(part.driving), warnings=(*model.remarks, *warnings)),
     )
-    return replace(
-        found,
-        fit=replace(found.fit, axis_errors=dict(zip(model.names, map(float, errors), strict=True))),
-        data=replace(found.data, logs=tuple(fingerprint(np.concatenate(log)) for log in logs)),
-        robot=part,
-        records=tuple(records),
-    )
+    data = replace(found.data, logs=tuple(map(fingerprint, logs)))
+    return replace(found, data=data, robot=part, records=tuple(records))
 
 
 def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from jointid.common.document import Documented
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.text import interval, number
-from jointid.common.transmission import SIDES, Side, Transmission
+from jointid.common.transmission import Side, Transmission
 from jointid.estimation.result.agreement import Agreement
 from jointid.estimation.result.verdict import StiffnessBound, Verdict
 from jointid.models.joints import ClosedLoop, Joint
@@ -70,12 +70,6 @@ class EstimatedParameter:
     axis: str = ""
 
     @property
-    def side(self) -> Side | None:
-        """The side of the transmission or spring that it acts on; None where it acts on both or on neither."""
-        begin = self.name.rpartition(".")[2].partition("_")[0]
-        return next((side for side in SIDES if side == begin), None)
-
-    @property
     def deviation(self) -> float | None:
         """The standard error and the lack of fit together: half of half the interval; None without a standard error."""
         return None if self.stderr is None else math.hypot(self.stderr, self.lack_of_fit)
@@ -99,7 +93,7 @@ def show_value(p: EstimatedParameter) -> str:
     if p.value is None:
         return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound, 3)}"
     if p.at_bound is not None or not p.free:
-        return f"{number(p.value)} (fixed)" if p.at_bound is None else number(p.at_bound)
+        return f"{number(p.value)} (fixed)" if p.at_bound is None else f"{number(p.at_bound)} (bound)"
     return number(p.value) if p.deviation is None else interval(p.value, 2 * p.deviation)
 
 

@@ -10,9 +10,6 @@ from jointid.common.text import interval
 from jointid.models.robots.robot import Robot
 from jointid.uncertainty.covariance import Covariance
 
-KNOWN = 0.1
-"""Relative standard error of a parameter that counts as known."""
-
 _TWO = 2.0  # standard deviations
 
 

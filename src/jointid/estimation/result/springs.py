@@ -5,13 +5,12 @@ docs/how-it-works.md.
 
 Otherwise the record says only how soft the spring may be, for each share of the load in the inertia, which is not known
 either. A joint is then written by its whole inertia, that share, the free-free frequency of its mode and that mode's
-damping ratio. The mode is held at one frequency after the other, from what is nearly rigid to below the loop's
-crossover, and everything else is fitted anew. What is within the noise of the best is not excluded. A resonance falls
-between the frequencies of a grid, but the damping is free, and on a grid point beside a resonance it grows until that
-one is a dip in the profile: from there, and from where the search ended, the mode is let go and found. A mode is
-excluded only where what its last linearisation promises (`Fit.least`), too, exceeds the noise, so that a fit that ended
-early makes a bound softer, never stiffer. No record distinguishes a mode damped by more than a sixth from a rigid
-joint: bounds are for modes damped by less.
+damping ratio. The mode is held at one frequency after the other, and everything else is fitted anew. What is within the
+noise of the best is not excluded. A resonance falls between the frequencies of a grid, but the damping is free, and
+beside a resonance it grows until that grid point is a dip in the profile: from there, and from where the search ended,
+the mode is let go and found. A mode is excluded only where what its last linearisation promises (`Fit.least`), too,
+exceeds the noise, so that a fit that ended early makes a bound softer, never stiffer. No record distinguishes a mode
+damped by more than a sixth from a rigid joint: bounds are for modes damped by less.
 
 A random force in the loop (`methods.force_in_loop`) changes the mean torque through the friction. Where that moves a
 parameter of the rigid joint, its intervals are widened, and each bound is the softer one with and without that change.
@@ -35,8 +34,15 @@ from jointid.estimation.descent import History, descend
 from jointid.estimation.methods.force_in_loop import allow_for_force, simulate_mean, widened_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.judge import springs_verdict
-from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
+from jointid.estimation.result.verdict import (
+    Reason,
+    Status,
+    StiffnessBound,
+    Subject,
+    Verdict,
+    springs_verdict,
+    verdict_of,
+)
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
 from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
@@ -44,7 +50,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Influence, white
-from jointid.uncertainty.identifiability import Known, find_separable, sums_of
+from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 
@@ -89,7 +95,7 @@ class Visibility:
 
     Attributes:
         verdict: whether its stiffness is reported, and why not.
-        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that it determines.
+        rigid: values of the rigid joint on the same band; std: standard deviations of those that it determines.
         bounds: where the stiffness is refused.
         simulations: that all this took.
         notes: on the deviations of the rigid joint, where the stiffness is refused.
@@ -97,10 +103,10 @@ class Visibility:
 
     verdict: Verdict
     rigid: Mapping[str, float]
-    rigid_std: Mapping[str, float]
+    std: Mapping[str, float]
     bounds: tuple[StiffnessBound, ...]
     simulations: int
-    notes: tuple[Message, ...] = ()
+    notes: tuple[Message, ...]
 
     @property
     def shown(self) -> bool:
@@ -113,26 +119,25 @@ class Visibility:
         if self.shown:
             return replace(estimate, checks=replace(checks, verdicts=(*checks.verdicts, self.verdict)))
         assert isinstance(joint, FlexibleJoint) and checks.known is not None
-        units = {p.name: p.unit for p in estimate.params.rows}
-        sums = [
-            Known(one, self.rigid[one.quantity], std)
-            for one in sums_of([p for p in joint.parameters if p.name in estimate.params.names], units)
-            if (std := self.rigid_std.get(one.quantity)) is not None
-        ]
         parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
         for p in estimate.params.rows:
-            if p.free and p.name in self.rigid_std:  # of both joints: a spring that is not shown narrows no interval
-                rows.append(replace(p, value=self.rigid[p.name], stderr=self.rigid_std[p.name]))
+            own = p
+            if p.free and p.name in self.std:  # of both joints: a spring that is not shown narrows no interval
+                own = replace(p, value=self.rigid[p.name], stderr=self.std[p.name])
             elif p.free and (p.name.startswith(parted) or (p.of_joint and p.name in self.rigid)):
-                rows.append(replace(p, value=None, stderr=None))
-            else:
-                rows.append(p)
-        only = Message(Reason.ONLY_SUMS, "only the sums of both sides are determined, not their division")
-        sides = Verdict(Subject.IDENTIFIABILITY, Status.FAILED, (only,))
+                own = replace(p, value=None, stderr=None)
+            rows.append(own)
+        both = sums_of([p for p in joint.parameters if p.name in estimate.params.names], {p.name: p.unit for p in rows})
+        sums = [Known(s, self.rigid[s.quantity], self.std[s.quantity]) for s in both if s.quantity in self.std]
+        said = "only the sums of both sides are determined, not their division"
         checks = replace(
             checks,
-            verdicts=(*checks.verdicts, sides, self.verdict),
-            known=replace(checks.known, physical=tuple(sums), limitations=(), undetermined=()),
+            verdicts=(
+                *checks.verdicts,
+                verdict_of(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said),
+                self.verdict,
+            ),
+            known=Identifiability(tuple(sums), ()),
             bounds=self.bounds,
             notes=(*checks.notes, *map(str, self.notes)),
         )
@@ -160,14 +165,12 @@ def visible(
         shares: of the load in the inertia, for which bounds are searched.
     """
     rigid, at = fit_rigid(problem, problem.values(x))
-    error, slopes = rigid.linearise(at.x)
+    (error, slopes), remains = rigid.linearise(at.x), problem.residual(x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
-    linear, said, made = with_linear_spring(problem), "", None
-    reasons = [*_doubts(problem, x, J, known, error, together)]
+    linear, said, made, left = with_linear_spring(problem), "", None, float(remains @ remains)
+    reasons = [*_doubts(problem, x, J, known, (left, float(error @ error)), together)]
     if not reasons:
-        remains = problem.residual(x)
-        left = float(remains @ remains)
         # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
         springs = _springs(linear, values, error) or [(remains - error)[:, np.newaxis]]
         # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
@@ -178,13 +181,11 @@ def visible(
         if not reasons and test.gained < _LITTLE:
             made = profile_modes(linear, values, found, thorough=True)
             reasons = [*_other_springs(made, found["stiffness"], known, [p.name for p in problem.free])]
-    bounds: tuple[StiffnessBound, ...] = ()
-    judged = uncertainty(Influence(slopes, error), where)
+    bounds, judged = list[StiffnessBound](), uncertainty(Influence(slopes, error), where)
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
         made = made or profile_modes(linear, values, found, thorough=False)
-        bounds = bound_all(made, shares)
-        history = History(progress)
+        bounds, history = bound_all(made, shares), History(progress)
         moved = allow_for_force(rigid, at.x, -slopes, judged.covariance.std, history)
         judged = widened_for_force(judged, rigid, at.x, moved)
         if moved is not None:
@@ -192,22 +193,20 @@ def visible(
             forced = with_linear_spring(replace(problem, measured=problem.measured - change))
             beside = profile_modes(forced, rigid.values(moved[0]), found, thorough=False)
             pairs = zip(bounds, bound_all(beside, shares), strict=True)
-            bounds = tuple(min(pair, key=lambda one: one.stiffness or 0.0) for pair in pairs)
+            bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in pairs]
             runs += history.tally.evaluations + beside.simulations
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
     runs += 0 if made is None else made.simulations
-    determined = slopes.any(axis=0) & find_separable(slopes)
-    stated = zip(rigid.free, judged.covariance.std, determined, strict=True)
+    stated = zip(rigid.free, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
     std = {p.name: float(one) for p, one, told in stated if told}
-    return Visibility(springs_verdict(reasons, said), values, std, bounds, runs, judged.warnings)
+    return Visibility(springs_verdict(reasons, said), values, std, tuple(bounds), runs, judged.warnings)
 
 
 def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
     """Return the problem of a rigid joint on the same band, and its solution."""
     flexible = problem.joint
     assert isinstance(flexible, FlexibleJoint)
-    joint = flexible.rigid
-    surroundings = problem.parameters[len(flexible.parameters) :]
+    joint, surroundings = flexible.rigid, problem.parameters[len(flexible.parameters) :]
     loop = ClosedLoop(joint, problem.loop.controller)
     rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
     start = {p.name: values[p.name] for p in surroundings}
@@ -220,43 +219,37 @@ def _doubts(
     x: FloatArray,
     J: FloatArray,
     known: Uncertainty,
-    rigid_error: FloatArray,
+    squares: tuple[float, float],
     together: tuple[int, int],
 ) -> Iterator[str]:
-    """Yield why the spring that was found is not to be believed, whatever a test says."""
+    """Yield why the spring is not to be believed, whatever a test says; `squares` are those with it and without."""
     # Whatever its inertia, a mass that its friction holds makes the same torque: where the search left it says nothing.
     idle = {p.name for p, column in zip(problem.free, J.T, strict=True) if not column.any()}
     for side in ("motor", "load"):
         if f"{side}_inertia" in idle:
             yield f"with the joint that was found the {side} never moves, so that no torque tells its inertia"
-    left = float(np.sum(problem.residual(x) ** 2))
-    gained, repeated = float(np.sum(rigid_error**2)) - left, known.repeatable.share * left
-    if known.repeatable.significant and gained < repeated:
-        yield (
-            f"the spring explains {100 * gained / left:.2g} % of what remains, less than the "
-            f"{100 * repeated / left:.2g} % of it that repeats with the motion and no noise explains"
-        )
+    left, without = squares
+    if known.repeatable.significant and without - left < known.repeatable.share * left:
+        yield "the spring explains less of what remains than repeats with the motion and no noise explains"
     for p, value, spread in zip(problem.free, x, known.covariance.std, strict=True):
         if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and value <= 2 * spread:
             yield f"the interval of {p.name} holds 0"
-    mode, ratio = frequency_of(problem.values(x)), damping_ratio(problem.values(x))
+    mode = frequency_of(problem.values(x))
     if mode > FASTEST / problem.axis.sample_time:
         yield f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow"
-    if ratio > 1:
-        yield f"the mode that was found is damped by {100 * ratio:.3g} %, so that it does not swing"
+    if damping_ratio(problem.values(x)) > 1:
+        yield "the mode that was found is damped so much that it does not swing"
     if together[1] > 1 and together[0] < 2:
         yield f"of {together[1]} starts no two led to the same flexible joint"
 
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
     """Return the effects of springs on the residual, each (rows, 1), at some load shares and modes."""
-    cutoff = problem.filtering.cutoff
-    assert cutoff is not None
-    free = problem.all_free()
+    cutoff, free = problem.filtering.cutoff or 0.0, problem.all_free()
+    divided = divide(problem.parameters, rigid, 1.0)
 
     def residual_at(at: tuple[float, float]) -> FloatArray:
-        values = divide(problem.parameters, rigid, 1.0)
-        values |= split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
+        values = divided | split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
         return free.residual(np.array([values[p.name] for p in free.parameters]))
 
     tried = in_threads(residual_at, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
@@ -266,11 +259,8 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
 
 def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> Iterator[str]:
     """Yield another admissible spring at 95 %, or a rigid joint."""
-    if not math.isfinite(made.threshold):
-        yield "a joint that is nearly rigid cannot be simulated, so that no other spring is excluded"
-        return
     limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
-    if made.stiff.least <= limit:
+    if made.stiff.least <= limit:  # also where it cannot be simulated, so that nothing is excluded
         yield "a joint that is nearly rigid explains the torque as well, within 95 %"
         return
     std = float(known.covariance.std[names.index("stiffness")]) if "stiffness" in names else 0.0
@@ -521,9 +511,9 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
     return StiffnessBound(share, reduced * (2 * math.pi * rejected) ** 2, rejected)
 
 
-def bound_all(made: ModeProfile, shares: Sequence[float] = SHARES) -> tuple[StiffnessBound, ...]:
+def bound_all(made: ModeProfile, shares: Sequence[float] = SHARES) -> list[StiffnessBound]:
     """Return the softest spring at each of some load shares."""
-    found: list[StiffnessBound] = []
+    found = list[StiffnessBound]()
     for share in sorted(shares):
         found.append(bound_stiffness(made, share, (found[-1].frequency if found else None) or 0.0))
-    return tuple(found)
+    return found

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Facts, Heading, Listing, Paragraph, Table, Verdicts
+from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT, Quantity, unit_of
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.problems.base import INITIAL
-from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
+from jointid.estimation.result.answer import moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, format_signed, show_value
 from jointid.estimation.result.verdict import Status
 
@@ -24,7 +24,6 @@ Column: TypeAlias = tuple[str, Sequence[str], bool]
 
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
-_LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
 
 
@@ -36,17 +35,23 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
         details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
             that did not pass, a line each.
     """
-    checks = estimate.checks
+    checks, listed = estimate.checks, []
+    for verdict in checks.verdicts:
+        reasons = verdict.reasons if details else verdict.reasons[:1]
+        if details or verdict.status is not Status.PASSED:
+            said = [str(one) if details else one.brief for one in reasons]
+            more = f" (and {len(verdict.reasons) - 1} more in the report)" * (len(verdict.reasons) > len(reasons))
+            listed.append((str(verdict.subject), verdict.good, (*said[:-1], f"{said[-1]}{more}")))
     notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
     springs = () if estimate.robot is None else estimate.robot.springs
     blocks = (
         *_tables(estimate, details=details),
-        *_verdicts(estimate, details=details),
+        *([Verdicts(tuple(listed))] if listed else []),
         Facts((*(("warning", warning) for warning in checks.warnings), *notes)),
         Listing(tuple(f"{one}." for one in springs)),
         Facts((*_results(estimate, details=details), *_sources(estimate))),
     )
-    return Document(str(answer_of(estimate)), blocks)
+    return Document(estimate.sentence, blocks)
 
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
@@ -61,8 +66,6 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         header = ("joint", *(f"{name}, %" for name in columns))
         yield Table(header, rows, "filtered torque that is left, of the record it was identified from")
     yield parameters_table(estimate, details=details)
-    if moved_by_loop(estimate, threshold=_SHOWN_SHIFT):
-        yield Paragraph("loop: how much the value changes once loop and log are as the verdict says")
     known = [] if estimate.checks.known is None else [(one, one.combination) for one in estimate.checks.known.physical]
     if known:
         rows = tuple((of.name, interval(one.value, 2 * one.std), of.unit, of.formula) for one, of in known)
@@ -103,8 +106,7 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     fit, checks, windows, part = estimate.fit, estimate.checks, estimate.data.windows, estimate.robot
     if part is None:
         raw = f"{100 * fit.relative_error:.4f} % raw, " if math.isfinite(fit.relative_error) else ""
-        of = estimate.signal.removeprefix("torque").replace(" comp", ", comp")
-        yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows){of}"
+        yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
     if fit.position_rms:
         kinds = [estimate.settings.joint.kind] if part is None else [one.kind for one in part.model.links]
         kind_of = dict(zip(("",) if part is None else part.model.names, kinds, strict=True))
@@ -147,23 +149,6 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
         yield "transmission", str(settings.joint.transmission)
 
 
-def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
-    """Return the verdicts that did not pass, with the first of their reasons; or all of them."""
-    listed = []
-    for verdict in estimate.checks.verdicts:
-        if details:
-            listed.append((str(verdict.subject), verdict.good, tuple(map(str, verdict.reasons))))
-        elif verdict.status is not Status.PASSED:
-            rest = len(verdict.reasons) - 1
-            more = f" (and {rest} more in the report)" if rest else ""
-            listed.append((str(verdict.subject), verdict.good, (f"{verdict.reasons[0].brief}{more}",)))
-    if listed:
-        yield Verdicts(tuple(listed))
-
-
-# The tables
-
-
 def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping[str, float] | None = None) -> Table:
     """Return the parameters with their intervals.
 
@@ -191,16 +176,14 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
         columns.append(("truth", [f"{truth[p.name]:.6g}" for p in rows], False))
     elif part is not None:
         columns.append(("nominal", [number(float(part.nominal[i]), 4) for i in shown], False))
-    elif not estimate.data.records:
-        columns.append(("± %", [_percent(p) for p in rows], False))
     for k, record in enumerate(estimate.data.records, 1):
         alone = {p.name: show_value(p) for p in record.alone}
         columns.append((f"{k} alone", [alone.get(p.name, "-") for p in rows], False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
     columns.append(("symbol", [p.symbol for p in rows], True))
-    header, cells, words = zip(*columns, strict=True)
-    return Table(header, tuple(zip(*cells, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
+    header, texts, words = zip(*columns, strict=True)
+    return Table(header, tuple(zip(*texts, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
 
 
 def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
@@ -210,26 +193,14 @@ def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
     return details or not p.free or p.at_bound is not None or (p.stderr or 0.0) < _KNOWN * abs(p.value)
 
 
-def _percent(p: EstimatedParameter) -> str:
-    """Return two deviations in percent of the value."""
-    if p.value is None or p.deviation is None or not p.free or p.at_bound is not None:
-        return "-"
-    percent = 200 * p.deviation / abs(p.value) if p.value else math.inf
-    return number(percent, 2) if percent < _LOST else "-"
-
-
 def remarks(estimate: Estimate) -> dict[str, str]:
-    """Return the remarks of the checks on parameters, by name: at a bound, moved by a fault, known only with another.
-
-    Of a fault of loop or log it is by how much the value changes, in its unit, when the fault is corrected.
-    """
-    found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params.rows if p.at_bound is not None}
-    for name, by in moved_by_loop(estimate, threshold=_SHOWN_SHIFT).items():
-        found.setdefault(name, []).append(f"loop: {format_signed(by, 3)}")
-    symbols = {p.name: p.symbol for p in estimate.params.rows if p.of_joint and p.value is not None}
-    alike = np.argwhere(np.abs(estimate.params.correlation) > _INSEPARABLE) if estimate.robot is None else ()
-    for i, j in alike:
-        one, other = estimate.params.names[i], estimate.params.names[j]
-        if i != j and {one, other} <= symbols.keys():
-            found.setdefault(one, []).append(f"only with {symbols[other]}")
+    """Return remarks on parameters, by name: how much the value changes once a fault is corrected, known only with."""
+    rows = {p.name: p for p in estimate.params.rows if p.value is not None}
+    moved = {name: by for name, by in moved_by_loop(estimate).items() if name in rows}
+    shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}
+    found = {name: [f"corrected by {format_signed(by, 3)}"] for name, by in shown.items()}
+    for i, j in np.argwhere(np.abs(estimate.params.correlation) > _INSEPARABLE) if estimate.robot is None else ():
+        one, other = (estimate.params.names[k] for k in (i, j))
+        if i != j and all(name in rows and rows[name].of_joint for name in (one, other)):
+            found.setdefault(one, []).append(f"only with {rows[other].symbol}")
     return {name: ", ".join(said) for name, said in found.items()}
