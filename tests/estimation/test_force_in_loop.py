@@ -103,7 +103,7 @@ def test_sums_beside_a_refused_spring_hold_what_a_force_moves() -> None:
     found = visible(problem, x, J, known, (2, 2), ignore_progress, ())
     assert not found.shown
     for name in SUMS:
-        assert abs(found.rigid[name] - axis.truth[name]) <= 2 * found.rigid_std[name]
+        assert abs(found.rigid[name] - axis.truth[name]) <= 2 * found.std[name]
     assert "force in the loop" in str(found.notes[0])
 
 

@@ -67,12 +67,10 @@ class RandomForce:
     Attributes:
         hertz: (frequencies,).
         power: (frequencies,) two-sided, its mean over all frequencies up to half the sampling one is the variance.
-        noise: standard deviation of the white noise on the log beside it.
     """
 
     hertz: FloatArray
     power: FloatArray
-    noise: float
 
     @property
     def rms(self) -> float:
@@ -112,15 +110,9 @@ def uncertainty_of_least_error(
     known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history))
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
-    held = find_active_bounds(problem.free, x, residual, J)
+    held, W = find_active_bounds(problem.free, x, residual, J), problem.filter(problem.regressor(run))
     freely = np.array([p.name not in held for p in problem.free])
-    return widened_to_second(known, instruments(problem, run, J), J, residual, freely)
-
-
-def instruments(problem: ClosedLoopProblem, run: Simulation, J: FloatArray) -> FloatArray:
-    """Return the regressor on a run, and for what surrounds the joint the derivatives, (rows, free)."""
-    W = problem.filter(problem.regressor(run))
-    return np.hstack([W, J[:, W.shape[1] :]])
+    return widened_to_second(known, np.hstack([W, J[:, W.shape[1] :]]), J, residual, freely)
 
 
 def widened_for_force(
@@ -130,15 +122,11 @@ def widened_for_force(
     if found is None:
         return known
     there, force = found
-    moved = {
-        p.name: float(value)
-        for p, value, before, own in zip(problem.free_joint, there, x, known.covariance.std, strict=False)
-        if abs(value - before) > _TOLD * own
-    }
-    size = f"{number(force.rms, 2)} {problem.torque_unit}".strip()
+    each = zip(problem.free_joint, there, x, known.covariance.std, strict=False)
+    moved = {p.name: float(value) for p, value, before, own in each if abs(value - before) > _TOLD * own}
     values = ", ".join(f"{name} {number(value, 3)} {problem.units[name]}".strip() for name, value in moved.items())
     said = (
-        f"the residual's spectrum shows a random force in the loop of about {size} rms, which lets friction slide; "
+        f"a random force in the loop, of about {number(force.rms, 2)} {problem.torque_unit} rms, lets friction slide; "
         f"simulated with it, the fit gives {values}: the intervals hold both"
     )
     stated = (Message(Limitation.FORCE_IN_LOOP, said, {"rms": force.rms, "values": moved}),) if moved else ()
@@ -196,7 +184,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
     if hertz.size < _FEWEST or not np.mean(power) > 0:  # a log far slower than the loop shows nothing of its answer
         return None
     shapes = np.column_stack([1.0 / (1.0 + (hertz / (c * middle)) ** 2) for c in _CORNERS] + [np.ones(hertz.size)])
-    columns = np.column_stack([shapes * _answer(problem, x, hertz)[:, np.newaxis], np.ones(hertz.size)])
+    columns = np.column_stack([shapes * _response(problem, x, hertz)[:, np.newaxis], np.ones(hertz.size)])
     # A spectrum's deviation is a share of itself, and where it is small, of what reaches there from its largest parts.
     smooth = np.convolve(np.pad(power, 2, "edge"), np.full(5, 0.2), "valid")
     weight = 1.0 / np.maximum(smooth, _LEAKAGE * np.max(smooth))
@@ -205,7 +193,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
         parts, _ = nnls(columns * (level * weight)[:, np.newaxis], power * weight)
     except RuntimeError:  # too many iterations: columns that are alike, or no numbers
         return None
-    found = RandomForce(hertz, level * (shapes @ parts[:-1]), math.sqrt(level * parts[-1]))
+    found = RandomForce(hertz, level * (shapes @ parts[:-1]))
     return found if found.rms > 0.0 else None
 
 
@@ -222,18 +210,17 @@ def simulate_with_force(
     signs: tuple[float, ...] = (1.0, -1.0),
 ) -> Iterator[FloatArray]:
     """Yield the torque of the loop, (samples,), under so many random forces, each of them with each sign."""
-    random = np.random.default_rng(0)
+    random, samples = np.random.default_rng(0), problem.measured.size
+
+    def push(added: FloatArray, driven: AxisInput) -> AxisInput:
+        extra = np.zeros(driven.after_limit.size)
+        held = np.repeat(added, driven.clock.skips)[:: driven.clock.shows][: extra.size]
+        extra[: held.size] = held
+        return replace(driven, after_limit=driven.after_limit + extra)
+
     for _ in range(draws):
-        pushed = force.draw(problem.measured.size, problem.sample_time, random)
-        for sign in signs:
-            yield problem.torque(x, partial(_with_force, force=sign * pushed))
-
-
-def _with_force(driven: AxisInput, force: FloatArray) -> AxisInput:
-    """Return the loop input with a force added to the motor, one value per sample of the log."""
-    extra = np.repeat(force, driven.clock.skips)[:: driven.clock.shows][: driven.after_limit.size]
-    extra = np.pad(extra, (0, driven.after_limit.size - extra.size))
-    return replace(driven, after_limit=driven.after_limit + extra)
+        pushed = force.draw(samples, problem.sample_time, random)
+        yield from (problem.torque(x, partial(push, sign * pushed)) for sign in signs)
 
 
 def _spectrum(
@@ -252,7 +239,7 @@ def _spectrum(
     return np.arange(power.size) / (2 * lags * sample_time), power
 
 
-def _answer(problem: ClosedLoopProblem, x: FloatArray, hertz: FloatArray) -> FloatArray:
+def _response(problem: ClosedLoopProblem, x: FloatArray, hertz: FloatArray) -> FloatArray:
     """Return ``|T|^2``: how much of a force on the motor the controller's torque answers to."""
     own = {p.name for p in problem.joint.parameters}
     values = {name: value for name, value in problem.values(x).items() if name in own}

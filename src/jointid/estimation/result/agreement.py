@@ -62,31 +62,18 @@ class Scatter:
 
     Attributes:
         name, unit: of the parameter.
-        records: that were compared.
-        statistic: Q, of ``records - 1`` degrees of freedom.
         p_value: how often records that agree differ so much.
         between: standard deviation between the runs, 0 where their own intervals explain the difference.
         differs: whether it disagrees, allowing for how many parameters were tested.
-        share: of the between-run variance that is in the common value: ``sum w^2 / (sum w)^2``.
+        widening: variance between records, added to that of the common value; 0 where the records agree.
     """
 
     name: str
     unit: str
-    records: int
-    statistic: float
     p_value: float
     between: float
     differs: bool
-    share: float
-
-    @property
-    def widening(self) -> float:
-        """Variance between records, added to that of the common value; 0 where the records agree."""
-        return self.between**2 * self.share if self.differs else 0.0
-
-    def __str__(self) -> str:
-        """Return the difference in words."""
-        return f"{self.name} by {number(self.between, 2)} {self.unit} rms"
+    widening: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,14 +102,12 @@ class Agreement:
 
     Attributes:
         parameters: one by one.
-        statistic, degrees, p_value: of all of them jointly; the last is None where nothing was compared.
+        p_value: of all of them jointly; None where nothing was compared.
         segments: in the order of time; empty for records.
     """
 
     in_json = "differs"
     parameters: tuple[Scatter, ...]
-    statistic: float
-    degrees: int
     p_value: float | None
     segments: tuple[Segment, ...] = ()
 
@@ -147,14 +132,12 @@ class Agreement:
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
-        if self.p_value is None:
-            return "no parameter is shared by records that could each tell it alone, so nothing says whether they agree"
-        what = f"{max(p.records for p in self.parameters)} {'segments' if self.segments else 'records'}"
-        tested = f"chi-square {number(self.statistic, 3)} of {self.degrees}, p = {self.p_value:.2g}"
-        if not self.differs:
-            return f"the {what} agree within their intervals ({tested})"
-        off = "; ".join(str(p) for p in self.parameters if p.differs) or "only all parameters together"
-        return f"the {what} disagree by more than their intervals allow ({tested}): {off}"
+        what = "segments" if self.segments else "records"
+        if not self.differs or self.p_value is None:
+            return f"the {what} agree within their intervals"
+        off = [f"{p.name} by {number(p.between, 2)} {p.unit} rms" for p in self.parameters if p.differs]
+        said = "; ".join(off) or "only all parameters together"
+        return f"the {what} disagree by more than their intervals allow (p = {self.p_value:.2g}): {said}"
 
 
 def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
@@ -164,26 +147,22 @@ def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agree
         records: what each says by itself; a parameter that one could not tell is left out of it.
         units: of the parameters, by name; those that are compared.
     """
+    from scipy.special import chdtrc
+
     shared = [name for name in units if sum(name in r.values for r in records) > 1]
     if not shared:
-        return Agreement((), 0.0, 0, None)
-    statistic, degrees = _jointly(records, shared)
-    p_value = _tail_probability(statistic, degrees)
-    level = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared)
-    found = tuple(_compare_parameter(name, units[name], records, level) for name in shared)
-    return Agreement(found, statistic, degrees, p_value)
-
-
-def _compare_parameter(name: str, unit: str, records: Sequence[Alone], level: float) -> Scatter:
-    """Test one parameter for equality over the records, at a significance level."""
-    std = [r.covariance.std[[*r.values].index(name)] for r in records if name in r.values]
-    weights = 1.0 / np.array(std) ** 2
-    total, squares = float(weights.sum()), float(weights @ weights)
-    statistic, degrees = _jointly(records, [name])
-    apart = 2.0 * float(np.sum(np.triu(np.outer(weights, weights), 1))) / total  # sum w - sum w^2 / sum w, exactly
-    between = math.sqrt(max(statistic - degrees, 0.0) / apart)
-    p_value = _tail_probability(statistic, degrees)
-    return Scatter(name, unit, len(std), statistic, p_value, between, p_value <= level, squares / total**2)
+        return Agreement((), None)
+    p_value = float(chdtrc(*_jointly(records, shared)[::-1]))
+    level, found = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared), list[Scatter]()
+    for name in shared:
+        std = [r.covariance.std[[*r.values].index(name)] for r in records if name in r.values]
+        weights = 1.0 / np.array(std) ** 2
+        total, (statistic, degrees) = float(weights.sum()), _jointly(records, [name])
+        apart = 2.0 * float(np.sum(np.triu(np.outer(weights, weights), 1))) / total  # sum w - sum w^2 / sum w, exactly
+        between, own = math.sqrt(max(statistic - degrees, 0.0) / apart), float(chdtrc(degrees, statistic))
+        widening = between**2 * float(weights @ weights) / total**2 if own <= level else 0.0
+        found.append(Scatter(name, units[name], own, between, own <= level, widening))
+    return Agreement(tuple(found), p_value)
 
 
 def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int]:
@@ -194,24 +173,14 @@ def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int
         if not own:
             continue
         at = [[*values].index(name) for name in own]
-        std = covariance.std[at]
         sizes, directions = np.linalg.eigh(covariance.correlation[np.ix_(at, at)])
-        whiten = (directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1]))).T / std
-        columns = np.zeros((len(own), len(names)))
-        columns[range(len(own)), [names.index(name) for name in own]] = 1.0
-        rows.append(whiten @ columns)
+        whiten = (directions / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1]))).T / covariance.std[at]
+        rows.append(whiten @ [[float(one == name) for name in names] for one in own])
         sought.append(whiten @ [values[name] for name in own])
     A, b = np.vstack(rows), np.concatenate(sought)
     scale = np.linalg.norm(A, axis=0)
     left = b - A / scale @ np.linalg.lstsq(A / scale, b, rcond=None)[0]
     return float(left @ left), b.size - len(names)
-
-
-def _tail_probability(statistic: float, degrees: int) -> float:
-    """Return how often a chi-square of so many degrees of freedom is larger."""
-    from scipy.special import chdtrc
-
-    return float(chdtrc(degrees, statistic))
 
 
 # The segments of a long record

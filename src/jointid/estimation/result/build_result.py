@@ -65,13 +65,9 @@ def build_rows(
     for p in parameters:
         value, own = values[p.name], p.name.partition("@")[0] in of_joint
         row = EstimatedParameter(p.name, p.symbol, unit(p), value, std.get(p.name), p.free, of_joint=own)
-        bound = min(p.lower, p.upper, key=partial(_apart, value)) if p.name in held else None
-        rows.append(replace(row, at_bound=bound))
+        nearest = p.lower if value - p.lower <= p.upper - value else p.upper
+        rows.append(replace(row, at_bound=nearest) if p.name in held else row)
     return tuple(rows)
-
-
-def _apart(value: float, bound: float) -> float:
-    return abs(value - bound)
 
 
 def build_estimate(
