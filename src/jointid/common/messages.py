@@ -12,7 +12,6 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Self, TypeVar
 
 _LONGEST = 60  # characters of a value that a sentence shows
@@ -86,7 +85,7 @@ class Message:
         clause: the fact alone, without its evidence, for a sentence about something else; empty where the words are it.
     """
 
-    code: StrEnum
+    code: str
     words: str
     values: Mapping[str, Any] = field(default_factory=dict)
     clause: str = ""

@@ -9,14 +9,12 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import StrEnum
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
@@ -26,15 +24,13 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import finite, read
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
 from jointid.estimation.result.robot import SpringVerdict
-from jointid.estimation.result.verdict import Reason, Status, Subject, Verdict, judged
+from jointid.estimation.result.verdict import judged
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
-from jointid.records.record import Timing
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
 from jointid.uncertainty.covariance import Covariance
@@ -43,7 +39,6 @@ RobotSystem = Robot | RobotLoop | RobotDriveSide
 System = Joint | ClosedLoop | DriveSide | RobotSystem
 
 _DIGITS = 2e-3  # of the numbers in a sum, which has four
-_CODES: dict[str, StrEnum] = {str(code): code for code in Reason}  # of others, as of faults, the text is enough
 _TERM = re.compile(r"(?:^|([+-]) )(\S+)(?: \* ([0-9.e+-]+))?")  # sign, symbol and weight in a sum
 
 
@@ -91,22 +86,18 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
             raise ValueError
         part = _part(answer, system, kept, rows)
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
-    logs = [str(one["fingerprint"]) for one in data["records"]]
+    logs = [str(one["fingerprint"]) for one in data["records"]] or [*map(str, data["logs"])]
     found = judged(
         Estimate(
-            params=Params(rows, names, _correlation(params, len(names), robot is not None)),
-            fit=read(Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, **shares),
-            checks=Checks(
-                tuple(map(_verdict, checks["verdicts"])), warnings=tuple(map(str, checks["warnings"])),
-                notes=tuple(map(str, checks["notes"])),
+            Params(rows, names, _correlation(params, len(names), robot is not None)),
+            read(Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, **shares),
+            read(Checks, {name: checks[name] for name in ("verdicts", "warnings", "notes")}),
+            read(Data, data, resampled=None, records=(), windows=None, logs=tuple(logs)),
+            read(
+                Settings, settings, system=robot or system, loop=loop if method.needs_controller else None,
+                controller=str(answer["controller_sha256"]),
             ),
-            data=read(Data, data, resampled=None, records=(), windows=None, logs=tuple(logs or map(str, data["logs"]))),
-            settings=Settings(
-                settings["method"], str(settings["variant"]), robot or system,  # type: ignore[arg-type]
-                loop if method.needs_controller else None, read(Filtering, settings["filtering"]),
-                finite(settings["delay"]), read(Timing | None, settings["timing"]), str(answer["controller_sha256"]),
-            ),
-            robot=part,
+            part,
         )
     )  # fmt: skip
     found.summary(details=True)  # what cannot be described is damaged
@@ -192,18 +183,16 @@ def _require_same(stated: dict[str, str], sums: dict[str, str]) -> None:
     Raises:
         RecordError: they are not.
     """
-    if stated.keys() != sums.keys():
-        other = ", ".join(sorted(stated.keys() ^ sums.keys()))
-        raise RecordError(f"its parameters are not those of this robot, which differ in {other}; identify again")
+    if other := stated.keys() ^ sums.keys():
+        names = ", ".join(sorted(other))
+        raise RecordError(f"its parameters are not those of this robot, which differ in {names}; identify again")
     for name, formula in sums.items():
-        there, here = (_weights(text) for text in (stated[name], formula))
+        there, here = (
+            {symbol: float(f"{sign}{weight or 1}") for sign, symbol, weight in _TERM.findall(text)}
+            for text in (stated[name], formula)
+        )
         if there.keys() != here.keys() or not np.allclose([there[one] for one in here], [*here.values()], rtol=_DIGITS):
             raise RecordError(f"there {name} is {stated[name]}, and of this robot {formula}; identify again")
-
-
-def _weights(formula: str) -> dict[str, float]:
-    """Return the weights of a sum by symbol."""
-    return {symbol: float(f"{sign}{weight or 1}") for sign, symbol, weight in _TERM.findall(formula)}
 
 
 def _correlation(params: dict[str, Any], size: int, whole: bool) -> FloatArray:
@@ -215,14 +204,3 @@ def _correlation(params: dict[str, Any], size: int, whole: bool) -> FloatArray:
     if found.shape != (2 * (size if whole else most,)) or not np.all(np.abs(found) < 1.01):
         raise ValueError
     return found
-
-
-def _verdict(one: dict[str, Any]) -> Verdict:
-    reasons = (
-        Message(
-            _CODES.get(str(of["code"]), cast("StrEnum", str(of["code"]))), str(of["words"]), dict(of["values"]),
-            str(of.get("clause", "")),
-        )
-        for of in one["reasons"]
-    )  # fmt: skip
-    return Verdict(Subject(one["subject"]), Status(one["status"]), tuple(reasons))

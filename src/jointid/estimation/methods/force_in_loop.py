@@ -67,10 +67,12 @@ class RandomForce:
     Attributes:
         hertz: (frequencies,).
         power: (frequencies,) two-sided, its mean over all frequencies up to half the sampling one is the variance.
+        noise: standard deviation of the white noise on the log beside it.
     """
 
     hertz: FloatArray
     power: FloatArray
+    noise: float
 
     @property
     def rms(self) -> float:
@@ -193,7 +195,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
         parts, _ = nnls(columns * (level * weight)[:, np.newaxis], power * weight)
     except RuntimeError:  # too many iterations: columns that are alike, or no numbers
         return None
-    found = RandomForce(hertz, level * (shapes @ parts[:-1]))
+    found = RandomForce(hertz, level * (shapes @ parts[:-1]), math.sqrt(level * parts[-1]))
     return found if found.rms > 0.0 else None
 
 

@@ -193,13 +193,13 @@ def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[M
     loop = loop_verdict(estimate)
     if loop is None or loop.status is Status.PASSED:
         return
-    first, value = loop.reasons[0], None if asked is None else asked.value
+    first = loop.reasons[0]
     if loop.status is Status.UNKNOWN:
-        for reason in loop.reasons if asked is not None and value is not None and asked.stderr else ():
-            if reason.code == Reason.LAW_UNDECIDED and _leaves(asked, reason.values["changes"].get(asked.name, 0.0)):
-                yield reason
+        if asked is not None and asked.value is not None and asked.stderr:
+            other = [one for one in loop.reasons if one.code == Reason.LAW_UNDECIDED]
+            yield from (one for one in other if _leaves(asked, one.values["changes"].get(asked.name, 0.0)))
         return
-    if asked is not None and value is None:
+    if asked is not None and asked.value is None:
         yield first
         return
     held = any(row.of_joint and row.at_bound is not None for row in estimate.params.rows)

@@ -73,8 +73,8 @@ def read(kind: Any, raw: Any, **given: object) -> Any:
         found = parts[parts.index(raw)]
     elif origin is not None:  # a mapping by names
         found = {str(key): read(parts[1], item) for key, item in _require(raw, Mapping).items()}
-    elif kind is float:
-        found = finite(raw)
+    elif kind in (float, Any):
+        found = raw if kind is Any else finite(raw)
     else:
         found = _require(raw, kind) if kind in (bool, int, str) else kind(raw)
     return found
