@@ -45,7 +45,7 @@ def judged(estimate: Estimate, *more: Verdict, **changes: float) -> Estimate:
     if changes:
         clause = "velocity_gain is 25 % smaller"
         reason = Message(Reason.LOOP_NOT_AS_DECLARED, f"{clause} (p < 1e-6)", {"changes": changes}, clause)
-    verdict = Verdict(Subject.LOOP, Status.of(not changes), (reason,))
+    verdict = Verdict.of(Subject.LOOP, not changes, reason)
     return with_verdicts(amended(estimate, checks={"verdicts": (verdict, *more)}))
 
 

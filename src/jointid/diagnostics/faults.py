@@ -19,7 +19,7 @@ from jointid.diagnostics.in_time import Part
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import format_signed
-from jointid.estimation.result.verdict import Reason, Status
+from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
 from jointid.models.friction import StribeckFriction
 
@@ -271,9 +271,9 @@ class AxisFaults:
         return not self.findings and self.part is None
 
     @property
-    def status(self) -> Status:
-        """Passed where loop and log are as declared; unknown where another law would matter that is not excluded."""
-        return Status.of(None if self.as_declared and self.undecided is not None else self.as_declared)
+    def good(self) -> bool | None:
+        """True if loop and log are as declared; None where another law would matter that is not excluded."""
+        return None if self.as_declared and self.undecided is not None else self.as_declared
 
     @property
     def reasons(self) -> tuple[Message, ...]:

@@ -23,16 +23,7 @@ from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import (
-    CheckResults,
-    Reason,
-    Status,
-    Subject,
-    Verdict,
-    Widening,
-    assemble,
-    skip_test,
-)
+from jointid.estimation.result.verdict import CheckResults, Reason, Subject, Verdict, Widening, assemble, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -172,12 +163,12 @@ def run_checks(
             return _check_joint(fit, fit.record, (fit.problem, fit.x), progress)
     except Exception as error:  # an estimate is worth more than any check of it
         said = f"a check failed, which is a fault of jointid ({type(error).__name__}: {error})"
-        return CheckResults((Verdict(Subject.LOOP, Status.UNKNOWN, (Message(Reason.CHECK_FAILED, said),)),))
+        return CheckResults((Verdict.of(Subject.LOOP, None, Message(Reason.CHECK_FAILED, said)),))
     return CheckResults()
 
 
 def _fail(*reasons: Message) -> Verdict:
-    return Verdict(Subject.LOOP, Status.FAILED, reasons)
+    return Verdict.of(Subject.LOOP, False, *reasons)
 
 
 def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
@@ -194,7 +185,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     try:
         if whole:
             found = diagnose_joint(fit, record, solved)
-            verdict = Verdict(Subject.LOOP, found.axes[0].faults.status, found.axes[0].faults.reasons)
+            verdict = Verdict.of(Subject.LOOP, found.axes[0].faults.good, *found.axes[0].faults.reasons)
         else:
             verdict = check_without_joint(record, problem.loop_at(x))
     except _OF_RECORD as error:
@@ -213,7 +204,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     if law is not None and all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike)):
         agreed = judge_law(law, record)
         if agreed.code in (Agreement.DIFFERS, Agreement.SCALED):
-            verdict = _fail(agreed, *(verdict.reasons if verdict.status is Status.FAILED else ()))
+            verdict = _fail(agreed, *(verdict.reasons if verdict.good is False else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         verdict = _fail(short)
     return CheckResults((verdict,), () if found is None else tuple(_widen(fit, found)), found)
@@ -234,7 +225,7 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
     if law is None:
         return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
     agreed = judge_law(law, record)
-    return Verdict(Subject.LOOP, Status.of(agreed.code is Agreement.HOLDS), (agreed,))
+    return Verdict.of(Subject.LOOP, agreed.code == Agreement.HOLDS, agreed)
 
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> CheckResults:
@@ -253,7 +244,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))
     noise = Message(Reason.PASSED, "what the model leaves is noise, or little")
     reasons = (*rest, *found.name_faults(of_model=True)) if rest else (noise,)
-    residual = Verdict(Subject.REPEATABLE, Status.of(not rest), reasons)
+    residual = Verdict.of(Subject.REPEATABLE, not rest, *reasons)
 
     failed = [*found.name_faults(of_model=False)]
     lost = list(filter(None, map(find_lost_samples, fit.records)))
@@ -268,5 +259,5 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         loop = _fail(*(lost[:1] or failed))
     elif all(joint.law_holds for joint in found.axes):
         said = found.describe_laws(holds=True)
-        loop = Verdict(Subject.LOOP, Status.PASSED, (Message(Reason.LOOP_AS_DECLARED, said),))
+        loop = Verdict.of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))
     return CheckResults((residual, loop) if tested else (residual,), tuple(_widen(fit, found)), found)

@@ -43,11 +43,6 @@ class Status(StrEnum):
     FAILED = "failed"
     UNKNOWN = "unknown"
 
-    @classmethod
-    def of(cls, good: bool | None) -> Status:
-        """Status of a test that passed, failed, or (None) was impossible."""
-        return cls.UNKNOWN if good is None else cls.PASSED if good else cls.FAILED
-
 
 class Reason(StrEnum):
     """Reasons for a verdict, as codes."""
@@ -109,6 +104,12 @@ class Verdict:
     status: Status
     reasons: tuple[Message, ...]
 
+    @classmethod
+    def of(cls, subject: Subject, good: bool | None, *reasons: Message) -> Verdict:
+        """Return the verdict of a test that passed, failed, or (None) was impossible."""
+        status = Status.UNKNOWN if good is None else Status.PASSED if good else Status.FAILED
+        return cls(subject, status, reasons)
+
     @property
     def good(self) -> bool | None:
         """True if passed, False if failed, None if undecided."""
@@ -124,7 +125,7 @@ def verdict_of(
     subject: Subject, good: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
 ) -> Verdict:
     """Return a verdict with one reason: the code, or that it passed; `good` is None where nothing could be tested."""
-    return Verdict(subject, Status.of(good), (Message(Reason.PASSED if good else code, said, values or {}),))
+    return Verdict.of(subject, good, Message(Reason.PASSED if good else code, said, values or {}))
 
 
 def skip_test(subject: Subject, why: str, axes: Sequence[str] = ()) -> Verdict:
@@ -218,7 +219,7 @@ def _judge(estimate: Estimate) -> Iterator[Verdict]:
     if fit.residuals is not None:
         yield from _judge_residual(fit.residuals)
     if checks.known is not None and checks.known.limitations:
-        yield Verdict(Subject.IDENTIFIABILITY, Status.FAILED, checks.known.limitations)
+        yield Verdict.of(Subject.IDENTIFIABILITY, False, *checks.known.limitations)
     elif checks.known is not None:
         said = "every parameter is distinguished from 0 and from the others"
         yield verdict_of(Subject.IDENTIFIABILITY, True, Reason.ONLY_SUMS, said)
@@ -266,7 +267,7 @@ def negative_friction(axes: Sequence[str]) -> tuple[Verdict, ...]:
 def springs_verdict(refused: Sequence[str], shown: str = "the record shows every spring") -> Verdict:
     """Return the verdict on springs; `refused` has a sentence for each reason or spring that is not shown."""
     reasons = [Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in refused] or [Message(Reason.PASSED, shown)]
-    return Verdict(Subject.STIFFNESS, Status.of(not refused), tuple(reasons))
+    return Verdict.of(Subject.STIFFNESS, not refused, *reasons)
 
 
 def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Verdict:
@@ -284,5 +285,5 @@ def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified:
     said = f"the torque is computed from the declared controller and the motor position, {said}"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
-    reason = Message(code, said, {"parameters": [*known], "undetermined": [*lost]})
-    return Verdict(Subject.SCALE, Status.PASSED if known else Status.UNKNOWN, (reason,))
+    values = {"parameters": [*known], "undetermined": [*lost]}
+    return Verdict.of(Subject.SCALE, True if known else None, Message(code, said, values))
