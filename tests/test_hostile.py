@@ -42,9 +42,6 @@ def refused(read: Callable[[], object]) -> bool:
     return False
 
 
-# Nothing is executed
-
-
 class _Executes:
     """What makes a folder when it is unpickled."""
 
@@ -106,9 +103,6 @@ def test_nothing_in_a_file_is_executed(name: str, tmp_path: Path, monkeypatch: p
     assert not list(tmp_path.rglob("executed"))
 
 
-# What asks for too much
-
-
 def _chunk(path: Path) -> None:
     with h5py.File(path, "w") as file:
         file.create_dataset("q", shape=(2**27,), dtype="f8", chunks=(2**27 - 1,), compression="gzip")
@@ -155,9 +149,6 @@ def test_what_asks_for_too_much_is_read_or_refused(name: str, tmp_path: Path) ->
     refused(lambda: ji.inspect(path))
 
 
-# Damage
-
-
 def damaged(content: bytes, others: list[bytes], chance: random.Random) -> bytes:
     """Return a file with one to six damages: bits turned, parts cut, exchanged, or of another file, extreme numbers."""
     made = bytearray(content)
@@ -200,8 +191,6 @@ def test_a_damaged_file_of_any_format_is_read_or_refused(name: str, tmp_path: Pa
         refused(lambda: ji.inspect(path))
     assert count >= 5
 
-
-# Numbers, names and joint files
 
 HEAD = b"t,torque,reference\n"
 

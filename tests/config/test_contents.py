@@ -209,9 +209,6 @@ def test_a_torque_beyond_the_limit_is_refused(run: Path) -> None:
     assert loads(SMALLEST + "gain = 2.0\nlimit = 160.0").record(run).torque is not None
 
 
-# Several records
-
-
 SEVERAL = """
 [[records]]
 file = "a.csv"

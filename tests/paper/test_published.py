@@ -45,9 +45,6 @@ def by_symbol(column: dict[str, Decimal]) -> dict[str, float]:
     return {SYMBOLS[name]: float(value) for name, value in column.items()}
 
 
-# As printed
-
-
 @pytest.mark.parametrize(
     ("table", "symbol", "printed"),
     [
@@ -71,9 +68,6 @@ def test_every_table_is_whole() -> None:
     for table in TABLES.values():
         assert list(table.rows) == (["inertia", "viscous", "coulomb"] if table.number == 1 else NAMES)
         assert all(len(numbers) == len(table.columns) for numbers in table.rows.values())
-
-
-# Recomputed
 
 
 def test_frequencies_and_that_print_cuts_the_free_free_one() -> None:
@@ -135,9 +129,6 @@ def test_cells_that_no_denominator_explains() -> None:
 def test_every_sum_is_as_printed() -> None:
     for n in (2, 3, 4, 5):
         assert sum_sides(TABLES[n].values) == pytest.approx({k: float(v) for k, v in TABLES[n].sums.items()}, rel=1e-12)
-
-
-# For readers
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: f"table {table.number}")

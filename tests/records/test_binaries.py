@@ -154,10 +154,6 @@ def test_a_terabyte_that_is_only_declared_is_refused_before_there_is_memory_for_
     tracemalloc.stop()
 
 
-# MATLAB's layout
-# ---------------
-
-
 def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     matrix = np.arange(12.0).reshape(6, 2)

@@ -294,9 +294,6 @@ def test_a_column_that_cannot_be_read_is_passed_over(
     assert list(read_table(tmp_path / "run.csv").columns) == columns
 
 
-# TwinCAT Scope's export
-
-
 START = 132959733843760000  # a FILETIME: 2 May 2022
 HEADER = (
     "SymbolComment",

@@ -116,9 +116,6 @@ def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
         ji.read(path, drive=Drive("kuka"), kind="revolute")
 
 
-# The profiles as data
-
-
 @pytest.mark.parametrize("name", profile_names())
 def test_a_profile_is_whole(name: str) -> None:
     profile = load_profile(name)
@@ -139,9 +136,6 @@ def test_a_profile_is_whole(name: str) -> None:
                 same = [s for s in signals if called in s.names_on(place)]
                 others = [c for c in profile.channels if profile.find(c, index_columns([called]), place)]
                 assert (others, same) == ([channel], [signal]), called
-
-
-# Joint files
 
 
 def test_a_joint_file_with_a_profile_needs_no_channels(tmp_path: Path) -> None:

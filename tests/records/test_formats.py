@@ -46,9 +46,6 @@ def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path:
     assert read_table(path).columns
 
 
-# What is written comes back
-# --------------------------
-
 values = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=2, max_size=5)
 
 
@@ -96,10 +93,6 @@ def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, tmp_path:
     assert not (tmp_path / name).exists()
 
 
-# Missing packages, bounds
-# ------------------------
-
-
 @pytest.mark.parametrize("name", PACKAGES)
 def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = made(name, tmp_path)
@@ -131,10 +124,6 @@ def test_a_pipe_is_not_called_empty(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "run.csv")
     with pytest.raises(ji.RecordError):
         read_table(tmp_path / "run.csv")
-
-
-# Units that a file states
-# ------------------------
 
 
 def recorded(path: Path, logged: Logged, **how: Any) -> Any:

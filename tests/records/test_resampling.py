@@ -44,9 +44,6 @@ def values(record: ji.Record, name: str = "motor_position") -> np.ndarray:
     return dict(record.items())[name].values
 
 
-# What the stamps are
-
-
 def test_the_deviations_are_those_from_the_line_of_least_squares() -> None:
     line = np.polynomial.Polynomial.fit(np.arange(400), STAMPS, 1)
     period, off, left_out = fit_line(STAMPS)
@@ -58,9 +55,6 @@ def test_the_deviations_are_those_from_the_line_of_least_squares() -> None:
     stamps[80], stamps[90] = stamps[79], stamps[88]
     _, _, left_out = fit_line(stamps)  # one after a repeated stamp, and one after a step back
     assert (np.count_nonzero(left_out), left_out.max()) == (4, 3)
-
-
-# What the methods are
 
 
 @pytest.mark.parametrize(("method", "degree"), [("hold", 0), ("linear", 1), ("cubic", 3)])
@@ -98,9 +92,6 @@ def test_the_means_of_an_average_add_up(seed: int, ratio: float) -> None:
     edges = np.concatenate([[0.0], np.cumsum(means[1:] * np.diff(stamps))])
     whole = np.interp(last, stamps, edges) - np.interp(first, stamps, edges)
     assert found.values.sum() * ratio * T == pytest.approx(whole, abs=1e-12)
-
-
-# What is asked for, and what is refused
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
@@ -162,9 +153,6 @@ def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
     twice = np.repeat(STAMPS, np.where(np.arange(400) % 7 == 0, 2, 1))
     once, again = (read(saved(t=t, q=t**2), Resampling(T, "cubic")) for t in (STAMPS, twice))
     np.testing.assert_array_equal(values(once), values(again))
-
-
-# Channels with clocks of their own
 
 
 def test_channels_of_two_clocks_keep_their_rates_until_they_are_brought_to_one(saved: Saved) -> None:

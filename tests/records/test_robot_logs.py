@@ -108,9 +108,6 @@ def test_a_data_set_of_lerobot_has_its_joints_names(tmp_path: Path) -> None:
         read_table(tmp_path / "set")
 
 
-# Whose log it is, and the file that reads it
-# -------------------------------------------
-
 KP, KD = 40.0, 1.5
 CONTROLLER_TYPE = "control_msgs/msg/JointTrajectoryControllerState"
 CONTROLLER_STATE = (
@@ -238,9 +235,6 @@ def test_names_of_any_log_are_nobodys(columns: tuple[str, ...], profile: str | N
     found = recognise(columns)
     assert (None if found is None else found.profile.name) == profile
 
-
-# What is wrong in such a log
-# ---------------------------
 
 LAW = '[controller]\nlaw = "pd"\nposition_gain = "40 N m/rad"\nderivative_gain = "1.5 N m s/rad"\n'
 

@@ -154,10 +154,6 @@ def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
     assert list(table.columns) == ["/other/time", "/other"]
 
 
-# Hostile bytes
-# -------------
-
-
 @pytest.mark.parametrize(
     ("definition", "data"),
     [

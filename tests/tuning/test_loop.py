@@ -1,15 +1,14 @@
-"""The sampled loop and its margins, against python-control, against eigenvalues, and against finer sampling."""
+"""The sampled loop and its margins, against eigenvalues and against responses of few points."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from jointid.models.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scale
+from jointid.models.controllers import Cascade, FirstOrder, Notch, SampledLaw, scale
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import (
@@ -39,66 +38,10 @@ SERVO = Cascade(
 """A servo drive of today, whose velocity loop runs every 125 us."""
 
 PERIOD = 1e-3
-RIGID = {"inertia": 105.0, "viscous": 200.0, "coulomb": 20.0, "offset": 0.0}
 
 
 def sample_joints(joints: LinearJoints, law: SampledLaw) -> SampledDrive:
     return discretise(joints.A, joints.B, law.period, law.delay)
-
-
-def other(joint: FlexibleJoint | RigidJoint, values: dict[str, float], law: SampledLaw) -> Any:
-    """The loop cut open as python-control has it; the law has no delay."""
-    import control
-
-    linear = linear_joints(joint, [values])
-    outputs = np.eye(linear.B.shape[1])[:1]
-    plant = control.sample_system(control.ss(linear.A[0], linear.B[0][:, np.newaxis], outputs, 0), law.period, "zoh")
-    feedback, _ = law.split()
-    out = law.output
-    made = control.ss(
-        feedback.A[0],
-        feedback.B[0][:, [POSITION]],
-        feedback.C[0][[out]],
-        feedback.D[0][[out]][:, [POSITION]],
-        law.period,
-    )
-    return -made * plant
-
-
-LAWS: list[tuple[str, Controller]] = [
-    ("the paper's", CONTROLLERS["L19"]),
-    (
-        "P-PI",
-        replace(
-            CONTROLLERS["L19"],
-            integral_gain=20.0,
-            velocity_filter=FirstOrder(1e-3),
-            torque_filters=(Notch(31.0, 15.0, 0.2),),
-        ),
-    ),
-    ("PID", PID(position_gain=8e5, derivative_gain=1.2e4, integral_gain=1e6)),
-]
-
-
-@pytest.mark.filterwarnings("ignore:stability_margins. Falling back")  # to a response, of polynomials of high order
-@pytest.mark.parametrize(
-    ("joint", "values"), [(FlexibleJoint("prismatic"), dict(TABLE_2)), (RigidJoint("prismatic"), RIGID)]
-)
-@pytest.mark.parametrize(("name", "controller"), LAWS)
-def test_margins_are_those_of_python_control(
-    joint: FlexibleJoint | RigidJoint, values: dict[str, float], name: str, controller: Controller
-) -> None:
-    import control
-
-    law = controller.law(PERIOD)
-    found = Margins(*joint_set(joint, [values], law).margins(law)[0])
-    loop = other(joint, values, law)
-    gains, phases, distance, _, rates, _ = control.stability_margins(loop, returnall=True)
-    assert found.gain == pytest.approx(min(g for g in gains if g > 1), rel=3e-3), name
-    assert math.degrees(found.phase) == pytest.approx(min(map(abs, phases)), rel=3e-3)
-    assert found.modulus == pytest.approx(min(distance), rel=3e-3)
-    delays = [math.radians(phase % 360) / rate for phase, rate in zip(phases, rates, strict=True)]
-    assert found.delay == pytest.approx(min(delays), rel=3e-3)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -160,5 +103,6 @@ def test_a_crossing_above_minus_one_bears_nearly_a_turn_of_delay_and_one_outside
     _, _, phase, delay, _ = all_margins(np.array([[2.0 * late, 0.5 * late, 0.1 + 0j]]), hertz)[0]
     assert phase == pytest.approx(np.radians(10.0))
     assert delay == pytest.approx(np.radians(350.0) / (2 * np.pi * 1.5))
-    gain, reduction, *_ = all_margins(np.array([[-1.5 + 0.1j, -1.5 - 0.1j, -0.25 + 0j]]), hertz)[0]
+    gain, reduction, *_, modulus = all_margins(np.array([[-1.5 + 0.1j, -1.5 - 0.1j, -0.25 + 0j]]), hertz)[0]
     assert (gain, reduction) == pytest.approx((4.0, 1.5))
+    assert modulus == pytest.approx(0.075 / math.hypot(1.25, 0.1))  # from -1 to the line of the last two points
