@@ -1,7 +1,5 @@
 """A headless Chromium for tests of pages; it skips where there is none, and fails in CI."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

@@ -4,8 +4,6 @@
 attacks take their seed from it, too.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import random

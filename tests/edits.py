@@ -4,8 +4,6 @@ An edit changes a namespace: `law` is the controller that runs, `declared` the o
 record that is logged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias

@@ -1,7 +1,5 @@
 """Estimates for tests: without their checks, and with some entries of their parts exchanged."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial

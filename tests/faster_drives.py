@@ -1,7 +1,5 @@
 """Drives that run faster than they log: their log, and their loop without the period."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 The declared loop is the twin's; what moved the axis, or what was logged, differs from it by the fault.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache

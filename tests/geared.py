@@ -1,7 +1,5 @@
 """One axis behind a gear or a screw, as its motor sees it: what the tests of transmissions share."""
 
-from __future__ import annotations
-
 from jointid.common.transmission import Transmission
 from jointid.models.controllers import Cascade
 

@@ -1,7 +1,5 @@
 """Learned laws for tests: run as a drive runs them, searched once for each record, or found where they are told."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Joints and robots of two joints whose friction grows with the torque, and their records, empty and loaded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

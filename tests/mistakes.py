@@ -5,8 +5,6 @@ friction that rises towards standstill and a ripple along the way, so that the r
 mistake is made in the record, in what is declared, or in the truth, where the declaration is what a user leaves out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

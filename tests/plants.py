@@ -5,8 +5,6 @@ Two families. Prismatic: the paper's axis with a free-free mode of 15 to 55 Hz, 
 sampled at 250 Hz to 16 kHz with the mode from a 160th to a fifth of it, under a loop that suits the drive.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Three arms as public URDFs describe them, rounded: joints, axes, masses, centres and sizes of links, and no rotor."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 

@@ -1,7 +1,5 @@
 """One rigid axis under a P-P law, its joint file and its records, and the program that is run on them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

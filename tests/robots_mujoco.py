@@ -1,7 +1,5 @@
 """The robots of `robots_plants` in MuJoCo, whose bodies, friction, springs and steps share no code with ours."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -4,8 +4,6 @@ The 6 joints have the lengths and masses of the public description of a UR5, the
 joints, rounded. Rotors, friction and springs are made up (seen behind the gear).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

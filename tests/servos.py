@@ -1,7 +1,5 @@
 """Random rigid servos that rest for a part of the time; the log is cut out of a run: what was before is unknown."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The contracts of the house: imports run one way, and importing the package loads nothing heavy."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Kernels are compiled once for the same sources; a cache that is damaged or on a full disk costs time alone."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

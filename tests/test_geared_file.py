@@ -1,7 +1,5 @@
 """One axis, one log, three joint files: on the motor alone, and with its gear on either side of it."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

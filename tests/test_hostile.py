@@ -1,7 +1,5 @@
 """Files of others: nothing in them is executed or steers the terminal, and a damaged one ends in one sentence."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import pickle

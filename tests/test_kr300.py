@@ -1,7 +1,5 @@
 """What examples/kr300/README.md says of the real records is what comes out, of each axis alone and of all at once."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

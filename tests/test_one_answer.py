@@ -1,7 +1,5 @@
 """One record through every door: the same first line, the same trust and the same verdicts."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a user gets: the wheel, installed alone; linear algebra that keeps to one thread."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The numbers of docs/how-it-works.md hold for the code; (T..) are the equations of that page."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

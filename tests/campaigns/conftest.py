@@ -1,7 +1,5 @@
 """A small fleet, noise-free: two rigid joints, two days each."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

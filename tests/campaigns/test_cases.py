@@ -1,7 +1,5 @@
 """Cases, the campaign file that lists them, and the row that each becomes."""
 
-from __future__ import annotations
-
 import os
 import pickle
 from dataclasses import replace

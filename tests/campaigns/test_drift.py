@@ -1,7 +1,5 @@
 """The control chart: who drifted is named, and nobody else, however many joints there are."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Iterator
 from dataclasses import replace

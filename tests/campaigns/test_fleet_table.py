@@ -1,7 +1,5 @@
 """The table of a fleet: rows of joints, settings of their own, and faults named by row."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

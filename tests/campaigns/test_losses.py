@@ -1,7 +1,5 @@
 """Nothing finished is lost or made twice: killed workers and clients, poison, torn lines, full disks."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json
@@ -13,25 +11,21 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import jointid as ji
 from jointid.campaigns.campaign import Case
-from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run import local_processes, run_case
 from jointid.campaigns.store import Outcome, Row, Store, open_store
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.files import digest
 from tests.campaigns.conftest import FLEET
 from tests.campaigns.work import POISON, SLOW, TWO, carry, cases, ends, last_workers, results, run_all
 from tests.losses.runs import COUNT, SEED
-from tests.rigid_axis import JOINT, TRUTH, recorded
+from tests.rigid_axis import JOINT
 
 ONE = partial(local_processes, count=1)
 ROOT = Path(__file__).resolve().parents[2]
@@ -180,56 +174,6 @@ def children_of(process: int) -> str:
         for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
             said += Path(f"/proc/{child}/cmdline").read_text()
     return said
-
-
-SPOILT: dict[str, Callable[[FloatArray], FloatArray]] = {
-    "unit": lambda torque: -1000.0 * torque,
-    "frozen": lambda torque: np.where(np.arange(torque.size) > torque.size // 3, torque[torque.size // 3], torque),
-    "other axis": lambda torque: np.roll(torque, torque.size // 4),
-    "torn": lambda torque: torque,
-}
-
-
-BY_IDIM = JOINT.replace("[controller]", 'motor_position = { column = "motor_position", unit = "m" }\n[controller]')
-BY_IDIM += '[method]\nname = "idim"\n'
-
-
-def run(place: Path, joint: str, day: str, kind: str, seed: int, file: str = JOINT) -> Row:
-    """Identify one record of a joint of its own inertia, spoilt in one way or as it is."""
-    record = recorded(2.0, seed, inertia=TRUTH["inertia"] * (1.0 + 0.3 * np.sin(int(joint[-2:]))))
-    values = SPOILT.get(kind, lambda torque: torque)(record.torque.values)
-    path = place / f"{joint}-{day}.npy"
-    ji.write(replace(record, torque=replace(record.torque, values=values)), path)
-    if kind == "torn":
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    return run_case(Case(joint, file, str(path), "", day))
-
-
-@pytest.mark.parametrize(
-    ("kind", "outcome"), [pytest.param("unit", Outcome.DOUBTFUL, marks=pytest.mark.slow), ("frozen", Outcome.DOUBTFUL)]
-)
-def test_a_run_that_found_nothing_is_not_identified(kind: str, outcome: Outcome, tmp_path: Path) -> None:
-    row = run(tmp_path, "axis 01", "2026-11-01", kind, 1)
-    assert row.outcome is outcome and "Do not rely on it yet" in row.sentence
-    assert row.error_percent is not None and row.error_percent > 65.0
-
-
-@pytest.mark.slow
-def test_in_a_fleet_of_forty_joints_over_ten_days_every_spoilt_file_is_named(tmp_path: Path) -> None:
-    days = [f"2026-11-{day:02}" for day in range(1, 11)]
-    kinds = {(f"axis {7 * k % 40:02}", days[3 * k % 10]): kind for k, kind in enumerate([*SPOILT] * 4)}
-    kinds |= {("axis 39", day): "frozen" for day in days[-3:]}
-    rows = [
-        run(tmp_path, f"axis {joint:02}", day, kinds.get((f"axis {joint:02}", day), ""), 10 * joint + k, BY_IDIM)
-        for joint in range(40)
-        for k, day in enumerate(days)
-    ]
-    assert {(row.joint, row.day) for row in rows if row.outcome is not Outcome.IDENTIFIED} == kinds.keys()
-    found = CampaignReport("forty joints", tuple(rows))
-    assert [(one.joint, one.last) for one in found.losses] == [("axis 39", days[-4])]
-    assert found.drifted == ()
-    text = " ".join(found.to_document(details=True).text().split())
-    assert all(f"{joint} {day}, " in text for joint, day in kinds)
 
 
 ROW = asdict(Row("a" * 64, "axis", "a.npy", "", (), Outcome.IDENTIFIED, "Found."))

@@ -1,7 +1,5 @@
 """Robots in a campaign: a fleet of records, and the model as a part of a case."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Cases that take no time, and what carries them out: it notes each case that it ends, and dies of a poisonous one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Keys that are set, and choices of the command line, in place of what the joint file says."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -43,18 +41,6 @@ def test_a_change_leaves_all_else_and_the_last_one_wins() -> None:
     changed = apply_changes(tables, ["method.frequency=20", "method.frequency=30"])
     assert changed == {"method": {"frequency": 30, "iterations": 1}, "joint": {"kind": "prismatic"}}
     assert tables["method"]["frequency"] == 10.0
-
-
-def test_what_is_changed_is_what_is_loaded() -> None:
-    file = loads(
-        FILE, changes=["method.frequency=30", "controller.torque_filters.0.frequency=70", "controller.integral_gain=5"]
-    )
-    assert file == loads(
-        FILE.replace("frequency = 80.0", "frequency = 70.0").replace(
-            "velocity_gain =", "integral_gain = 5.0\nvelocity_gain ="
-        )
-        + "[method]\nfrequency = 30\n"
-    )
 
 
 def test_the_records_of_a_list_are_counted_from_1() -> None:

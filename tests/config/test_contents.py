@@ -1,7 +1,5 @@
 """A joint file becomes the objects that the verbs take."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Faults of a joint file: the key, what was received, what was expected, the remedy."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

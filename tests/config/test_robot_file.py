@@ -1,7 +1,5 @@
 """The robot file: its joints, their channels in one record, what is written back, and the sentences on faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

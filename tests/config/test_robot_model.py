@@ -1,7 +1,5 @@
 """Robots read from URDF and MJCF: where links are, what they weigh, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The controller as the drive says it: gains, times and limits with units, and the torque constant said once."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

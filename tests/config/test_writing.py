@@ -1,7 +1,5 @@
 """A joint file that is written is read back as it was."""
 
-from __future__ import annotations
-
 import dataclasses
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The columns that a law is fitted with: the same torque as the law itself, under the noise that there is."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The controller learned: on the public record, on loops of known law, and what is said of what a record lacks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 A block that does not run says so in the line before it, with the reason: ``<!-- not run: it takes four minutes -->``.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

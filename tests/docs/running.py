@@ -1,7 +1,5 @@
 """How a page is run: its blocks one after the other in one folder, as a reader would."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

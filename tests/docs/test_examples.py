@@ -1,7 +1,5 @@
 """The joint files of the examples identify what their records are made with; the examples of docstrings hold."""
 
-from __future__ import annotations
-
 import doctest
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every program and every command of the documentation runs, and prints what the page shows."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

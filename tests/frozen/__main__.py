@@ -9,8 +9,6 @@ refused, and the first cause that is named. Two answers agree if values lie with
 within 5 % (real records: 1e-6 of the value), and if trust and first cause are equal.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

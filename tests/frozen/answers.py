@@ -1,7 +1,5 @@
 """Answers: what is compared of a result, and what differs between two of them."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

@@ -1,7 +1,5 @@
 """The cases: each is a seed or a file, and gives the estimate, or another result, that its answer is read from."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Run the program in a copy of this process: what it loads is loaded already, so that its own work is attacked."""
 
-from __future__ import annotations
-
 import io
 import os
 import select

@@ -1,7 +1,5 @@
 """Kills at random moments, and a disk that is full: what was there stays, and nothing is cut."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

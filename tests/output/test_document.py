@@ -1,7 +1,5 @@
 """One document, three renderings; what comes in as text stays text in each of them, and in a notebook."""
 
-from __future__ import annotations
-
 import io
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """A found joint or robot is kept in a file, comes back, and gives the torque of a motion."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import json

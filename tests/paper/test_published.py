@@ -1,7 +1,5 @@
 """The published numbers, what follows from them, and the list of errata: every value that print alone decides."""
 
-from __future__ import annotations
-
 import math
 from decimal import ROUND_DOWN, Decimal
 

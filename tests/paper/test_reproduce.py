@@ -1,7 +1,5 @@
 """The paper, end to end: what the reproduction must find, and the document it becomes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of a joint for the tests of planning: as records, and predicted at known values."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files of a designed test: columns, units, sides, the record of the file, and drives that inject nothing."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -16,7 +14,7 @@ from jointid.config import load, loads
 from jointid.output.test_layout import lay_out
 from jointid.records.formats import read_table
 from tests.rigid_axis import run
-from tests.robots_plants import six, two
+from tests.robots_plants import six
 
 ARM = """<robot name="arm"><link name="base"/>
 <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="4"/>
@@ -136,17 +134,6 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     assert 10.0 * peak == pytest.approx(both.axes[0].reached["torque"], rel=0.05), "A of the motor"
 
 
-def test_a_trajectory_of_a_coupled_wrist_is_of_its_joints() -> None:
-    robot, t = two().robot, 2e-3 * np.arange(1000)
-    robot = replace(robot, joints=(robot.joints[0], replace(robot.joints[1], coupling={"joint1": 0.5})))
-    q = np.column_stack([0.4 * np.sin(1.5 * t), 0.3 * np.sin(2.3 * t)])
-    shafts = q @ np.array([[1.0, 0.5], [0.0, 1.0]])
-    driven = [ji.Record(reference=ji.Channel(one, "rad", 2e-3)) for one in shafts.T.copy()]
-    motion = ji.design(robot, limits=[ji.AxisLimits()] * 2, noise=[0.1] * 2, motion=driven).trajectory()
-    rows, at = read_trajectory(motion)
-    np.testing.assert_allclose(rows, q[np.round(at / 2e-3).astype(int)], atol=1e-8)
-
-
 def read_trajectory(text: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of a JointTrajectory, and their times."""
     lines = text.splitlines()
@@ -156,12 +143,15 @@ def read_trajectory(text: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_motion_is_written_as_robots_play_it() -> None:
+    """As the joints move, not the shafts: the wrist is coupled."""
     twin, period = six(), 2e-3
+    joints = (*twin.robot.joints[:-1], replace(twin.robot.joints[-1], coupling={"joint5": 0.5}))
+    robot = replace(twin.robot, joints=joints)
     q = twin.home + 0.3 * np.sin(np.outer(period * np.arange(1000), np.arange(1, 7)))
-    driven = [ji.Record(reference=ji.Channel(one, "rad", period)) for one in q.T]
-    found = ji.design(twin.robot, limits=[ji.AxisLimits()] * 6, noise=[0.1] * 6, motion=driven)
+    driven = [ji.Record(reference=ji.Channel(one, "rad", period)) for one in (q @ robot.coupling.T).T.copy()]
+    found = ji.design(robot, limits=[ji.AxisLimits()] * 6, noise=[0.1] * 6, motion=driven)
     text = found.files()["trajectory.yaml"].decode()
-    assert json.loads(text.splitlines()[0].removeprefix("joint_names: ")) == list(twin.robot.names)
+    assert json.loads(text.splitlines()[0].removeprefix("joint_names: ")) == list(robot.names)
     rows, at = read_trajectory(text)
     np.testing.assert_allclose(rows, twin.home + 0.3 * np.sin(np.outer(at, np.arange(1, 7))), atol=1e-3)
     assert at[-1] == pytest.approx(1.998) and 50 < len(at) < 1000

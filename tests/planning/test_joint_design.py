@@ -1,7 +1,5 @@
 """Tests that are designed: better than the one there is, within every limit, and written for a drive to play."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """Intervals that are predicted: beside those of estimates that are made, and as they must scale."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

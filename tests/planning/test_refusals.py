@@ -1,7 +1,5 @@
 """What is refused in planning a test, each by the type of its exception."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The motion that tells most of a robot: its limits, its intervals beside those that are found, and its springs."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from functools import partial

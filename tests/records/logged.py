@@ -1,7 +1,5 @@
 """One short run as every format's own library writes it, for tests that read any of them."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import shutil

@@ -1,7 +1,5 @@
 """MAT, HDF5, Parquet and TDMS files: what is stored in them, and files that are damaged or declare too much."""
 
-from __future__ import annotations
-
 import datetime
 import struct
 import tracemalloc

@@ -1,7 +1,5 @@
 """Bad records are told apart and named; good ones, the real ones among them, pass."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What logging does to a signal, undone or refused: wraps, slow refreshes, rounding."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

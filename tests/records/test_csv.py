@@ -1,7 +1,5 @@
 """Delimited text: exact round trips, awkward files, one sentence for each file that cannot be read."""
 
-from __future__ import annotations
-
 import gzip
 import itertools
 from collections.abc import Callable

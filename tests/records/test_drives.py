@@ -1,7 +1,5 @@
 """Drives' own units and names: counts, per mille, ampere; the profiles of traces; what is missing or in doubt."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

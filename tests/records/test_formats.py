@@ -1,7 +1,5 @@
 """Every format: what its own library writes is read, what is written comes back, what is spoiled is one sentence."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A record in pieces: the same numbers as at once, whatever the length, and one sentence where a row is bad."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a file to a record: channels, units, the clock, two rates, and all faults in one error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Clocks that are not uniform: told in numbers, resampled only when asked, exactly as far as the method is exact."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Logs as robots write them: several files in a folder, lists in cells, motors in messages, pickles."""
 
-from __future__ import annotations
-
 import csv
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """ROS 2 bags: joint states, references, other messages by their own definition, clocks, and hostile bytes."""
 
-from __future__ import annotations
-
 import sqlite3
 import struct
 from pathlib import Path

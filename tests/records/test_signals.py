@@ -1,7 +1,5 @@
 """Signals: filters without phase, decimation that keeps both sides alike, torque at the right instants."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import cheby1, sosfiltfilt

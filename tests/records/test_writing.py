@@ -1,7 +1,5 @@
 """What is written is read back by the same columns, units, signs, clock and profile; what would not be is refused."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Studies: what is stored is within the claims, a spoiled program is caught; tasks whose outcome once was wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sampled loop and its margins, against eigenvalues and against responses of few points."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

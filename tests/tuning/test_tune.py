@@ -1,7 +1,5 @@
 """What is stated and proposed: the worst of an interval is its worst, and what is proposed does what it should."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

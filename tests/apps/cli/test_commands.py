@@ -1,7 +1,5 @@
 """The program as a user meets it: its commands, what they write, and how they fail."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

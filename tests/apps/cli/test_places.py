@@ -1,7 +1,5 @@
 """No command writes over what it reads, and files are written whole."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import os

@@ -1,7 +1,5 @@
 """Long work as a user sees it: bars on a terminal, a line now and then elsewhere, nothing where none is wanted."""
 
-from __future__ import annotations
-
 import io
 import re
 import signal

@@ -1,7 +1,5 @@
 """The commands with a robot file: identify, validate, export."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

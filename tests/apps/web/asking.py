@@ -1,7 +1,5 @@
 """The person at the page without a browser: sends what its forms send."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import re

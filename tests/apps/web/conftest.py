@@ -1,7 +1,5 @@
 """A page to ask, and records to send it."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Iterator

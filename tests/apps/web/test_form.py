@@ -1,7 +1,5 @@
 """The forms and the joint file: the same keys, the same checks, and every example there and back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

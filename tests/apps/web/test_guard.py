@@ -1,7 +1,5 @@
 """Who may use the page, and what a browser may do with its answers."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import MutableMapping
 from pathlib import Path

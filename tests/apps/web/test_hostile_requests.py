@@ -1,7 +1,5 @@
 """Requests that mean no good: each is answered or cut off, none is a fault of ours, and the page goes on."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

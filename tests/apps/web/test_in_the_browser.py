@@ -1,7 +1,5 @@
 """The page in a real browser: end to end on the EMPS record, by keyboard alone, and on a tablet."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Identifications of the page: each a process that may crash, be cancelled or be cut off by the end of the page."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """`jointid serve`: where it listens, what it says, and what it refuses."""
 
-from __future__ import annotations
-
 import re
 import socket
 import sys

@@ -1,7 +1,5 @@
 """Several records and robot files on the page: the answers are those of the command."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What comes in from a browser: bounded, named by us, read as numbers, shown escaped."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the tests of exports share: an estimate of given values, and a servo that closes a loop around any plant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Actuators of simulators: what each text says of a joint and of a robot, read by stand-ins of their classes."""
 
-from __future__ import annotations
-
 import math
 import sys
 import types
@@ -50,7 +48,7 @@ def built(text: str) -> Any:
     return names["ACTUATORS"]
 
 
-def geared(law: ji.controller.PD = LAW) -> ji.Export:
+def geared(law: ji.controller.PD = LAW) -> Any:
     told = model(ji.RigidJoint("revolute", transmission=GEAR), RIGID)
     return ji.export(told, "isaac-lab", name="knee", controllers=[law])
 

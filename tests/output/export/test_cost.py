@@ -1,7 +1,5 @@
 """What it costs that a simulator cannot hold a joint: MuJoCo's torque under the law, against the identified joint's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The verb and the command: which language, which side, whose answer; the joint file, which is read again by us."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

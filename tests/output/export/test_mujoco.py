@@ -1,7 +1,5 @@
 """MJCF and URDF, read and simulated by MuJoCo in the loop that we simulate: its torque against ours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A robot written as URDF and MJCF comes back with the same torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

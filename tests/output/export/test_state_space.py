@@ -1,7 +1,5 @@
 """The state space, read by SciPy and python-control, against our own simulation."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """An exported URDF is the user's own with other bodies and frictions."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reports that several tests look at, each made once."""
 
-from __future__ import annotations
-
 from functools import cache
 from html.parser import HTMLParser
 

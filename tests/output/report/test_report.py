@@ -1,7 +1,5 @@
 """The report: every section for every method, one page that loads nothing, and hostile names that stay names."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
