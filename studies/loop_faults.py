@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.diagnostics.check_loop import search_faults
 from jointid.diagnostics.score import rank_tests
+from jointid.diagnostics.search import search_faults
 from jointid.estimation.descent import descend
 from jointid.uncertainty.covariance import Influence
 from tests.faults import Fault, Loop, Noise, line_7, on, problem, setting, solved

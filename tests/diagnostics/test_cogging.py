@@ -28,7 +28,7 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     )  # half a time over the travel
     assert first.test.size == pytest.approx(made.truth["cogging"], rel=0.3)
     assert check.reasons[0].code == Reason.FORCE_FOLLOWS_POSITION
-    assert "[ripple] period = " in check.sentences[0]
+    assert "[ripple] period = " in str(check.reasons[0])
 
 
 @pytest.mark.slow

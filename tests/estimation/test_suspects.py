@@ -10,10 +10,10 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics.check_loop import compute_signatures, search_faults
 from jointid.diagnostics.faults import Fault as KnownFault
 from jointid.diagnostics.faults import FaultSignature, FaultTest
 from jointid.diagnostics.score import rank_tests, score
+from jointid.diagnostics.search import compute_signatures, search_faults
 from jointid.diagnostics.suspects import FAULTS as KNOWN
 from jointid.diagnostics.suspects import number_fault
 from jointid.estimation.methods.didim import DIDIM
@@ -64,7 +64,7 @@ def test_a_clean_record_is_as_declared() -> None:
     made = problem(where, None, "disturbance", 1)
     check = search_faults(made, solved(made, where))
     assert check.as_declared
-    assert check.sentences[0].startswith("loop and log are as declared as far as this record shows (")
+    assert str(check.reasons[0]).startswith("loop and log are as declared as far as this record shows (")
     alike = next(s for s in check.tests if s.name == "velocity_gain")
     assert alike.label == "velocity_gain or gain"  # in a cascade without integral part only their product acts
 
@@ -140,7 +140,7 @@ def test_what_is_significant_stands_first_however_strong_the_others_are() -> Non
     """A search among many periods finds the stronger shape, and by chance."""
 
     def test(name: str, strength: float, p_value: float) -> FaultTest:
-        return FaultTest(named(name), (), 0.0, strength, 1.0, strength, p_value)
+        return FaultTest(named(name), (), 0.0, strength, 1.0, p_value)
 
     tests = [test("cogging", 4.0, 0.8), test("limit", 2.0, 0.3), test("delay", 2.8, 0.02), test("offset", -3.0, 0.01)]
     assert [one.name for one in rank_tests(tests, 0.05)] == ["offset", "delay", "limit", "cogging"]

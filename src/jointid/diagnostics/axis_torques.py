@@ -19,23 +19,23 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults import FaultSignature
 from jointid.diagnostics.seen import Seen
-from jointid.diagnostics.suspects import list_signatures
+from jointid.diagnostics.suspects import COMPLIANCE, list_signatures
 from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, read_as
-from jointid.estimation.problems.simulated import LoopLog, SolvedRobot, decimate_each
+from jointid.estimation.problems.simulated import LoopLog, Simulated, SolvedRobot, decimate_each
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.simulate import Simulation
 
 _TURN = 1e-4  # rad or m: step of a derivative
-ROTORS = (0.0, 0.25, 0.5, 0.75)
-"""Shares of a joint's own inertia that its rotor may have."""
+_ROTORS = (0.0, 0.25, 0.5, 0.75)  # shares of a joint's own inertia that its rotor may have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +50,8 @@ class AxisTorques:
         seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
         position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s.
         own: (n, rows, free) columns of the free parameters.
-        friction: (n, rows) torque of the motors' friction without offsets, where the predicted torque is a sum of these
-            columns; else None.
-        shapes: what each fault adds to the torque of each axis along its motion, (rows,) each.
-        springs: (n, shares, n, rows) what a spring in each joint adds to all torques, per unit of its compliance, for
-            each share of `ROTORS`, where the predicted torque is a sum of columns; else None.
+        shapes: what each fault adds to the torque of each axis along its motion, (rows,) each, or to the torques of all
+            axes, (n, rows).
         along_measured_motion: whether the positions are those of the log.
     """
 
@@ -68,9 +65,7 @@ class AxisTorques:
     position: FloatArray
     velocity: FloatArray
     own: FloatArray
-    friction: FloatArray | None
     shapes: tuple[tuple[FaultSignature, ...], ...]
-    springs: FloatArray | None = None
     along_measured_motion: bool = False
 
     @property
@@ -94,10 +89,21 @@ class AxisTorques:
         """Return values of all axes, (n, rows, ...), in the compared rows, scaled by the sizes of the errors."""
         return np.concatenate([part[s] / size for part, s, size in zip(each, self.seen, self.sigma, strict=True)])
 
+    @property
+    def places(self) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity in the rows of all axes that are seen, (rows,), each axis apart by its range."""
+
+        def scale(values: FloatArray) -> FloatArray:
+            return values / (float(np.max(np.abs(values), initial=0.0)) or 1.0)
+
+        where = [3.0 * k + scale(q[s]) for k, (q, s) in enumerate(zip(self.position, self.seen, strict=True))]
+        speed = [scale(v[s]) for v, s in zip(self.velocity, self.seen, strict=True)]
+        return np.concatenate(where), np.concatenate(speed)
+
     def place(self, axis: int, column: FloatArray) -> FloatArray:
-        """Return a column of one axis, (rows,), among the rows of all, as `stack` has them."""
+        """Return a column of one axis, (rows,), or of all, (n, rows), among the rows of all, as `stack` has them."""
         everywhere = np.zeros_like(self.error)
-        everywhere[axis] = column
+        everywhere[axis if column.ndim == 1 else slice(None)] = column
         return self.stack(everywhere)
 
 
@@ -110,7 +116,7 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
     return AxisTorques(
         ("",), step * np.arange(rows, dtype=np.float64), step, problem.filtering.cutoff or math.inf,
         measured[np.newaxis], (measured - error)[np.newaxis], np.ones((1, rows), dtype=np.bool_),
-        path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], None, ((),),
+        path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], ((),),
     )  # fmt: skip
 
 
@@ -132,26 +138,27 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
 
 def _by_inverse_model(part: IdentifiedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
     robot, inverse = part.model, inverse_of_robot(part.model, part.parameters)
-    motion, coupling = inverse.measure(records, filtering), robot.coupling.T
+    motion = inverse.measure(records, filtering)
     rows = inverse.rows([motion])
 
     def thin(columns: FloatArray) -> FloatArray:
         return motion.decimate_columns(columns).reshape(len(robot), -1, columns.shape[2])
 
-    of_friction = ~part.parameters.inertial & np.array([not name.endswith(".offset") for name in part.names])
-    friction = rows.by_equation(rows.W @ np.where(of_friction, part.values, 0.0))
-    found = _torques(
-        robot.names, motion.filtering, motion.sample_time,
-        (rows.by_equation(rows.Y), rows.by_equation(rows.W @ part.values)), motion.whole_rows,
-        [one @ coupling for one in (motion.q, motion.v, motion.a)], motion.torque, thin,
-        rows.W.reshape(len(robot), -1, rows.W.shape[1]), motion.raw,
+    bends = np.moveaxis(thin(_bend(part, motion)), 2, 0).reshape(len(robot), len(_ROTORS), len(robot), -1)
+    springs = [[FaultSignature(COMPLIANCE, *each) for each in zip(one, _ROTORS, strict=True)] for one in bends]
+    return _torques(
+        robot, motion, (rows.by_equation(rows.Y), rows.by_equation(rows.W @ part.values)), motion.whole_rows,
+        rows.W.reshape(len(robot), -1, rows.W.shape[1]), thin, _at_motors(robot, motion), motion.torque, motion.raw,
+        springs,
     )  # fmt: skip
-    bends = np.moveaxis(thin(_bend(part, motion)), 2, 0)
-    return replace(found, friction=friction, springs=bends.reshape(len(robot), len(ROTORS), *bends.shape[1:]))
+
+
+def _at_motors(robot: Robot, motion: MeasuredMotion) -> list[FloatArray]:
+    return [one @ robot.coupling.T for one in (motion.q, motion.v, motion.a)]
 
 
 def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
-    """Return the torques of a compliance in each joint, (samples, n, n shares).
+    """Return the torques of a compliance in each joint, (samples, n, n shares), per unit of it.
 
     The links behind it turn back by the torque that winds it. That moves them all, and not the motors. What share of
     the joint's own inertia is its rotor is not known where both are one base parameter: several are tried.
@@ -167,17 +174,15 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
     still, found = through(q, v, a), []
     for k, unit in enumerate(np.eye(n)):
         limit = find_noise_limit([raw[:, k]], motion.sample_time, derivative=4)
-        own, parts = (through(q, v, a + unit) - still)[:, k], []
-        for torque in (-still[:, k], own * a[:, k]):  # the rotor's own torque does not wind the spring
-            back = [lowpass_below_noise(torque, limit, motion.sample_time)]
+        own = (through(q, v, a + unit) - still)[:, k]
+        for share in _ROTORS:  # the rotor's own torque does not wind the spring
+            back = [lowpass_below_noise(share * own * a[:, k] - still[:, k], limit, motion.sample_time)]
             for _ in range(2):
                 back.append(np.gradient(back[-1], motion.sample_time))
             by = _TURN / (float(np.max(np.abs(back[0]))) or 1.0)
             turned, turning, pushed = (by * np.outer(one, unit) for one in back)
             moved = (through(q + turned, v + turning, a + pushed) - still) / by
-            parts.append((moved, np.outer(own * back[2], unit)))
-        (links, inertial), (more, further) = parts
-        found += [links + share * (more - inertial) - share**2 * further for share in ROTORS]
+            found.append(moved - share * np.outer(own * back[2], unit))
     return np.stack(found, axis=2)
 
 
@@ -186,6 +191,7 @@ def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: Sol
     problem, log = solved.problem, solved.problem.log
     measured = problem.by_joint(problem.filtered_torque)
     predicted = measured - problem.by_joint(problem.error((solved.run,)))
+    own = solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1])
 
     def thin(columns: FloatArray) -> FloatArray:
         rows = decimate_each(log, list(np.moveaxis(columns, 1, 0)))
@@ -197,50 +203,46 @@ def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: Sol
         motion = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
         laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
     else:
-        measured_motion, seen, raw = log.motion, log.motion.whole_rows, log.motion.raw
-        motion = [one @ robot.coupling.T for one in (measured_motion.q, measured_motion.v, measured_motion.a)]
-    found = _torques(
-        robot.names, problem.filtering, problem.sample_time, (measured, predicted), seen, motion, problem.measured,
-        thin, solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1]), raw,
-    )  # fmt: skip
-    return replace(found, shapes=tuple((*own, *more) for own, more in zip(found.shapes, laws, strict=True)))
+        motion, seen, raw = _at_motors(robot, log.motion), log.motion.whole_rows, log.motion.raw
+    return _torques(robot, problem, (measured, predicted), seen, own, thin, motion, problem.measured, raw, laws)
 
 
 def _torques(
-    axes: Sequence[str],
-    filtering: Filtering,
-    sample_time: float,
+    robot: Robot,
+    source: MeasuredMotion | Simulated,
     torques: tuple[FloatArray, FloatArray],
     seen: NDArray[np.bool_],
+    own: FloatArray,
+    thin: Callable[[FloatArray], FloatArray],
     motion: Sequence[FloatArray],
     torque: FloatArray,
-    thin: Callable[[FloatArray], FloatArray],
-    own: FloatArray,
     raw: FloatArray | None,
+    known: Sequence[Sequence[FaultSignature]],
 ) -> AxisTorques:
     """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
 
-    `thin` filters columns, (samples, n, columns); `raw` is the positions, (samples, n), if these were measured.
+    `thin` filters columns, (samples, n, columns); `raw` is the positions, (samples, n), if these were measured; what
+    faults of each axis change is `known`, and is no column along its motion.
     """
+    filtering, sample_time, (q, v, a) = source.filtering, source.sample_time, motion
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
-    q, v, a = motion
 
     def list_faults(k: int) -> list[FaultSignature]:
-        others = {name: (v[:, i], a[:, i]) for i, name in enumerate(axes) if i != k}
+        others = {name: (v[:, i], a[:, i]) for i, name in enumerate(robot.names) if i != k}
         limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
-        made = torque[:, k]
-        return list(
-            list_signatures(Seen(q[:, k], v[:, k], a[:, k], made, made, made, sample_time, np.negative, limit, others))
-        )
+        made, other = torque[:, k], {one.fault for one in known[k]}
+        axis = Seen(q[:, k], v[:, k], a[:, k], made, made, made, sample_time, np.negative, limit, others)
+        return [one for one in list_signatures(axis) if one.fault not in other]
 
-    found = in_threads(list_faults, range(len(axes)))
+    found = in_threads(list_faults, range(len(robot)))
     columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))
     shapes = tuple(
-        tuple(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)) for k, all_of in enumerate(found)
+        (*(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)), *known[k])
+        for k, all_of in enumerate(found)
     )
     (measured, predicted), path, step = torques, thin(np.stack([q, v], axis=2)), sample_time * filtering.decimation
     return AxisTorques(
-        tuple(axes), np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
-        seen, path[:, :, 0], path[:, :, 1], own, None, shapes, along_measured_motion=raw is not None,
+        robot.names, np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
+        seen, path[:, :, 0], path[:, :, 1], own, shapes, along_measured_motion=raw is not None,
     )  # fmt: skip

@@ -9,7 +9,6 @@ their errors; their differences come from the settings and are shown without a t
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -54,7 +53,6 @@ class EstimateComparison(Documented):
 
     Attributes:
         records: the names of their records.
-        errors: of the raw torque of each, a ratio; None of a long log.
         same_record: True if a record of one is also of the other.
         rows: every quantity.
         level: see `LEVEL`.
@@ -63,7 +61,6 @@ class EstimateComparison(Documented):
 
     in_json = "changed sentence"
     records: tuple[str, str]
-    errors: tuple[float | None, ...]
     same_record: bool
     rows: tuple[QuantityChange, ...]
     level: float
@@ -96,16 +93,14 @@ class EstimateComparison(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
-        rows, short = [], [row.name.partition(" with ")[0] for row in self.rows]
-        for row, name in zip(self.rows, short, strict=True):
+        rows = []
+        for row in self.rows:
             mark, spread = "changed" if row in self.changed else row.reason, None if row.std is None else 2 * row.std
             values = number(row.before), number(row.after), number(row.difference, 3), number(spread, 2)
-            shown = in_words(name if short.count(name) == 1 else row.name)
-            rows.append((shown, *values, row.unit, number(row.p_value, 2), mark, row.symbol))
+            rows.append((in_words(row.name), *values, row.unit, number(row.p_value, 2), mark, row.symbol))
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
-        errors = " and ".join("-" if one is None else f"{100 * one:.2f} %" for one in self.errors)
-        facts = Facts((*zip("AB", self.records, strict=True), ("torque error", errors)))
+        facts = Facts(tuple(zip("AB", self.records, strict=True)))
         return Document(self.sentence, (facts, table, Listing(self.notes)))
 
 
@@ -151,24 +146,28 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
     same = not prints[0].isdisjoint(prints[1])
     sums = [_sums(one) for one in both]
     parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
-    rows = [_compare(*pair, same) for part in parts for pair in _pair(*part)]
+    rows = [
+        _compare(name, before.get(name), after.get(name), same)
+        for before, after in parts
+        for name in dict.fromkeys((*before, *after))
+    ]
     notes = ["A record of one is also of the other, and they share its errors: differences are not tested."] * same
     if not all(prints):
         notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
     records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
-    errors = tuple(read(float | None, one["fit"]["relative_error"]) for one in both)
-    return EstimateComparison(records, errors, same, _adjust_p_values(rows), level, tuple(notes))
+    return EstimateComparison(records, same, _adjust_p_values(rows), level, tuple(notes))
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
-    """Compare two estimates of one joint or robot."""
-    system = answer["settings"]["system"]
+    """Return what two estimates must have in common; of a robot the sums that the record determines, too."""
+    system, robot = answer["settings"]["system"], answer["robot"]
     gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
-    side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"
-    if answer["robot"] is not None:
+    if robot is not None:
         names = ", ".join(str(one["name"]) for one in system["joints"])
-        return {"model": "robot", "robot": f"{system['name']} of {names}", "torque unit": unit}
+        sums = ", ".join(sorted(map(str, robot["formulas"])))
+        return {"model": "robot", "robot": f"{system['name']} of {names}", "torque unit": unit, "list of sums": sums}
     said = {"model": system["model"], "kind": system["kind"], "friction law": system["friction"]["name"]}
+    side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"
     return said | {"transmission": side, "torque unit": unit}
 
 
@@ -179,60 +178,47 @@ def _fingerprints(answer: Mapping[str, Any]) -> set[str]:
     return {str(one) for one in found if one}
 
 
-def _quantities(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
-    """Return the parameters, but those of the initial state.
-
-    A sum of a robot has a name with what else is in it: by two methods the same name may have other sums.
-    """
-    robot, found = answer["robot"], []
-    formulas = {} if robot is None else dict(zip(robot["names"], robot["formulas"], strict=True))
-    for name, raw in answer["parameters"].items():
-        row = read(EstimatedParameter, raw)
-        if (robot is not None and not row.axis) or name.rpartition(".")[2].startswith("initial_"):
-            continue
-        within = re.findall(r"(?<!\w)[A-Za-z][\w+-]*", str(formulas.get(name, "")))
-        others = ", ".join(sorted(one for one in within if one != row.symbol))
-        found.append(replace(row, name=f"{name} with {others}" if others else name))
-    return found
+def _quantities(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
+    """Return the parameters by name, but those of the initial state."""
+    rows = {name: read(EstimatedParameter, raw) for name, raw in answer["parameters"].items()}
+    of_motion = {name for name in rows if name.rpartition(".")[2].startswith("initial_")}
+    of_motion |= set() if answer["robot"] is None else {name for name, row in rows.items() if not row.axis}
+    return {name: row for name, row in rows.items() if name not in of_motion}
 
 
-def _sums(answer: Mapping[str, Any]) -> list[EstimatedParameter]:
-    """Return the sums of both sides of a flexible joint."""
+def _sums(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
+    """Return the sums of both sides of a flexible joint, by name."""
     known = (answer["checks"]["known"] or {"physical": ()})["physical"]
     stated = [{"free": True} | one | one["combination"] for one in known]
-    return [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
+    rows = [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
+    return {row.name: row for row in rows}
 
 
-def _pair(
-    before: Sequence[EstimatedParameter], after: Sequence[EstimatedParameter]
-) -> list[tuple[EstimatedParameter, EstimatedParameter]]:
-    """Return each quantity of either estimate with its counterpart, which may lack a value."""
-    here, there = ({q.name: q for q in group} for group in (before, after))
-    lacking = {name: replace(q, value=None, stderr=None) for name, q in ({**there, **here}).items()}
-    return [(here.get(name, lacking[name]), there.get(name, lacking[name])) for name in dict.fromkeys((*here, *there))]
-
-
-def _compare(before: EstimatedParameter, after: EstimatedParameter, same: bool) -> QuantityChange:
-    """Return the change of a quantity, whose p-value is not adjusted.
+def _compare(
+    name: str, before: EstimatedParameter | None, after: EstimatedParameter | None, same: bool
+) -> QuantityChange:
+    """Return the change of a quantity, which either may lack; its p-value is not adjusted.
 
     Raises:
         MethodError: its unit is another one.
     """
-    name, both, difference, std, p_value, reason = before.name, (before, after), None, None, None, ""
-    if before.unit != after.unit:
-        raise MethodError(f"{name} is in {before.unit} in A and in {after.unit} in B; identify both with one file.")
-    lost = [which for which, q in zip("AB", both, strict=True) if q.value is None]
-    kept = [which for which, q in zip("AB", both, strict=True) if not q.free or q.stderr is None]
-    spread = math.hypot(before.stderr or 0.0, after.stderr or 0.0)
-    if before.value is not None and after.value is not None:
-        difference = after.value - before.value
+    known, both = before or after, {"A": before, "B": after}
+    assert known is not None
+    if {q.unit for q in both.values() if q is not None} != {known.unit}:
+        raise MethodError(f"{name} is not in {known.unit} in both A and B; identify both with one file.")
+    lost = [which for which, q in both.items() if q is None or q.value is None]
+    kept = [which for which, q in both.items() if q is not None and (not q.free or q.stderr is None)]
+    first, second = (None if q is None else q.value for q in (before, after))
+    spread = math.hypot(*(q.stderr or 0.0 for q in both.values() if q is not None))
+    difference = None if first is None or second is None else second - first
+    std, p_value, reason = None, None, ""
     if lost or kept:
         reason = f"not identified in {join(lost)}" if lost else f"fixed in {join(kept)}"
     elif same or not spread > 0:
         reason = "same record: not tested" if same else "standard deviation 0: not tested"
     elif difference is not None:
         std, p_value = spread, math.erfc(abs(difference) / spread / math.sqrt(2))
-    return QuantityChange(name, before.symbol, before.unit, before.value, after.value, difference, std, p_value, reason)
+    return QuantityChange(name, known.symbol, known.unit, first, second, difference, std, p_value, reason)
 
 
 def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ...]:

@@ -166,7 +166,7 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
         check: of loop and log.
         rows: of the parameters, by name.
     """
-    for finding in filter(None, (*check.findings, check.undecided)):
+    for finding in check.findings:
         moved = {name: abs(change.by) for name, change in finding.changes.items()}
         if not finding.test.fault.mechanical:
             moved = {
@@ -177,4 +177,6 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
         yield Widening(moved)
     for suspect in check.suspected:
         what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"
+        if suspect.law is not None:
+            what = f"that {suspect.law.words}, which this record does not exclude,"
         yield _widening(what, {name: abs(one.by) for name, one in suspect.changes.items()}, rows, "")

@@ -18,16 +18,15 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
-from jointid.common.text import join, number, sentence
+from jointid.common.text import join, sentence
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.axis_faults import find_axis_faults, find_driving_axes
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.changes import Cause
-from jointid.diagnostics.check_loop import list_laws, search_faults
 from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
-from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause, find_wrong_sign
+from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
+from jointid.diagnostics.search import list_laws, search_axes, search_faults
 from jointid.diagnostics.search_state import MOST
 from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -45,7 +44,6 @@ from jointid.uncertainty.residual_tests import Whiteness, whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
 _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
-_MOST_TESTS = 20  # rows of a table
 _NEARLY_ALL = 0.8  # of the squares of all axes that are not explained
 
 DIFFERS = "joint_differs"
@@ -110,11 +108,6 @@ class AxisDiagnosis:
         return self.whiteness.p_value > _SURE or (self.repeats is False and not self.faults.findings)
 
     @property
-    def is_small(self) -> bool:
-        """True if what is left is little, and is not surely coloured."""
-        return self.left < _LEFT and (self.whiteness is None or self.whiteness.p_value > _SURE)
-
-    @property
     def law_holds(self) -> bool | None:
         """Whether the declared controller makes the logged torque; None where that is not seen."""
         return None if self.law is None else self.law.holds
@@ -128,18 +121,16 @@ class AxisDiagnosis:
         return True if self.law_holds or self.faults.of_loop else None
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """Faults of the axis, each with its remedy, begun with the axis' name."""
-        found = self.faults.sentences
-        if not self.faults.findings and self.faults.undecided is None and self.faults.part is None:
-            found = () if self.caused or self.explained else (self._describe_rest(),)
-        return tuple(_of_axis(self, sentence(one)) for one in found)
-
-    def _describe_rest(self) -> str:
-        return (
-            f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. None of the "
-            "faults explains it: check geometry, gears and couplings of the model"
-        )
+    def reasons(self) -> tuple[Message, ...]:
+        """What is wrong with the axis, each with its remedy, begun with the axis' name."""
+        found, begin = self.faults.reasons, f"{self.name}: " if self.name else ""
+        if self.faults.as_declared:
+            said = (
+                f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. None of "
+            )
+            said += "the faults explains it: check geometry, gears and couplings of the model"
+            found = () if self.caused or self.explained else (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),)
+        return tuple(replace(one, words=f"{begin}{one.words}", clause=f"{begin}{one.brief}") for one in found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,58 +176,47 @@ class Diagnosis(Documented):
         seen = [one.as_declared for one in self.axes]
         return False if False in seen else None if None in seen else True
 
-    @property
-    def finds_nothing(self) -> bool:
-        """True if record, loop, log and joint have no fault, and nothing of the torque is left unexplained."""
-        faulty = any(axis.faults.findings or axis.faults.part is not None for axis in self.axes)
-        return self.healthy and self.explained and self.as_declared is not False and not faulty
-
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
         """Return the findings on models, or on loops, logs and parts of the time, each with its axis."""
         found = list[Message]()
         for axis in self.axes:
-            faults, part = axis.faults, axis.faults.part
-            found += [] if part is None or of_model else [_say_of(axis, part.reason)]
-            named = zip(faults.findings, faults.reasons, strict=False)
-            found += [_say_of(axis, reason) for one, reason in named if one.test.fault.of_model is of_model]
+            named = zip(axis.faults.findings, axis.reasons, strict=False)
+            found += [] if of_model or axis.faults.part is None else axis.reasons
+            found += [reason for one, reason in named if one.test.fault.of_model is of_model]
         return tuple(found)
 
-    def describe_laws(self, holds: bool | None) -> str:
-        """Return the clause on the controllers that make the logged torques, do not, or (None) cannot be tested."""
-        names = [one.name for one in self.axes if one.law_holds is holds]
+    @property
+    def wrong_laws(self) -> str:
+        """Clause on the declared controllers that do not make the logged torques; "" without one."""
+        names = [one.name for one in self.axes if one.law_holds is False]
         of = f" of {join(names)}" if any(names) else ""
-        if not names or holds is None:
-            untested = f"the controller{of} was not checked, which needs its law, a motor position and a reference"
-            return untested if 0 < len(names) < len(self.axes) else ""
-        return f"the declared controller{of} {'makes' if holds else 'does not make'} the logged torque of the position"
+        return f"the declared controller{of} does not make the logged torque of the position" if names else ""
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """Faults of all axes, each with its remedy."""
-        first = f"{self.cause}. Correct this first, and identify again: single joints are judged only then"
-        found = [*([] if self.cause is None else [first]), *filter(None, [self.describe_laws(holds=False)])]
-        return (*map(sentence, found), *(one for axis in self.axes for one in axis.sentences))
+        cause = f"{self.cause}. Correct this first, and identify again: single joints are judged only then"
+        found = [*([] if self.cause is None else [cause]), *filter(None, [self.wrong_laws])]
+        said = [(axis.name, one.words) for axis in self.axes for one in axis.reasons]
+        return *map(sentence, found), *(f"{words}." if name else sentence(words) for name, words in said)
 
     @property
     def sentence(self) -> str:
         """The first fault in a sentence."""
-        first = sorted(self.symptoms, key=lambda one: (not one.spoils, one.code in _VAGUE))[:1]
-        if first and first[0].spoils:
-            return f"{self.name}: {first[0]}."
+        first = min(self.symptoms, key=lambda one: (not one.spoils, one.code in _VAGUE), default=None)
+        if first is not None and first.spoils:
+            return f"{self.name}: {first}."
         if self.logged:
             none = f"Nothing is wrong with {'' if self.axes else 'the record '}{self.name}."
-            return f"Nothing that is wrong with {self.name} spoils its answer: {first[0]}." if first else none
+            return none if first is None else f"Nothing that is wrong with {self.name} spoils its answer: {first}."
         if self.sentences:
             return self.sentences[0]
         left = max(self.axes, key=lambda one: one.left)
         return f"The model leaves {100 * left.left:.2g} % of the {left.signal} at most, and no fault is found."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the symptoms, a table of the axes, what to do, and the comparisons of laws.
-
-        Args:
-            details: whether all tests are listed.
-        """
+        """Return the symptoms, a table of the axes, what to do, and the comparisons of laws; there is no more."""
+        del details
         said = tuple(sentence(str(one)) for one in self.symptoms)
         blocks: list[Block] = [Paragraph(self.logged)] if self.logged else []
         blocks += [Heading("What is wrong"), Listing(said)] if said[1:] else []
@@ -244,7 +224,6 @@ class Diagnosis(Documented):
         if self.axes:
             blocks.append(self._table())
             blocks += [Heading("What to do"), Listing(self.sentences)] if self.sentences else []
-            blocks += self._tests(details)
         for part in (one.to_document() for one in self.laws):
             blocks += [Heading(part.title), *part.blocks]
         return Document(self.sentence, tuple(blocks))
@@ -258,26 +237,6 @@ class Diagnosis(Documented):
             law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
             rows.append((one.name or "joint", f"{100 * one.left:.3g}", white, *law))
         return Table(header, tuple(rows), f"residual of each joint's filtered {self.axes[0].signal}", (0, 2))
-
-    def _tests(self, details: bool) -> tuple[Table, ...]:
-        """Return the table of the tests, or of the significant ones where there are many."""
-        tests = [(one, test) for one in self.axes for test in one.faults.tests]
-        if not details and len(tests) > _MOST_TESTS:
-            tests = [(one, test) for one, test in tests if test.p_value <= one.faults.level]
-        rows = []
-        for one, s in tests:
-            numbers = f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
-            rows.append((one.name or "joint", s.label, *numbers))
-        header = ("joint", "fault", "more than declared", "2 sigma", "statistic", "p")
-        return (Table(header, tuple(rows), "faults, each as if nothing else were wrong", (0, 1)),) if rows else ()
-
-
-def _of_axis(axis: AxisDiagnosis, words: str) -> str:
-    return f"{axis.name}: {words}" if axis.name else words
-
-
-def _say_of(axis: AxisDiagnosis, reason: Message) -> Message:
-    return replace(reason, words=_of_axis(axis, str(reason)), clause=_of_axis(axis, reason.brief))
 
 
 # Diagnosis of an estimate
@@ -297,8 +256,7 @@ def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int
     law = compare_law(record, problem.loop)
     faults = search_faults(problem, x, std, record, law, most=most)
     torques, residuals = torques_of_loop(problem, x), estimate.fit.residuals
-    repeats = None if residuals is None else residuals.repeatable
-    axis = _diagnose_axis(estimate, torques, 0, law, faults, repeats)
+    axis = _diagnose_axis(estimate, torques, 0, law, faults, None if residuals is None else residuals.repeatable)
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques)
 
 
@@ -313,52 +271,45 @@ def diagnose_robot(
         controllers: of each joint as declared, None where one is not known; those of the estimate's loop if none are
             given.
     """
-    part = estimate.require_robot()
+    part, method = estimate.require_robot(), estimate.settings.method
     robot, torques = part.model, torques_of_robot(estimate, records)
-    loop = part.setup if isinstance(part.setup, RobotLoop) else None
-    controllers = controllers or (() if loop is None else loop.controllers)
+    if not controllers and isinstance(part.setup, RobotLoop):
+        controllers = part.setup.controllers
     require_one_each(controllers, len(robot))
-    laws = in_threads(_compare_law, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
+
+    def follow(axis: tuple[Link, Record, Controller | None]) -> LawOnPosition | None:
+        link, record, law = axis
+        return None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
+
+    laws = in_threads(follow, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     joints = zip(robot.links, robot.joints, strict=True)
     own = [list_laws(FlexibleJoint(link.kind, joint.law), linear=True) for link, joint in joints]
-    faults, explained = find_axis_faults(torques, units, own)
-    repeats = [_repeats(torques, k) if _is_seen_through_law(record) else None for k, record in enumerate(records)]
-    each = enumerate(zip(laws, faults, repeats, strict=True))
-    axes = tuple(_diagnose_axis(estimate, torques, k, *found) for k, found in each)
-    large = sum(not one.is_small for one in axes)
-    cause = find_copied_reference(robot, records) or find_wrong_sign(robot.names, find_driving_axes(torques))
+    faults, explained = search_axes(torques, units, own)
+    axes = list[AxisDiagnosis]()
+    for k, (record, found, law) in enumerate(zip(records, faults, laws, strict=True)):
+        inside, repeats = torques.seen[k], None
+        # The noise of a torque that is computed from the controller, at some frequencies at least, is coloured.
+        if record.torque is not None and record.torque.source.endswith(SOURCE):
+            where = cells(torques.position[k][inside], torques.velocity[k][inside])
+            repeats = repeatable(torques.error[k][inside], where)
+        axes.append(_diagnose_axis(estimate, torques, k, law, found, repeats))
+    large = sum(one.left >= _LEFT or (one.whiteness is not None and one.whiteness.p_value <= _SURE) for one in axes)
+    cause = find_copied_reference(robot, records)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
-    if cause is None and estimate.settings.method == "idim" and large:
+    if cause is None and method == "idim" and large:
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
     # What acts all the time explains a part of it only where it explains nearly everything.
     local = any(one.part is not None for one in faults)
     if cause is not None and len(robot) - cause.left > (max(explained, _NEARLY_ALL * large) if local else explained):
-        return Diagnosis(robot.name, estimate.settings.method, tuple(map(_wait_for_cause, axes)), torques, cause)
-    return Diagnosis(robot.name, estimate.settings.method, axes, torques)
-
-
-def _compare_law(axis: tuple[Link, Record, Controller | None]) -> LawOnPosition | None:
-    link, record, law = axis
-    return None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
+        return Diagnosis(robot.name, method, tuple(map(_wait_for_cause, axes)), torques, cause)
+    return Diagnosis(robot.name, method, tuple(axes), torques)
 
 
 def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
     """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
     laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
     return replace(axis, faults=replace(axis.faults, findings=laws), caused=True)
-
-
-def _is_seen_through_law(record: Record) -> bool:
-    """Test whether a torque is computed from the controller, at some frequencies at least: its noise is coloured."""
-    return record.torque is not None and record.torque.source.endswith(SOURCE)
-
-
-def _repeats(torques: AxisTorques, axis: int) -> Repeatable:
-    """Test whether the residual of an axis repeats with its motion."""
-    inside = torques.seen[axis]
-    where = cells(torques.position[axis][inside], torques.velocity[axis][inside])
-    return repeatable(torques.error[axis][inside], where)
 
 
 def _diagnose_axis(

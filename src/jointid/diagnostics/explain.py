@@ -1,6 +1,6 @@
 """Search for the cause of a misfit between a record and the declared drive.
 
-Sensitivities show small deviations of one number (`check_loop`). For a large one, as a torque that is ten times too
+Sensitivities show small deviations of one number (`search`). For a large one, as a torque that is ten times too
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
@@ -32,7 +32,7 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.changes import CHANGES, Case, Cause, Change, is_small
-from jointid.diagnostics.faults import FaultTest, Measure
+from jointid.diagnostics.faults import FaultTest
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import (
     find_broken_part,
@@ -217,7 +217,7 @@ def explain_misfit(
 
 def _is_gross(one: FaultTest, period: float) -> bool:
     """Return whether a fault is too large for a sensitivity to be a guide."""
-    if one.fault.measure is Measure.TIME:
+    if one.fault.measure == "ms":
         return abs(one.size) > _MUCH_LATER * period
     return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
 

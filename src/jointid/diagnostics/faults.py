@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
@@ -29,14 +28,8 @@ _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not 
 _LISTED = 3  # parameters in a sentence, at most
 
 
-class Measure(StrEnum):
-    """Unit in which a table shows the size of a fault."""
-
-    SHARE = "%"
-    TIME = "ms"
-    TORQUE = "torque"
-    POSITION = "position"
-    DECLARED = "% of the declared value"
+Measure: TypeAlias = Literal["", "%", "ms", "torque", "position", "level"]
+"""Unit in which a sentence shows the size of a fault: none, or that its level is shown, as a torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +38,7 @@ class Fault:
 
     Attributes:
         name: its code.
-        title: noun phrase, without an article.
-        says: clause that states it: with {size}, or its ends {by} and {of}, {shape}, {value}, the first of its `senses`
-            of a positive size as {sense}, and {torque}, {position} and {velocity} as units; see `findings`.
-        senses: of a positive size, and of a negative one.
+        title: noun phrase, without an article, that states it.
         remedy: what else to declare, as the end of a sentence, with {shape}.
         columns: returns what it adds to the torque of an axis, in each of its shapes.
         tried: number of shapes that each of its columns is the best of.
@@ -59,7 +49,7 @@ class Fault:
         mechanical: whether it is a fault of the joint's model, not of loop or log.
         last: whether it is named only where no other fault is collinear.
         kin: group of faults that describe one effect; after one is found, the others are not tested.
-        measure: unit of its size in a table.
+        measure: unit of its size.
         reason: code of the verdict.
         table: table of the joint file that declares a law with it.
         laws: names of these laws.
@@ -67,8 +57,6 @@ class Fault:
 
     name: str
     title: str
-    says: str = ""
-    senses: tuple[str, str] = ("larger", "smaller")
     remedy: str = ""
     columns: Callable[[Seen], Columns] | None = None
     tried: int = 1
@@ -79,7 +67,7 @@ class Fault:
     mechanical: bool = False
     last: bool = False
     kin: str = ""
-    measure: Measure = Measure.DECLARED
+    measure: Measure = ""
     reason: Reason = Reason.LOOP_NOT_AS_DECLARED
     table: Literal["", "spring", "friction"] = ""
     laws: tuple[str, ...] = ()
@@ -124,23 +112,19 @@ class FaultTest:
         declared: value; 0 for what is not declared at all.
         size: value less the declared one; of a limit, the observed share of what it cuts off.
         std: standard deviation of the size, autocorrelation-robust.
-        statistic: their ratio.
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
-        opposite: those of `alike` whose size has the opposite sign.
         axis: that has it.
     """
 
-    in_json = "name -fault -alike -opposite -axis"
+    in_json = "name statistic -fault -alike -axis"
     fault: Fault
     alike: tuple[Fault, ...]
     declared: float
     size: float
     std: float
-    statistic: float
     p_value: float
     shape: float | None = None
-    opposite: tuple[Fault, ...] = ()
     axis: int = 0
 
     @property
@@ -154,9 +138,21 @@ class FaultTest:
         return " or ".join(one.name for one in (self.fault, *self.alike))
 
     @property
+    def statistic(self) -> float:
+        """Ratio of the size to its deviation."""
+        return self.size / self.std if self.std > 0 else 0.0
+
+    @property
     def strength(self) -> float:
-        """The absolute statistic; at least 0 for a fault that can only be positive."""
-        return max(self.statistic, 0.0) if self.fault.one_sided else abs(self.statistic)
+        """The absolute statistic; at least 0 for a fault that can only be positive.
+
+        A shape that is the best of many is strong by chance: the fault is as strong as a single test of its p-value.
+        """
+        from scipy.stats import norm
+
+        found = max(self.statistic, 0.0) if self.fault.one_sided else abs(self.statistic)
+        many = self.fault.tried > 1 and self.p_value > 0.0
+        return min(found, float(norm.isf(0.5 * self.p_value))) if many else found
 
 
 def name_number(name: str) -> str:
@@ -222,13 +218,6 @@ class Finding:
     left: float | None = None
     alike: tuple[OtherLaw, ...] = ()
 
-    @property
-    def values(self) -> dict[str, object]:
-        """The numbers of its message."""
-        test = self.test
-        changes = {name: change.by for name, change in self.changes.items()}
-        return {"size": test.size, "std": test.std, "p_value": test.p_value, "changes": changes}
-
 
 @dataclass(frozen=True, slots=True)
 class AxisFaults:
@@ -241,12 +230,12 @@ class AxisFaults:
         symbols: of the joint's parameters, by name.
         units: of the joint's parameters by name, and of "torque", "position" and "velocity".
         side: of the transmission, on which all of these numbers are; None without one.
-        undecided: another law that the record does not exclude, and that would shift a parameter out of its interval.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         of_loop: whether faults of the loop were tested, which needs its simulation.
         suspected: faults that are not named, and whose shifts the intervals hold. One of the mechanics that is
-            significant at the level of those of the loop, not at its own tenth of that; or, where none was found, one
-            of loop or log that the motor position excludes: the joint has what looks like it.
+            significant at the level of those of the loop, not at its own tenth of that; where none was found, one of
+            loop or log that the motor position excludes: the joint has what looks like it; and another law that the
+            record does not exclude, and that would shift a parameter out of its interval.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
         explained: share of the squares of the residual that the faults explain together, where so many were found that
             none of them is likely to be the cause.
@@ -258,7 +247,6 @@ class AxisFaults:
     symbols: Mapping[str, str]
     units: Mapping[str, str]
     side: Side | None = None
-    undecided: Finding | None = None
     laws: tuple[str, ...] = ()
     of_loop: bool = True
     suspected: tuple[Finding, ...] = ()
@@ -271,11 +259,6 @@ class AxisFaults:
         return not self.findings and self.part is None
 
     @property
-    def good(self) -> bool | None:
-        """True if loop and log are as declared; None where another law would matter that is not excluded."""
-        return None if self.as_declared and self.undecided is not None else self.as_declared
-
-    @property
     def reasons(self) -> tuple[Message, ...]:
         """The faults found, one message each; one that says so where there are none."""
         if self.part is not None:
@@ -285,126 +268,69 @@ class AxisFaults:
             share, alike = number(100 * self.explained, 2), ", ".join(_call(one.test.fault) for one in self.findings)
             words = f"{clause}: {alike} together explain {share} % of the squares of the residual"
             return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
-        undecided = () if self.undecided is None else (self._describe_open_law(self.undecided),)
-        if self.findings or undecided:
-            return (*map(self._describe, self.findings), *undecided)
-        least = min((s.p_value for s in self.tests), default=1.0)
-        names = ", ".join(" or ".join(one.title for one in (s.fault, *s.alike)) for s in self.tests)
-        said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
+        if self.findings:
+            return tuple(map(self._describe, self.findings))
+        least = min((one.p_value for one in self.tests), default=1.0)
+        said = f"loop and log are as declared as far as this record shows ({len(self.tests)} faults were tested, "
+        said += f"p >= {number(least, 2)})"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The words of the reasons."""
-        return tuple(map(str, self.reasons))
+    def _describe(self, finding: Finding) -> Message:
+        """Return the message on a fault: its size, what else may be, what it moves, and what to declare."""
+        test = finding.test
+        clause = self._state(finding)
+        if test.alike:
+            clause += f", or {_call(*test.alike)} is wrong, which this loop cannot distinguish"
+        words = f"{clause} ({'p < 1e-6' if test.p_value < 1e-6 else f'p = {number(test.p_value, 2)}'})"
+        if finding.rivals:
+            words += f"; {_call(*(rival.fault for rival in finding.rivals))} would explain nearly as much"
+        words += self._describe_changes(finding) + self._name_laws(test.fault, test.shape)
+        changes = {name: change.by for name, change in finding.changes.items()}
+        numbers = {"size": test.size, "std": test.std, "p_value": test.p_value, "changes": changes}
+        values = {"suspect": test.name, "alike": [one.name for one in test.alike], **numbers}
+        return Message(test.fault.reason, words, values, clause)
 
-    def _describe_open_law(self, finding: Finding) -> Message:
-        """Return the message on another law that the record does not exclude."""
-        assert finding.law is not None
-        law, s = finding.law, finding.test
-        clause = f"it may be that {law.words}, which this record does not exclude"
-        share = f"{number(s.size, 2)} ± {number(2 * s.std, 2)}, where 0 is as declared and 1 is that"
-        said = f"{clause} ({share}){self._describe_changes(finding, 'it would change')}"
-        said += f"; see the drive's manual, or record a faster motion: if so, declare {law.remedy}"
-        said += "; if it has the log's period, declare that" if law.rate else ""
-        values = {"law": law.fault.name, "condition": law.words, **finding.values}
-        return Message(Reason.LAW_UNDECIDED, said, values, clause)
-
-    def _describe_changes(self, finding: Finding, before: str) -> str:
+    def _describe_changes(self, finding: Finding) -> str:
+        """Return the part of a sentence on the parameters that a correction moves, the farthest first."""
         far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_LISTED]
         moved = [
             f"{self.symbols[name]} by {format_signed(change.by, 3)} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
             for name, change in far
             if abs(change.sigmas) >= _SMALLEST_SHIFT
         ]
-        return f"; {before} {', '.join(moved)}" if moved else ""
+        return f"; correcting it changes {', '.join(moved)}" if moved else ""
 
-    def _describe(self, finding: Finding) -> Message:
-        s = finding.test
-        p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
-        said, clause = f"{self._state(finding, spread=True)} ({p_value})", self._state(finding, spread=False)
-        if s.alike:
-            same = [one for one in s.alike if one not in s.opposite]
-            also = f", or so is {_call(*same)}" if same else ""
-            also += f", or {_call(*s.opposite)} is off by as much the other way" if s.opposite else ""
-            said, clause = f"{said}{also}, which this loop cannot distinguish", clause + also
-        if finding.rivals:
-            rivals = (_call(rival.fault, *rival.alike) for rival in finding.rivals)
-            said += f"; {' or '.join(rivals)} would explain nearly as much"
-        said += self._describe_changes(finding, "correcting it changes") + self._name_laws(finding)
-        values = {"suspect": s.name, "alike": [one.name for one in s.alike], **finding.values}
-        return Message(s.fault.reason, said, values, clause)
+    def _name_laws(self, fault: Fault, shape: float | None) -> str:
+        """Return the end of a sentence on what else to declare; "" without any."""
+        laws = [f'"{law}"' for law in fault.laws if law in self.laws]
+        if fault.remedy or not laws:
+            return fault.remedy and "; " + fault.remedy.format(shape=number(shape, 3))
+        said = f"; to identify it, declare the joint with {fault.table} = {' or '.join(laws)}"
+        by_hand = not self.of_loop and StribeckFriction.name in fault.laws
+        return f"{said} and stribeck_speed = {number(shape, 2)}" if by_hand else said
 
-    def _name_laws(self, finding: Finding) -> str:
-        """Return the end of a sentence on the laws with the fault that was found or its rivals; "" without any."""
-        fault, shape = finding.test.fault, finding.test.shape
-        if fault.remedy:
-            return "; " + fault.remedy.format(shape=number(shape, 3))
-        named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
-        laws = dict.fromkeys(law for one in named if one.table == fault.table for law in one.laws if law in self.laws)
-        if not laws:
-            return ""
-        tried = " or ".join(f'"{law}"' for law in laws)
-        said = f"; to identify it, declare the joint with {fault.table} = {tried}"
-        if self.of_loop:
-            return f"{said}, as jointid diagnose --laws tells"
-        speed = shape if StribeckFriction.name in laws else None
-        return said if speed is None else f"{said} and stribeck_speed = {number(speed, 2)}"
-
-    def _state(self, finding: Finding, *, spread: bool) -> str:
-        """Return the clause that states a fault, its size and, with `spread`, its interval."""
+    def _state(self, finding: Finding) -> str:
+        """Return the clause that states a fault with its size and interval, or the laws that the drive may run."""
         test, fault = finding.test, finding.test.fault
         if finding.law is not None:
-            return self._state_laws(finding.law, finding)
-        if not fault.says:
-            return _state_number(test, spread=spread)
+            laws = [f"{one.words}: declare {one.remedy}" for one in (finding.law, *finding.alike)]
+            return "; or, as far as this record shows, ".join(laws)
+        if test.declared and not fault.measure:
+            return _state_number(test)
         side = "" if self.side is None else f" on the {self.side} side"
-        units = {name: f"{self.units[name]}{side}" for name in ("torque", "position", "velocity")}
-        size = _show_size(test, units, spread=spread)
-        said = fault.says.format(
-            size=size, by=f", by {size}" if size else "", of=f" of {size}" if size else "",
-            shape="" if test.shape is None else number(test.shape, 2), value=number(finding.value or test.shape, 4),
-            sense=fault.senses[test.size < 0], **units,
-        )  # fmt: skip
-        return " ".join(said.split())
-
-    def _state_laws(self, law: OtherLaw, finding: Finding) -> str:
-        """Return the clause on another law of the drive, and on equally good ones; rates of one law are joined.
-
-        A law that is reported as undecided is not repeated. Rates that the record does not tell apart are equals: which
-        of them leaves least is chance.
-        """
-        undecided = None if self.undecided is None else self.undecided.law
-        of_each: dict[tuple[str, str | None], list[OtherLaw]] = {}
-        for one in (law, *(other for other in finding.alike if other != undecided)):
-            of_each.setdefault((one.fault.name, getattr(one.controller, "interpolation", None)), []).append(one)
-        stated = []
-        for first, *others in of_each.values():
-            rates = "".join(f" or {1e-3 * one.rate:.4g} kHz" for one in others if one.rate)
-            stated.append((first.words + rates, first.remedy))
-        (said, remedy), *more = stated
-        said = f"{said}: declare {remedy}"
-        return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
+        unit, factor = {"ms": ("ms", 1e3), "%": ("%", 100.0)}.get(fault.measure, ("", 1.0))
+        unit = unit or f"{self.units.get(fault.measure, '')}{side}"
+        size = f"{format_signed(factor * test.size, 3)} ± {number(2 * factor * test.std, 2)} {unit}"
+        if fault.measure == "level":
+            size = f"{number(finding.value or test.shape, 4)} {self.units['torque']}{side}"
+        return fault.title if not fault.measure or 2 * test.std >= abs(test.size) else f"{fault.title}: {size}"
 
 
 def _call(*faults: Fault) -> str:
     return " or ".join(f"the {fault.title}" for fault in faults)
 
 
-def _show_size(test: FaultTest, units: dict[str, str], *, spread: bool) -> str:
-    """Return the size and, with `spread`, its interval; "" where the interval contains 0."""
-    if 2 * test.std >= abs(test.size):
-        return ""
-    measure, (unit, factor) = test.fault.measure, ("%", 100.0)
-    if measure is Measure.TIME:
-        unit, factor = ("ms", 1e3) if abs(test.size) >= MICROSECOND else ("us", 1e6)
-    elif measure is not Measure.SHARE:
-        unit, factor = units.get(measure.value, ""), 1.0
-    interval = f" ± {number(2 * factor * test.std, 2)}" if spread else ""
-    return f"{number(abs(factor * test.size), 3 if spread else 2)}{interval} {unit}"
-
-
-def _state_number(test: FaultTest, *, spread: bool) -> str:
+def _state_number(test: FaultTest) -> str:
     """Return the clause on the difference of a number from its declaration, in percent of that.
 
     A sensitivity is no guide to a change as large as the number itself.
@@ -412,8 +338,5 @@ def _state_number(test: FaultTest, *, spread: bool) -> str:
     name, share, deviation = _call(test.fault), test.size / abs(test.declared), 2 * test.std / abs(test.declared)
     if not -1 < share <= 1:
         return f"torque, reference, ratio or a gain is wrong by a factor, or has the wrong sign ({name} is the nearest)"
-    way = "smaller" if share < 0 else "larger"
-    if deviation >= abs(share):
-        return f"{name} is {way} than declared, by how much this record does not tell"
-    interval = f" ± {number(100 * deviation, 2)}" if spread else ""
-    return f"{name} is {number(100 * abs(share), 2)}{interval} % {way} than declared"
+    size = f"{number(100 * abs(share), 2)} ± {number(100 * deviation, 2)} %"
+    return f"{name} is {size} {'smaller' if share < 0 else 'larger'} than declared"

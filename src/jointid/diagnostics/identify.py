@@ -185,7 +185,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     try:
         if whole:
             found = diagnose_joint(fit, record, solved)
-            verdict = Verdict.of(Subject.LOOP, found.axes[0].faults.good, *found.axes[0].faults.reasons)
+            verdict = Verdict.of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
         else:
             verdict = check_without_joint(record, problem.loop_at(x))
     except _OF_RECORD as error:
@@ -244,20 +244,19 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))
     noise = Message(Reason.PASSED, "what the model leaves is noise, or little")
     reasons = (*rest, *found.name_faults(of_model=True)) if rest else (noise,)
-    residual = Verdict.of(Subject.REPEATABLE, not rest, *reasons)
+    verdicts = [Verdict.of(Subject.REPEATABLE, not rest, *reasons)]
 
-    failed = [*found.name_faults(of_model=False)]
-    lost = list(filter(None, map(find_lost_samples, fit.records)))
-    tested, unseen = part.has_controllers or failed or lost, found.describe_laws(holds=None)
-    if wrong := found.describe_laws(holds=False):
-        failed.append(Message(Reason.LOOP_NOT_AS_DECLARED, "; ".join(filter(None, (wrong, unseen)))))
-    none = "no motor position and reference of a declared controller were logged"
-    if any(record.computed for record in fit.records):
-        none = "the torque is that of the declared controllers"
-    loop = skip_test(Subject.LOOP, unseen or none, [one.name for one in found.axes if unseen and one.law_holds is None])
-    if failed or lost:
-        loop = _fail(*(lost[:1] or failed))
-    elif all(joint.law_holds for joint in found.axes):
-        said = found.describe_laws(holds=True)
-        loop = Verdict.of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))
-    return CheckResults((residual, loop) if tested else (residual,), tuple(_widen(fit, found)), found)
+    lost = [message for message in map(find_lost_samples, fit.records) if message is not None]
+    failed = lost[:1] or [*found.name_faults(of_model=False)]
+    if found.wrong_laws and not lost:
+        failed.append(Message(Reason.LOOP_NOT_AS_DECLARED, found.wrong_laws))
+    unseen = [joint.name for joint in found.axes if joint.law_holds is None]
+    if failed:
+        verdicts.append(_fail(*failed))
+    elif part.has_controllers and unseen:
+        said = f"the controller of {join(unseen)} was not checked, which needs a motor position and a reference"
+        verdicts.append(skip_test(Subject.LOOP, said, unseen if len(unseen) < len(found.axes) else ()))
+    elif part.has_controllers:
+        said = "the declared controllers make the logged torques of the positions"
+        verdicts.append(Verdict.of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said)))
+    return CheckResults(tuple(verdicts), tuple(_widen(fit, found)), found)

@@ -162,23 +162,21 @@ def judge_law(law: LawOnPosition, record: Record) -> Message:
         record: that it was compared with.
     """
     assert record.torque is not None
-    left = f"{number(100 * law.left, 2)} % of the torque"
-    code, words = Agreement.HOLDS, f"the declared law makes the torque of the motor's position ({left} is left)"
+    left = f"({number(100 * law.left, 2)} % of the torque is left)"
     if abs(law.late) > _LATE * record.torque.sample_time and law.left_in_time < 2 * _LEAVES:
-        code, way = Agreement.LATE, "later" if law.late > 0 else "earlier"
-        words = (
-            f"the torque is {number(1e3 * abs(law.late), 2)} ms {way} than the declared law makes it of the motor's "
+        way = f"{number(1e3 * abs(law.late), 2)} ms {'later' if law.late > 0 else 'earlier'}"
+        said = (
+            f"the torque is {way} than the declared law makes it of the motor's position: check the delay, and which "
         )
-        words += "position: check the delay, and which instant a logged value stands for (timing); "
-        words += f"{number(100 * law.left_in_time, 2)} % of the torque is left with that"
-    elif law.left > max(_LEAVES, _MORE_THAN_NOISE * law.noise):
-        code, words = Agreement.DIFFERS, f"the declared law and the motor's position leave {left}: "
-        words += "jointid learn-controller learns the law, unless the torque's unit, a sign or a clock is wrong"
-    elif abs(law.gain - 1) > max(_GAIN, law.left):
-        code, what = Agreement.SCALED, "sign" if law.gain < 0 else "unit or gain"
-        words = f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
-        words += f"torque's {what}, or the law's last gain, is not as declared; {left} is left with that"
-    return Message(code, words)
+        return Message(Agreement.LATE, f"{said}instant a logged value stands for (timing)")
+    if law.left > max(_LEAVES, _MORE_THAN_NOISE * law.noise):
+        said = f"the declared law does not make the torque of the motor's position {left}: jointid learn-controller "
+        return Message(Agreement.DIFFERS, f"{said}learns the law, unless the torque's unit, a sign or a clock is wrong")
+    if abs(law.gain - 1) > max(_GAIN, law.left):
+        said = f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
+        said += f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared"
+        return Message(Agreement.SCALED, said)
+    return Message(Agreement.HOLDS, f"the declared law makes the torque of the motor's position {left}")
 
 
 def excludes(

@@ -3,8 +3,7 @@
 A part that does not exist for an estimate (profiles without a simulated loop, a response without a stiffness) is left
 out, with the reason. Two parts are computed here: the spectra of the torque, measured, predicted and their difference;
 and the frequency response of the joint, from the motor's torque to the velocities of its two sides. That is of the
-linear part (`models.linear`), moving forwards; its band is that of the estimate's covariance to first order, of the
-logarithm of the response, so that it never passes 0.
+linear part (`models.linear`), moving forwards.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
+from jointid.models.linear import OUTPUTS, frequency_response
 from jointid.records.record import Channel, Record
 from jointid.uncertainty.profile import ProfileInterval
 
@@ -33,7 +32,6 @@ _SHORTEST = 64
 _LINES = 400  # of the response
 _LOWEST = 0.1  # Hz
 _ABOVE = 3.0  # times the fastest of the three frequencies, at least
-_STEP = 1e-6  # of a parameter, or of its deviation where it is 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +42,6 @@ class FrequencyResponse:
         frequency: (lines,) Hz.
         sides: whose velocity it is: of the motor, and for a flexible joint of the load.
         magnitude: (sides, lines) of the velocity per torque.
-        low, high: (sides, lines) 2 standard deviations about it.
         phase: (sides, lines) degrees.
         unit: of the magnitude.
         modes: Hz by name, of a flexible joint; see `FlexibleJoint.frequencies`.
@@ -53,8 +50,6 @@ class FrequencyResponse:
     frequency: FloatArray
     sides: tuple[str, ...]
     magnitude: FloatArray
-    low: FloatArray
-    high: FloatArray
     phase: FloatArray
     unit: str
     modes: Mapping[str, float]
@@ -144,7 +139,7 @@ def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: f
 
 
 def compute_response(estimate: Estimate) -> FrequencyResponse:
-    """Return the frequency response of an estimate, with the band of its covariance.
+    """Return the frequency response of an estimate.
 
     Raises:
         MethodError: a parameter of the joint is not identifiable.
@@ -158,20 +153,8 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
     sides = ("motor", "load")[: 2 if joint.model == "flexible" else 1]
     outputs = OUTPUTS[1 : 2 * len(sides) : 2]  # the velocities
-
-    def respond(values: Mapping[str, float]) -> ComplexArray:
-        return np.stack([frequency_response(joint, values, frequency, output) for output in outputs])
-
-    free = [p for p in estimate.params.rows if p.free and p.of_joint and p.stderr is not None and p.name in values]
-    std = np.array([p.stderr for p in free], dtype=np.float64)
-    covariance = np.outer(std, std) * estimate.params.correlation_of([p.name for p in free])
-    at, slopes = respond(values), np.zeros((len(free), len(sides), frequency.size))
-    for k, p in enumerate(free):
-        step = _STEP * (abs(p.value or 0.0) or p.stderr or 1.0)
-        slopes[k] = np.log(respond(values | {p.name: values[p.name] + step}) / at).real / step
-    spread = np.sqrt(np.maximum(np.einsum("psf,pq,qsf->sf", slopes, covariance, slopes), 0.0))
-    size, factor = np.abs(at), np.exp(np.minimum(2 * spread, 50.0))
-    phase = np.degrees(np.unwrap(np.angle(at), axis=1))
+    found = np.stack([frequency_response(joint, values, frequency, output) for output in outputs])
+    phase = np.degrees(np.unwrap(np.angle(found), axis=1))
     torque_unit = f"({own})" if " " in (own := estimate.data.torque_unit) else own
     unit = f"({POSITION_UNIT[joint.kind]}/s)/{torque_unit}"
-    return FrequencyResponse(frequency, sides, size, size / factor, size * factor, phase, unit, modes)
+    return FrequencyResponse(frequency, sides, np.abs(found), phase, unit, modes)

@@ -154,14 +154,6 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | No
     return Cause("reference_is_position", words, joints=tuple(names))
 
 
-def find_wrong_sign(names: Sequence[str], driving: Sequence[int]) -> Cause | None:
-    """Return the joint that its friction drives most, whose torque has the wrong sign; None without any."""
-    if not driving:
-        return None
-    name = names[driving[0]]
-    return Cause("torque_sign", _SIGN.format(joint=name), joints=(name,))
-
-
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:
     """Return the declared case at some hundred instants, the torques through the filter of the positions."""
     motion = motion_of_robot(robot, records, filtering)

@@ -7,8 +7,6 @@ mass: a record with this torque is of an axis at rest.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from jointid.common.arrays import FloatArray
@@ -19,15 +17,15 @@ from jointid.diagnostics.model_free import SHORTEST
 from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import find_encoder_step
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate
 
 _IMMOVABLE = 1e20  # kg or kg m2
 _FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them
-_AS_AT_REST = 0.15  # of the torque's scatter: so little is left where it is that of an axis at rest
-_SAME_SIZE = 0.25  # so near to 1 is then its size
+_AS_AT_REST, _SAME_SIZE = 0.15, 0.25  # of the torque's scatter, and of its size: that of an axis at rest is so near
 _LEAST = 1.0  # s of motion: a shorter record is not relied on
+_BACK = 0.05  # of all the way: who goes back less moves one way only
 _FEWEST_STEPS = 10  # of a motion
 _ROUGH = 0.15  # of a step: by so much the next one may differ
 _SLOW, _COUNTS = 0.1, 8.0  # of a fast step, and times the smallest: a smaller step tells nothing
@@ -38,14 +36,10 @@ _RESTS, _NEAR_BY = 2e-3, 0.05  # of the largest speed and travel; of the travel
 _MEAN, _VARIES = 21, 0.5  # samples; of the root mean square of an acceleration that is not one and the same
 _JUMP = 10.0  # times the largest step but a few: no motor moves so far in a sample
 _FEW_CHANGES, _AT_ONCE = 0.02, 5  # of the samples, at which a reference in steps changes; samples
-_BACK = 0.05  # of all the way: who goes back less moves one way only
 _FEWEST_JUMPS = 12  # steps of an injected signal
-_CLEAR_JUMP = 10.0  # times the median change of a sample: size of a step
-_LARGE_JUMP = 0.03  # of the torque's scatter: a smaller step is of no interest
+_CLEAR_JUMP, _ROUNDED, _LARGE_JUMP = 10.0, 5, 0.03  # times the median and the least change; of the torque's scatter
 _ALONE = 0.3  # of a step: so much the samples before and after it may change
-_ROUNDED = 5  # times the smallest change of a sample, which is that of its rounding
-_IDLE, _OFTEN = 1e-3, 0.02  # of the greatest speed, and of the samples: where a reference asks for nothing
-_AS_OFTEN = 1 / 3  # as all over the record they are where the reference rests, if it does
+_IDLE, _OFTEN, _AS_OFTEN = 1e-3, 0.02, 1 / 3  # of the greatest speed, of the samples, and as all over the record
 _OWN = 0.5  # of their squares: so much of the steps is none of the reference's velocity, acceleration and direction
 
 
@@ -71,13 +65,17 @@ def find_too_short(record: Record) -> Message | None:
     return None if record.injected is not None else _check_length(record, _LEAST, "to rely on")
 
 
+def _found(name: str, value: float | None, clause: str, **more: object) -> Message:
+    cause = {"cause": name, "value": value, "error": None}
+    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], **more}, clause)
+
+
 def _check_length(record: Record, needed: float, what_for: str) -> Message | None:
-    reference = record.reference
-    if reference is None:
+    if record.reference is None:
         return None
-    change = np.diff(reference.values)
+    change = np.diff(record.reference.values)
     (moving,) = np.nonzero(change)
-    seconds = reference.sample_time * (change.size + 1 - moving[0]) if moving.size else 0.0
+    seconds = record.reference.sample_time * (change.size + 1 - moving[0]) if moving.size else 0.0
     there, back = float(np.sum(change[change > 0])), float(-np.sum(change[change < 0]))
     both_ways = min(there, back) > _BACK * max(there, back)
     if both_ways and seconds >= needed:
@@ -96,11 +94,9 @@ def find_steps(record: Record) -> Message | None:
     torque, reference = record.torque, record.reference
     assert torque is not None
     assert reference is not None
-    if record.injected is not None or torque.values.size < 2 * _FEWEST_JUMPS:
-        return None
     signed = np.diff(torque.values)
     change = np.abs(signed)
-    if not np.any(change):
+    if record.injected is not None or change.size < 2 * _FEWEST_JUMPS or not np.any(change):
         return None
     rounding = float(np.min(change[change > 0]))
     bound = max(_CLEAR_JUMP * float(np.median(change)), _ROUNDED * rounding, _LARGE_JUMP * float(np.std(torque.values)))
@@ -111,20 +107,15 @@ def find_steps(record: Record) -> Message | None:
     asked = np.column_stack([np.interp(torque.time, reference.time, one)[1:-2] for one in asked.T])
     rests = np.abs(asked[:, 0]) < _IDLE * np.max(np.abs(velocity))
     count = int(np.sum(steps))
-    if count < _FEWEST_JUMPS:
-        return None
-    if np.mean(rests) > _OFTEN and np.mean(steps[rests]) < _AS_OFTEN * np.mean(steps):
+    stop_with_it = np.mean(rests) > _OFTEN and np.mean(steps[rests]) < _AS_OFTEN * np.mean(steps)
+    if count < _FEWEST_JUMPS or stop_with_it:
         return None
     sizes, by = signed[1:-1][steps], asked[steps] / np.maximum(np.max(np.abs(asked), axis=0), np.finfo(float).tiny)
     own = sizes - by @ np.linalg.lstsq(by, sizes, rcond=None)[0]
     if own @ own < _OWN * (sizes @ sizes):
         return None
-    clause = (
-        f"a signal is injected that is not declared (channel injected): the torque makes {pluralise(count, 'step')} "
-        "that the reference does not ask for"
-    )
-    cause = {"cause": "injected", "value": count, "error": None}
-    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+    said = "a signal is injected that is not declared (channel injected): the torque makes"
+    return _found("injected", count, f"{said} {pluralise(count, 'step')} that the reference does not ask for")
 
 
 def find_lost_samples(record: Record) -> Message | None:
@@ -135,7 +126,7 @@ def find_lost_samples(record: Record) -> Message | None:
     channel = record.reference or record.motor_position
     if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
         return None
-    if record.torque is not None and _roughness(channel) > _roughness(record.torque):
+    if record.torque is not None and _roughness(channel.values) > _roughness(record.torque.values):
         return None  # which is no motion
     steps = np.diff(channel.values)
     before, here, after = steps[1:-3], steps[2:-2], steps[3:-1]
@@ -150,16 +141,22 @@ def find_lost_samples(record: Record) -> Message | None:
         sizes = np.sort(np.abs(steps[steps != 0.0]))
         least = max(_SLOW * float(sizes[int(0.9 * sizes.size)]), _COUNTS * float(sizes[0])) if sizes.size else 0.0
         alike = np.abs(after - before) < _ROUGH * (2.0 + lost) * np.abs(before)
-        jumps = (np.abs(before) > least) & even & near & (lost >= 1.0) & alike
-    (places,) = np.nonzero(jumps)
+        (places,) = np.nonzero((np.abs(before) > least) & even & near & (lost >= 1.0) & alike)
     if not 0 < places.size <= _MOST_PLACES:
         return None
     said = [f"about {lost[k]:.0f} at {number(channel.sample_time * (k + 2), 3)} s" for k in places[:_SAID]]
     more = f" and at {places.size - _SAID} more" if places.size > _SAID else ""
     clause = f"samples are missing in the record: {join(said)}{more}"
     clause += " from the first that was read; cut it there (record.start, record.stop), or log time stamps"
-    cause = {"cause": "lost_samples", "value": float(lost[places].sum()), "error": None}
-    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+    return _found("lost_samples", float(lost[places].sum()), clause)
+
+
+def _roughness(values: FloatArray) -> float:
+    """Return the usual change of a signal's steps over its usual step."""
+    steps = np.diff(values)
+    moving = steps[steps != 0.0]
+    size = float(np.median(np.abs(moving))) if moving.size else 0.0
+    return float(np.median(np.abs(np.diff(moving)))) / size if size and moving.size > 1 else 0.0
 
 
 def find_parts_off(record: Record) -> Message | None:
@@ -174,26 +171,32 @@ def find_parts_off(record: Record) -> Message | None:
     q = np.convolve(motor.values, np.ones(_MEAN) / _MEAN, "same")
     v = np.gradient(q, T)
     a, travel = np.gradient(v, T), float(np.ptp(motor.values))
-    off, place, pulled = list[list[float]](), math.inf, False
+    off = list[tuple[float, float]]()
     for first in range(0, u.size - size + 1, size):
         part = slice(first, first + size)
         if np.ptp(motor.values[part]) > _RESTS * travel or np.sqrt(np.mean(u[part] ** 2)) > _NOTHING * np.std(u):
             continue
-        here = float(np.mean(motor.values[part]))
-        if abs(here - place) > _RESTS * travel:  # else it still stands at the same place
-            near = (np.abs(q - here) < _NEAR_BY * travel) & (np.abs(v) > _RESTS * np.max(np.abs(v)))
-            place, pulled = here, _pulls(u[near], np.sign(v[near]), a[near], 0.1 * float(np.std(u)))
-        if pulled:
-            joins = bool(off) and abs(off[-1][1] - first * T) < T
-            off = [*off[:-1], [off[-1][0], part.stop * T]] if joins else [*off, [first * T, part.stop * T]]
+        here = np.abs(q - np.mean(motor.values[part])) < _NEAR_BY * travel
+        passes = here & (np.abs(v) > _RESTS * np.max(np.abs(v)))
+        if _pulls(u[passes], np.sign(v[passes]), a[passes], 0.1 * float(np.std(u))):
+            begin = off.pop()[0] if off and off[-1][1] == first * T else first * T
+            off.append((begin, part.stop * T))
     if not off:
         return None
     parts = join([f"from {number(begin, 3)} to {number(end, 3)} s" for begin, end in off[:_SAID]])
     clause = f"the drive is off {parts} from the first sample that was read: the axis stands there without a torque "
-    clause += "where a load pulls at it; "
-    clause += "identify a part without them (record.start, record.stop)"
-    cause = {"cause": "drive_off", "value": sum(end - begin for begin, end in off), "error": None}
-    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], "parts": off}, clause)
+    clause += "where a load pulls at it; identify a part without them (record.start, record.stop)"
+    return _found("drive_off", sum(end - begin for begin, end in off), clause, parts=off)
+
+
+def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least: float) -> bool:
+    """Test whether a torque past a place has a part, above the least and the friction, that neither way makes."""
+    known = acceleration.size and np.std(acceleration) > _VARIES * np.sqrt(np.mean(acceleration**2))
+    if not known or min(np.sum(way > 0.0), np.sum(way < 0.0)) < _MEAN:
+        return False  # at an end of the travel the inertia looks like a load
+    columns = np.column_stack([np.ones(way.size), way, acceleration])
+    pull, friction, _ = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    return bool(abs(pull) > max(abs(friction), least))
 
 
 def find_new_zero(record: Record) -> Message | None:
@@ -206,13 +209,13 @@ def find_new_zero(record: Record) -> Message | None:
     (places,) = np.nonzero((np.abs(steps) > _JUMP * usual) & (np.abs(asked - steps) < _ROUGH * np.abs(steps)))
     if not usual > 0.0 or not places.size:
         return None
-    said = [
-        f"by {number(float(steps[k]), 3)} {motor.unit} at {number(motor.sample_time * (k + 1), 3)} s" for k in places
-    ]
-    clause = f"reference and motor position jump together {join(said)} from the first sample that was read: a new zero "
-    clause += "was set there; identify a part without it (record.start, record.stop)"
-    cause = {"cause": "new_zero", "value": float(steps[places[0]]), "error": None}
-    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
+    jumps = [(number(float(steps[k]), 3), number(motor.sample_time * (k + 1), 3)) for k in places]
+    said = join([f"by {size} {motor.unit} at {instant} s" for size, instant in jumps])
+    clause = (
+        f"reference and motor position jump together {said} from the first sample that was read: a new zero was set "
+    )
+    clause += "there; identify a part without it (record.start, record.stop)"
+    return _found("new_zero", float(steps[places[0]]), clause)
 
 
 def find_profiled_steps(record: Record) -> Message | None:
@@ -228,27 +231,7 @@ def find_profiled_steps(record: Record) -> Message | None:
     if np.median(after) > np.quantile(changes, 1.0 - _FEW_CHANGES):
         return None
     clause = "the reference comes in steps that the torque does not follow at once: the drive makes a profile of them; "
-    clause += "log the setpoint behind its profile as the reference"
-    cause = {"cause": "profiled_steps", "value": None, "error": None}
-    return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause]}, clause)
-
-
-def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least: float) -> bool:
-    """Test whether a torque past a place has a part, above the least and the friction, that neither way makes."""
-    known = acceleration.size and np.std(acceleration) > _VARIES * np.sqrt(np.mean(acceleration**2))
-    if not known or min(np.sum(way > 0.0), np.sum(way < 0.0)) < _MEAN:
-        return False  # at an end of the travel the inertia looks like a load
-    columns = np.column_stack([np.ones(way.size), way, acceleration])
-    pull, friction, _ = np.linalg.lstsq(columns, torque, rcond=None)[0]
-    return bool(abs(pull) > max(abs(friction), least))
-
-
-def _roughness(channel: Channel) -> float:
-    """Return the usual change of a signal's steps over its usual step."""
-    steps = np.diff(channel.values)
-    moving = steps[steps != 0.0]
-    size = float(np.median(np.abs(moving))) if moving.size else 0.0
-    return float(np.median(np.abs(np.diff(moving)))) / size if size and moving.size > 1 else 0.0
+    return _found("profiled_steps", None, clause + "log the setpoint behind its profile as the reference")
 
 
 def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:

@@ -6,12 +6,11 @@ regressed on both. The last coefficient is the size of the fault, and its ratio 
 that, e, J and c go through one filter that makes the noise nearly white: the prediction error of an autoregressive
 model of the part of e that no fault explains. So the statistic is nearly that of the likelihood. It distinguishes the
 gains of a law from each other and from that of the log; plain least squares, in a loop that shapes the noise, does not.
-The noise model need not be right: the deviation is the autocorrelation-robust one of `uncertainty`, widened for a
-position-dependent residual (`position_dependent_error`). It is scaled to the residual before the fit, frequency by
-frequency: a slow motion has few of them, and the remainder of a dozen columns there is too small.
-A random force in the loop is no small noise of each row while friction holds the motor. So such forces are simulated,
-each with noise on the log, in the shares of the residual's spectrum. A fault is compared with the sizes that they alone
-show, if these are clearly larger.
+
+The deviation is the autocorrelation-robust one of `uncertainty`, widened for a position-dependent residual. It is
+scaled to the residual before the fit, frequency by frequency: a slow motion has few of them. A random force in the loop
+is no small noise of each row while friction holds the motor. So a fault is also compared with the sizes that simulated
+forces and noise of the residual's spectrum show.
 
 All tests of loop and log are one family, and all of the mechanics another, at a tenth of its level: p-values are
 multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns are collinear,
@@ -116,8 +115,7 @@ def score(
         (signature, size, column, _), fault = group[0], group[0].signature.fault
         alone, rest = column[:, np.newaxis], left - size * column
         after = _give_back(rest, taken + _fitted_share(left.size, alone / column_norms(alone)))
-        others = [other for other in group[1:] if other.signature.axis == signature.axis]
-        opposite = tuple(other.signature.fault for other in others if other.alone @ column < 0)
+        same = [other.signature for other in group[1:] if other.signature.axis == signature.axis]
         family = of_mechanics.count(fault.mechanical) * (RARER if fault.mechanical else 1)
         tests = shapes[signature.axis, fault] * family
 
@@ -128,8 +126,8 @@ def score(
                 tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
             p_value = min(float(tail) * tests, 1.0) if abs(size) >= fault.least else 1.0
             return FaultTest(
-                fault, tuple(other.signature.fault for other in others), declared[fault], size, std, ratio, p_value,
-                signature.shape, opposite, signature.axis,
+                fault, tuple(one.fault for one in same), declared[fault], size, std, p_value, signature.shape,
+                signature.axis,
             )  # fmt: skip
 
         influence = Influence(alone, after)
@@ -155,19 +153,7 @@ def score(
 
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
     """Return tests, the strongest first of those that are significant, then the others by their p-values."""
-    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -strength_of(test))))
-
-
-def strength_of(test: FaultTest) -> float:
-    """Return the strength of a test beside others.
-
-    A shape that is the best of many is strong by chance: the fault is as strong as a single test of its p-value.
-    """
-    from scipy.stats import norm
-
-    if test.fault.tried == 1 or test.p_value <= 0.0:
-        return test.strength
-    return min(test.strength, float(norm.isf(0.5 * test.p_value)))
+    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -test.strength)))
 
 
 def fit_whitener(residual: FloatArray) -> Filter:

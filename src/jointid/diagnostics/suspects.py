@@ -13,9 +13,8 @@ from itertools import chain
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
-from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults import Fault, FaultSignature, Measure, name_number
+from jointid.diagnostics.faults import Fault, FaultSignature, name_number
 from jointid.diagnostics.score import fit_whitener
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.result.verdict import Reason
@@ -31,7 +30,6 @@ from jointid.models.friction import (
     SymmetricFriction,
 )
 from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
-from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, Spring, ThreePieceSpring, TwoPieceSpring
 from jointid.records.signals.filtering import lowpass_below_noise
 
@@ -45,10 +43,7 @@ _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which frictio
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
-_APART = 0.5
-_WAVES_TRIED = np.arange(3.0, 150.0, _APART)  # times that a ripple comes back over the travel
-_FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too
-_BROAD = 1.0  # how broad a peak is, in times over the travel
+_WAVES_TRIED = np.arange(3.0, 150.0, 0.25)  # times that a ripple comes back over the travel
 _LIKELIEST = 6  # that are simulated
 _RANK = 1e-10  # of the largest singular value of columns
 _STEP = 1e-4  # of the known signal
@@ -62,6 +57,14 @@ VISCOUS, COULOMB = 1.0, 0.0
 def _late(seen: Seen) -> Columns:
     if seen.loop is None:  # of a loop its derivative is exact
         yield None, -np.gradient(seen.torque, seen.sample_time)
+
+
+def _push(seen: Seen) -> Columns:
+    """Yield a constant force on a joint that is declared without one."""
+    if seen.loop is not None and any(
+        p.name == "offset" and not p.free and not p.start for p in seen.loop[0].parameters
+    ):
+        yield None, seen.force(-np.ones(seen.position.size))
 
 
 def _scale_injected(seen: Seen) -> Columns:
@@ -119,16 +122,9 @@ def _cog(seen: Seen) -> Columns:
     position against a force shows the force nearly as it is. The likeliest periods are then simulated.
     """
     travel = float(np.ptp(seen.position))
-    if seen.loop is None or not isinstance(seen.loop[0].joint, FlexibleJoint) or not travel > 0.0:
+    if seen.loop is None or not isinstance(joint := seen.loop[0].joint, FlexibleJoint) or joint.stepped or not travel:
         return
-    problem, joint = seen.loop[0], seen.loop[0].joint
-    try:
-        replace(joint, ripple=PositionHarmonics(1.0))
-    except MethodError:
-        return
-    if joint.stepped:
-        return
-    basis = orthonormal_basis(seen.own, _RANK)
+    problem, basis = seen.loop[0], orthonormal_basis(seen.own, _RANK)
     position, way = seen.position[problem.kept], np.sign(seen.velocity[problem.kept])
     whiten = fit_whitener(seen.residual - basis @ (basis.T @ seen.residual))
     basis, left = orthonormal_basis(whiten(seen.own), _RANK), whiten(seen.residual)
@@ -154,13 +150,9 @@ def _cog(seen: Seen) -> Columns:
         gain, weights = explain(problem.filter(raw))
         return gain, wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
 
-    gains, peaks = np.array(in_threads(regress, _WAVES_TRIED.tolist())), list[float]()
-    for _ in range(_LIKELIEST):
-        peaks.append(float(_WAVES_TRIED[int(np.argmax(gains))]))
-        gains[np.abs(_WAVES_TRIED - peaks[-1]) < _BROAD] = 0.0  # the same peak
-    found = in_threads(simulate, peaks)
-    finer = max(found, key=lambda one: one[0])[1] + _APART * np.array(_FINER)
-    _, wave, raw = max([*found, *in_threads(simulate, finer.tolist())], key=lambda one: one[0])
+    gains = np.array(in_threads(regress, _WAVES_TRIED.tolist()))
+    likeliest = _WAVES_TRIED[np.argsort(-gains)[:_LIKELIEST]]
+    _, wave, raw = max(in_threads(simulate, likeliest.tolist()), key=lambda one: one[0])
     yield travel / wave, raw
 
 
@@ -291,15 +283,9 @@ _spring = partial(_mechanical, table="spring", reason=Reason.SPRING_NOT_LINEAR, 
 VELOCITY_FILTER = Fault("velocity_filter", "velocity filter")
 TORQUE_FILTER = Fault("torque_filter", "torque filter")
 _number = partial(Fault, declared=None)
-DELAY = _number(
-    "delay", "delay of the torque", "the torque reacts {size} {sense} than declared", ("later", "earlier"),
-    measure=Measure.TIME,
-)  # fmt: skip
-REFERENCE_DELAY = _number("reference_delay", "reference delay", measure=Measure.TIME)
-LOG_DELAY = _number(
-    "log_delay", "delay of the log", "the logged torque is {size} {sense} than its time stamps say",
-    ("later", "earlier"), columns=_late, measure=Measure.TIME,
-)  # fmt: skip
+DELAY = _number("delay", "delay of the torque", measure="ms")
+REFERENCE_DELAY = _number("reference_delay", "reference delay", measure="ms")
+LOG_DELAY = _number("log_delay", "delay of the log behind its time stamps", columns=_late, measure="ms")
 LOG_GAIN = _number("log_gain", "size of the logged torque")
 INJECTED_GAIN = Fault(
     "injected_gain", "size of the injected signal", columns=_scale_injected, declared=1.0, last=True
@@ -308,92 +294,72 @@ _NUMBERS = (
     DELAY, REFERENCE_DELAY, _number("gain", "gain of the controller's output", last=True), LOG_GAIN, LOG_DELAY,
     INJECTED_GAIN,
 )  # fmt: skip
-OFFSET = Fault(
-    "offset", "constant force", says="a {sense} constant force{of} is not declared", senses=("positive", "negative"),
-    measure=Measure.TORQUE,
-)  # fmt: skip
-"""A constant force on a joint that is declared without one."""
-LIMIT = Fault(
-    "limit", "limit of the controller's output", columns=_limit, one_sided=True, measure=Measure.SHARE,
-    says="the controller's output stops at {value} {torque}, which is not declared",
-)  # fmt: skip
+OFFSET = Fault("offset", "constant force that is not declared", columns=_push, measure="torque")
+LIMIT = Fault("limit", "undeclared limit of the controller's output", columns=_limit, one_sided=True, measure="level")
 TORQUE_SATURATION = _mechanical(
     "torque_saturation", "torque constant that falls with the current", columns=_saturate, one_sided=True,
-    least=_LEAST_SAG, measure=Measure.SHARE,
-    says="the motor makes {size} less torque than its current says, where that is largest: its iron saturates",
+    least=_LEAST_SAG, measure="%",
     remedy="the joint file has one torque constant: record with half of that torque, or see the curve of torque and "
     "current in the motor's data sheet",
 )  # fmt: skip
 GRAVITY = _mechanical(
-    "gravity", "load that hangs", says="the load hangs: its weight turns the joint{by}", columns=_hang,
-    measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    "gravity", "load that hangs", columns=_hang, measure="torque", reason=Reason.FORCE_FOLLOWS_POSITION,
     remedy='to identify it, declare it: [gravity] load = "link"',
 )  # fmt: skip
 POSITION_FORCE = _mechanical(
-    "position_force", "force that follows the position",
-    "a part of the torque follows the axis' own position: a gear that turns unevenly, a cable or a counterbalance",
-    columns=_wave, reason=Reason.FORCE_FOLLOWS_POSITION,
+    "position_force", "force that follows the position", columns=_wave, reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy="a gear that turns unevenly, a cable or a counterbalance makes one",
 )  # fmt: skip
 COGGING = _mechanical(
-    "cogging", "force that comes back with the position", columns=_cog, tried=_WAVES_TRIED.size, parts=2,
-    says="a force{of} comes back with the motor's position, every {shape} {position}", one_sided=True,
-    measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    "cogging", "force that comes back with the motor's position", columns=_cog, tried=_WAVES_TRIED.size, parts=2,
+    one_sided=True, measure="torque", reason=Reason.FORCE_FOLLOWS_POSITION,
     remedy="to identify it, declare it: [ripple] period = {shape}",
 )  # fmt: skip
-_STANDSTILL = "towards standstill, below some {shape} {velocity}, the friction is {size} "
-_AT_LOW_SPEED = (StribeckFriction.name, AsymmetricStribeckFriction.name)
 STRIBECK = Fault(
-    "stribeck", "friction that rises towards standstill", says=_STANDSTILL + "larger than Coulomb's",
-    columns=partial(_at_low_speed, 1.0), one_sided=True, kin="low-speed friction", measure=Measure.TORQUE,
-    table="friction", laws=_AT_LOW_SPEED,
+    "stribeck", "friction that rises towards standstill", columns=partial(_at_low_speed, 1.0), one_sided=True,
+    kin="low-speed friction", measure="torque", table="friction",
+    laws=(StribeckFriction.name, AsymmetricStribeckFriction.name),
 )  # fmt: skip
 PRESLIDING = replace(
-    STRIBECK, name="presliding", title="friction that falls towards standstill",
-    says=_STANDSTILL + "smaller than Coulomb's", columns=partial(_at_low_speed, -1.0),
-    laws=(PreslidingFriction.name, *_AT_LOW_SPEED),
+    STRIBECK, name="presliding", title="friction that falls towards standstill", columns=partial(_at_low_speed, -1.0),
+    laws=(PreslidingFriction.name, *STRIBECK.laws),
 )  # fmt: skip
 UNEVEN_FRICTION = _mechanical(
-    "uneven_friction", "friction that differs along the travel", says="the friction differs along the travel{by}",
-    columns=_along_travel, measure=Measure.TORQUE, reason=Reason.FORCE_FOLLOWS_POSITION,
+    "uneven_friction", "friction that differs along the travel", columns=_along_travel, measure="torque",
+    reason=Reason.FORCE_FOLLOWS_POSITION,
 )  # fmt: skip
 WINDING_FRICTION = _friction(
     "winding_friction", "friction that winds up behind each reversal", columns=_winds_up, mechanical=True,
-    says="friction winds up behind each reversal, over some {shape} {position}", one_sided=True,
-    kin="low-speed friction", laws=(PreslidingFriction.name,),
+    one_sided=True, kin="low-speed friction", laws=(PreslidingFriction.name,),
 )  # fmt: skip
 LOAD_DEPENDENT_FRICTION = _friction(
     "load_dependent_friction", "friction that grows with the load's torque", mechanical=True, one_sided=True,
-    says="the friction grows with the load's torque{by}", columns=_under_load,
-    measure=Measure.SHARE, laws=(LoadDependentFriction.name,),
+    columns=_under_load, measure="%", laws=(LoadDependentFriction.name,),
 )  # fmt: skip
 CHANGING_FRICTION = _friction(
-    "changing_friction", "friction that changes over the record", says="the friction {sense} over the record",
-    senses=("falls", "rises"), columns=_over_time, mechanical=True, measure=Measure.SHARE,
+    "changing_friction", "friction that changes over the record", columns=_over_time, mechanical=True,
     laws=(DriftingFriction.name,),
 )  # fmt: skip
 ASYMMETRIC_FRICTION = _friction(
     "asymmetric_friction", "friction that differs by direction", columns=_by_direction, mechanical=True,
-    says="the viscous friction is {sense} forwards than backwards", laws=(AsymmetricFriction.name,),
+    laws=(AsymmetricFriction.name,),
 )  # fmt: skip
 CUBIC_SPRING = _spring(
-    "cubic_spring", "spring that is not linear", columns=_other_spring(CubicSpring, ThreePieceSpring),
-    says="the spring is not linear: at the largest torque it is {sense} than near none{by}",
-    senses=("stiffer", "softer"), measure=Measure.SHARE,
+    "cubic_spring", "spring that is not linear, stiffer at the largest torque than near none", measure="%",
+    columns=_other_spring(CubicSpring, ThreePieceSpring),
     laws=(ThreePieceSpring.name, CubicSpring.name, TwoPieceSpring.name),
 )  # fmt: skip
 BACKLASH = _spring(
-    "backlash", "backlash", says="the transmission has a backlash{of} or more", measure=Measure.POSITION,
-    columns=_other_spring(Backlash), one_sided=True, laws=(Backlash.name,),
+    "backlash", "backlash of the transmission", measure="position", columns=_other_spring(Backlash), one_sided=True,
+    laws=(Backlash.name,),
 )  # fmt: skip
-SECOND_MODE = replace(
-    BACKLASH, name="second_mode", title="load that swings in itself", columns=_other_spring(ElasticLoad),
-    says="a part of the load swings on a spring of its own, somewhere about {shape} Hz", kin="",
-    measure=Measure.SHARE, reason=Reason.LOAD_NOT_RIGID, laws=(ElasticLoad.name,),
+SECOND_MODE = _mechanical(
+    "second_mode", "load of which a part swings on a spring of its own", columns=_other_spring(ElasticLoad),
+    measure="%", one_sided=True, reason=Reason.LOAD_NOT_RIGID, table="spring", laws=(ElasticLoad.name,),
 )  # fmt: skip
 COMPLIANCE = _mechanical(
-    "compliance", "gear that bends",
-    "a part of the torque is what a spring in this joint makes, as where a gear bends: declare its spring, or identify "
-    "below its mode by a lower filtering.cutoff", columns=_bends, reason=Reason.LOAD_NOT_RIGID,
+    "compliance", "gear that bends", columns=_bends, reason=Reason.LOAD_NOT_RIGID,
+    remedy="declare the spring of this joint, or identify below its mode by a lower filtering.cutoff",
 )  # fmt: skip
 
 FAULTS = (
@@ -414,9 +380,8 @@ def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
     """Yield the torque that each fault adds to an axis, before the filter."""
     coupled = (
         replace(
-            POSITION_FORCE, name=f"coupled_{name}", title="coupling with another axis",
-            reason=Reason.LOOP_NOT_AS_DECLARED,
-            says=f"a part of the torque follows the motion of {name}: motors or gears that are coupled",
+            POSITION_FORCE, name=f"coupled_{name}", title=f"torque that follows the motion of {name}",
+            reason=Reason.LOOP_NOT_AS_DECLARED, remedy="motors or gears that are coupled make one",
             columns=partial(_follow_other, name),
         )
         for name in seen.others

@@ -30,7 +30,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, Measure, OtherLaw
+from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
@@ -379,13 +379,12 @@ class Proof:
 # Of a robot
 
 _WAYS = {
-    way: replace(fault, says=f'{say_way(way)}: declare interpolation = "{way}"', one_sided=True, least=_OF_ROBOT)
+    way: replace(fault, remedy=f'declare interpolation = "{way}"', one_sided=True, least=_OF_ROBOT)
     for way, fault in INTERPOLATIONS.items()
 }
 _MEAN = replace(
-    AVERAGED, says="the drive averages the reference over some {size}, or it is late by half of that: declare "
-    "reference_average, or reference_delay", one_sided=True, measure=Measure.TIME,
-)  # fmt: skip
+    AVERAGED, remedy="declare it as reference_average, or half of it as reference_delay", one_sided=True, measure="ms"
+)
 
 
 def list_reference_laws(

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.diagnostics.axis_faults import _explained
 from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.diagnosis import Diagnosis, _wait_for_cause, diagnose_robot
 from jointid.diagnostics.faults import FaultTest, Finding
 from jointid.diagnostics.robot_causes import find_robot_cause
+from jointid.diagnostics.search import explained_share
 from jointid.diagnostics.suspects import LOG_GAIN
 from jointid.diagnostics.variants import AVERAGED
 from jointid.models.robots.dynamics import inverse_dynamics
@@ -100,7 +100,7 @@ def test_a_position_that_is_its_reference_is_named() -> None:
         "reference_is_position", ("joint2",)
     )  # fmt: skip
     assert "identify again" in found.sentences[0]
-    way, gain = (Finding(FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0, 0.0), None, (), {}) for fault in (AVERAGED, LOG_GAIN))
+    way, gain = (Finding(FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0), None, (), {}) for fault in (AVERAGED, LOG_GAIN))
     faults = replace(found.axes[0].faults, findings=(way, gain))
     waiting = _wait_for_cause(replace(found.axes[0], faults=faults)).faults
     assert waiting.findings == (way,)
@@ -141,4 +141,4 @@ def test_of_two_zeros_of_encoders_one_is_named() -> None:
 
 def test_an_axis_without_a_residual_takes_nothing_from_what_faults_explain() -> None:
     before, after = np.array([1e-9, 1.0, 1.0]), np.array([1e-3, 0.0, 0.5])
-    assert _explained(before, after, [slice(0, 1), slice(1, 3)]) == pytest.approx(0.875)
+    assert explained_share(before, after, [slice(0, 1), slice(1, 3)]) == pytest.approx(0.875)

@@ -169,14 +169,6 @@ def test_the_motor_dips_at_the_motor_locked_frequency_and_peaks_at_the_free_free
     assert highest == pytest.approx(found.modes["free_free"], rel=0.02)
 
 
-def test_the_band_is_that_of_the_covariance() -> None:
-    estimate = reports.rigid().estimate
-    found = compute_response(estimate)
-    inertia = estimate["inertia"]
-    ratio = found.high[0, -1] / found.magnitude[0, -1]  # far above the corner only the inertia counts
-    assert np.log(ratio) == pytest.approx(2 * inertia.stderr / inertia.value, rel=0.02)
-
-
 def test_the_spectrum_of_white_noise_is_flat_and_of_the_right_size() -> None:
     noise = np.random.default_rng(0).standard_normal(50_000)
     _, measured, _, error = estimate_spectra(noise, np.zeros_like(noise), 1e-3)

@@ -41,7 +41,7 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     nothing = True
     for path in paths:
         found = _diagnose_record(file, path, options, laws)
-        nothing &= found.finds_nothing
+        nothing &= found.healthy and not found.sentences
     return 0 if nothing else FAULTY
 
 

@@ -191,14 +191,9 @@ def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[M
     moves a value alone says little then.
     """
     loop = loop_verdict(estimate)
-    if loop is None or loop.status is Status.PASSED:
+    if loop is None or loop.status is not Status.FAILED:
         return
     first = loop.reasons[0]
-    if loop.status is Status.UNKNOWN:
-        if asked is not None and asked.value is not None and asked.stderr:
-            other = [one for one in loop.reasons if one.code == Reason.LAW_UNDECIDED]
-            yield from (one for one in other if _leaves(asked, one.values["changes"].get(asked.name, 0.0)))
-        return
     if asked is not None and asked.value is None:
         yield first
         return
@@ -206,7 +201,7 @@ def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[M
     gross = held or not any("changes" in reason.values for reason in loop.reasons)
     unexplained = not estimate.fit.filtered_error <= POOR_FIT
     if asked is None or gross or unexplained or asked.name in _moved_out(estimate):
-        # A second fault was found beside the first one, corrected; another law that is not excluded is none.
+        # A second fault was found beside the first one, corrected.
         yield from [first, *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
     elif asked.name in _OF_SPRING:
         # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
@@ -241,13 +236,10 @@ def loop_verdict(estimate: Estimate) -> Verdict | None:
 
 
 def moved_by_loop(estimate: Estimate) -> Mapping[str, float]:
-    """Return by how much the parameters change when the faults of loop and log that were found are corrected.
-
-    Where none was found, it is by how much another law would change them that the record does not exclude.
-    """
+    """Return by how much the parameters change when the faults of loop and log that were found are corrected."""
     loop, total = loop_verdict(estimate), dict[str, float]()
     reasons = () if loop is None else loop.reasons
-    for reason in [one for one in reasons if one.code != Reason.LAW_UNDECIDED] or reasons:
+    for reason in reasons:
         for name, by in reason.values.get("changes", {}).items():
             total[name] = total.get(name, 0.0) + by
     return total
@@ -256,7 +248,7 @@ def moved_by_loop(estimate: Estimate) -> Mapping[str, float]:
 def _moved_out(estimate: Estimate) -> frozenset[str]:
     """Return the parameters that one fault of loop or log, or all of them together, moves out of their intervals."""
     loop, rows = loop_verdict(estimate), {row.name: row for row in estimate.params.rows}
-    found = [one for one in (() if loop is None else loop.reasons) if one.code != Reason.LAW_UNDECIDED]
+    found = () if loop is None else loop.reasons
     each = [moved_by_loop(estimate), *(one.values.get("changes", {}) for one in found)]
     moved = [(name, by) for changes in each for name, by in changes.items()]
     return frozenset(name for name, by in moved if name not in rows or _leaves(rows[name], by))

@@ -63,7 +63,6 @@ class Reason(StrEnum):
     FORCE_FOLLOWS_POSITION = "force_follows_position"
     LOAD_NOT_RIGID = "load_not_rigid"
     FRICTION_NOT_AS_MODELLED = "friction_not_as_modelled"
-    LAW_UNDECIDED = "law_undecided"
     MISFIT_IN_PART = "misfit_in_part"
     CAUSE_FOUND = "cause_found"
     NO_CAUSE_FOUND = "no_cause_found"

@@ -69,7 +69,7 @@ class Plots:
         return charts.spectra_figure([AxisSignals.of(self.estimate)], cutoff, self.estimate.frequencies)
 
     def response(self) -> Figure:
-        """Return the frequency response of the joint, with the band of the estimate's covariance.
+        """Return the frequency response of the joint.
 
         Raises:
             MethodError: a parameter of the joint is not identifiable.

@@ -296,10 +296,9 @@ def mark_modes(axes: Axes, modes: Mapping[str, float]) -> int:
 
 @styled
 def response_figure(estimate: Estimate, found: FrequencyResponse) -> Figure:
-    """Draw the frequency response of the joint, magnitude over phase, with its band."""
+    """Draw the frequency response of the joint, magnitude over phase."""
     figure, (size, phase) = panels((320, 200), share_x=True)
     for k, (side, colour) in enumerate(zip(found.sides, (MEASURED, LOAD), strict=False)):
-        size.fill_between(found.frequency, found.low[k], found.high[k], color=colour, **BAND)
         size.plot(found.frequency, found.magnitude[k], color=colour, linewidth=1.2, label=f"{side} side")
         phase.plot(found.frequency, found.phase[k], color=colour, linewidth=1.2)
     gear, drive = estimate.settings.joint.transmission, torque_word(estimate.data.torque_unit)

@@ -54,9 +54,9 @@ _PICTURES = {
     ),
     "response": (
         "Frequency response",
-        "What the identified joint answers to its motor's torque moving forwards, without Coulomb friction; the shaded "
-        "band is 2 sigma of the estimate. Before a spring the motor shows a dip at the motor-locked frequency and a "
-        "peak at the free-free one; a controller has to stay away from the latter, or damp it.",
+        "What the identified joint answers to its motor's torque moving forwards, without Coulomb friction. Before a "
+        "spring the motor shows a dip at the motor-locked frequency and a peak at the free-free one; a controller has "
+        "to stay away from the latter, or damp it.",
     ),
     "correlation": (
         "Correlations",

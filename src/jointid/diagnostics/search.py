@@ -1,0 +1,355 @@
+"""Search for the faults of a solved joint or robot: test each alone, take the likeliest, correct it, and test again.
+
+Faults of loop and log are one family of tests, with a family-wise error of 2 %; faults of the mechanics are another,
+with a tenth of that (`score`). Those that are nearly as likely by the likelihood ratio are named beside the first.
+
+A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
+law makes the logged torque of a logged motor position, faults of law and log that it excludes are not named.
+
+Of a robot each fault adds a column to the torque of one axis, or of all of them. A wrong scale or a delay of one log
+shows by the other joints, which share the inertias of the links. So the rows of all joints are regressed together, each
+joint by the size of its error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, orthonormal_basis
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.parameters import Quantity, unit_of
+from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding
+from jointid.diagnostics.in_time import find_part, find_part_of_loop
+from jointid.diagnostics.model_free import LawOnPosition
+from jointid.diagnostics.score import RARER, rank_tests, score
+from jointid.diagnostics.search_state import LEVEL, MOST, RIVAL, SearchState, Tested, simulate_forces
+from jointid.diagnostics.seen import see_loop
+from jointid.diagnostics.suspects import (
+    DELAY,
+    FAULTS,
+    LIMIT,
+    LOG_DELAY,
+    LOG_GAIN,
+    OFFSET,
+    list_signatures,
+    number_fault,
+)
+from jointid.diagnostics.variants import (
+    OTHER_LAWS,
+    WHOLE,
+    LawTest,
+    Proof,
+    choose_law,
+    find_other_law,
+    find_undecided,
+    test_laws,
+)
+from jointid.estimation.descent import descend, least_squares
+from jointid.estimation.problems.base import surrounding
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.records.record import Record
+from jointid.simulation.simulate import require_success
+from jointid.solvers.solve import solve
+from jointid.uncertainty.position_dependent_error import cells
+
+_HALF = 0.5  # of the size by one step that must remain when the problem is solved again
+_ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
+_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
+_TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
+_FEWEST = 4  # rows to a column, of each fault one
+_MUCH = 0.25  # of what is left of an axis, that a fault explains at least
+_SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
+_AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
+_RANK = 1e-9  # of the largest singular value
+
+# Of a joint
+
+
+def search_faults(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    std: Mapping[str, float] | None = None,
+    record: Record | None = None,
+    law: LawOnPosition | None = None,
+    *,
+    level: float = LEVEL,
+    most: int = MOST,
+) -> AxisFaults:
+    """Return the faults of a joint, its loop and its log.
+
+    Args:
+        problem: with the identified parameters free; those are not tested.
+        x: (free,) its solution.
+        std: standard errors of the joint's parameters by name, in which shifts are given; autocorrelation-robust ones
+            when None.
+        record: of the problem; without it a drive that runs faster than the log is not searched for.
+        law: what the declared law leaves of the torque along the record's motor position; None without one.
+        level: largest share of records without a fault in which one is found.
+        most: faults named at most, one after another.
+    """
+    begun = state = SearchState(problem, np.asarray(x, dtype=np.float64))
+    proof = Proof(record, problem.loop) if record is not None and law is not None and law.holds else None
+    exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
+    first = found = _run_tests(state, level, std or {}, record, proof)
+    findings, suspected = list[Finding](), list[Finding]()
+    if np.linalg.norm(found.residual) > exact:  # a rigid joint's DIDIM ends near the least squares, not on them
+        state = replace(state, x=descend(problem, state.x, _TOLERANCE).x)
+        found = replace(found, state=state)
+    while np.linalg.norm(found.residual) > exact:
+        laws = test_laws(found, proof)
+        stated = choose_law([one for one in laws if one.explains(found)])
+        if stated is not None:
+            alike = [one for one in laws if one is not stated and one.possible and one.as_likely([stated])]
+            findings.append(find_other_law(found, stated, alike))
+            named = (*state.named, *(one.law.fault.name for one in (stated, *alike)))
+            state = replace(state, problem=stated.problem, x=stated.x, named=named)
+        elif found.significant:
+            finding, state = _find(found, found.tests[0])
+            findings.append(finding)
+        else:
+            suspected = [*_list_suspected(found, laws, () if findings else found.excluded[:1])]
+        if len(findings) == most or state is found.state:
+            break
+        found = _run_tests(state, level, std or {}, record, proof)
+    part = find_part_of_loop(state.problem, state.x)
+    if part is not None:  # what acts there is none of the faults, whatever part of it they explain
+        findings, suspected, state = [], [], begun
+    joint, explained = problem.loop.joint, None
+    if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
+        before, after = problem.residual(x), state.problem.residual(state.x)
+        explained = 1.0 - float(after @ after) / float(before @ before)
+    units = {p.name: joint.unit(p) for p in joint.parameters}
+    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
+    units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
+    return AxisFaults(
+        tuple(findings), first.tests, level,
+        symbols={p.name: p.symbol for p in joint.parameters}, units=units,
+        side=None if joint.transmission is None else joint.transmission.side, laws=list_laws(joint),
+        suspected=tuple(suspected), part=part, explained=explained,
+    )  # fmt: skip
+
+
+def _list_suspected(found: Tested, laws: Sequence[LawTest], more: Sequence[FaultTest]) -> Iterator[Finding]:
+    """Yield the likeliest fault of the mechanics if it is significant at the level of those of the loop, and others.
+
+    The p-values of the mechanics are those of a tenth of the level: such a fault is not named. Neither is a law of the
+    drive that the record does not exclude.
+    """
+    first = next((one for one in found.tests if one.fault.mechanical), None)
+    near = first is not None and found.level < first.p_value <= RARER * found.level
+    for one in (*([first] if first is not None and near else []), *more):
+        yield _find(found, one)[0]
+    law = find_undecided(found, laws)
+    yield from () if law is None else (law,)
+
+
+def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
+    """Return the names of springs and frictions that can replace those of a joint; linear frictions where asked for."""
+    even = joint.friction.offset_identifiable
+    laws = [law for law in frictions_beside(joint) if (linear or not law.linear) and law != joint.friction]
+    springs = springs_beside(joint) if isinstance(joint, FlexibleJoint) else ()
+    return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
+
+
+def compute_signatures(
+    problem: ClosedLoopProblem, x: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
+    """Return the residual, the columns of the free parameters, (rows, free), and the signatures of all faults.
+
+    Those of numbers of the law and the log are exact derivatives. A wrong ``drive_gain`` scales the whole record, and
+    with it the joint, so it is not identifiable.
+    """
+    taken = {p.name for p in problem.free}
+    numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
+    apart = {fault.name for fault in FAULTS if fault.columns and fault is not LOG_DELAY}
+    wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in apart)]
+    of_log = () if problem.seen is not None else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
+    names = [name for name in (*wanted, *of_log) if name not in taken]
+    wider = problem.freeing(*names)
+    residual, slopes = wider.linearise(wider.vector(problem.values(x)))
+    columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
+    own = np.column_stack([columns[p.name] for p in problem.free])
+    along = list_signatures(see_loop(problem, x, residual, own))
+    found = [
+        *(FaultSignature(number_fault(name), columns[name]) for name in names),
+        *(replace(one, column=problem.filter(one.column)) for one in along),
+    ]
+    return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
+
+
+def _run_tests(
+    state: SearchState, level: float, known: Mapping[str, float], record: Record | None, proof: Proof | None
+) -> Tested:
+    """Return the tests of the faults of a state that are not named yet."""
+    residual, own, signatures = compute_signatures(state.problem, state.x)
+    controller = state.problem.loop.controller
+    declared = {
+        fault: surrounding(fault.name, controller).start or 0.0 if fault.declared is None else fault.declared
+        for fault in dict.fromkeys(one.fault for one in signatures)
+        if not {fault.name, fault.kin} & {*state.named}
+    }
+    where, by_forces = state.problem.cells(state.problem.simulate(state.x)), cache(lambda: simulate_forces(state))
+    columns = np.column_stack([own, *(a.column for a in state.corrected)])
+    tests = rank_tests(score(residual, columns, signatures, declared, where, by_forces), level)
+    excluded = [] if proof is None else [one for one in tests if one.p_value <= level and proof.excludes(one)]
+    tests = tuple(one for one in tests if one not in excluded)
+    return Tested(state, residual, columns, level, known, record, where, by_forces, signatures, tests, tuple(excluded))
+
+
+def _find(found: Tested, test: FaultTest) -> tuple[Finding, SearchState]:
+    """Return a test as a finding, with what nearly as likely ones would shift, and the state with it corrected."""
+    after, least = _correct(found, test), test.strength**2 - RIVAL
+    rivals = [one for one in found.tests if one is not test and one.p_value <= found.level]
+    rivals = [one for one in rivals if one.strength**2 > least]
+    values = after.problem.values(after.x)
+    changes = found.shifts_to({**values, **after.identified})
+    for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
+        other = _correct(found, one)
+        beside = found.shifts_to({**other.problem.values(other.x), **other.identified})
+        changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
+    if len(after.corrected) > len(found.state.corrected):
+        left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
+        return Finding(test, None, tuple(rivals), changes, left=left if after.identified else None), after
+    if test.fault is LIMIT:
+        return Finding(test, values[test.name] * _torque_per_unit(after.problem), tuple(rivals), changes), after
+    test = replace(test, size=values[test.name] - test.declared)
+    return Finding(test, values[test.name], tuple(rivals), changes), after
+
+
+def _correct(found: Tested, test: FaultTest) -> SearchState:
+    """Return the state with a fault corrected, and the problem solved again.
+
+    The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
+    those of the joint, so that the error of its size does not mislead later tests.
+    """
+    state, problem, fault = found.state, found.state.problem, test.fault
+    signature = next(a for a in found.signatures if (a.fault, a.shape) == (fault, test.shape))
+    named = (*state.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
+    held = SearchState(problem, state.x, (*state.corrected, signature), named)
+    if signature.raw is not None and fault is not LIMIT:
+        change, identified = _search_law(found, signature) or (test.size * signature.raw, {})
+        problem = replace(problem, measured=problem.measured - change)
+        return replace(held, problem=problem, x=descend(problem, state.x, _TOLERANCE).x, identified=identified)
+    start = test.declared + test.size
+    if fault is LIMIT:  # the declared one may be infinite
+        start = (test.shape or 0.0) / _torque_per_unit(problem)
+        problem = problem.declared(with_numbers(problem.loop.controller, {test.name: start}))
+    wider = problem.freeing(test.name)
+    start = max(start, next(p.lower for p in wider.free if p.name == test.name))
+    try:
+        x = descend(wider, wider.vector(problem.values(state.x) | {test.name: start}), _TOLERANCE).x
+        wider.linearise(x)
+    except MethodError:  # the number goes to where its part of the law vanishes
+        return held
+    reached = wider.values(x)[test.name] - test.declared
+    astray = fault is not LIMIT and reached * test.size < _HALF * test.size**2
+    if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
+        # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
+        return held
+    return SearchState(wider, x, state.corrected, named)
+
+
+def _torque_per_unit(problem: ClosedLoopProblem) -> float:
+    """Return the torque on the joint per unit of the controller output."""
+    controller = problem.loop.controller
+    return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
+
+
+def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
+    """Return the change of the torque, (samples,), by another law of the joint, and its parameters, by a short search.
+
+    What a secant shows of a large effect is too little: the other parameters absorb a part of it. None without such a
+    law, or if no residual is smaller.
+    """
+    if signature.trial is None:
+        return None
+    other, start = signature.trial
+    try:
+        end = solve(other, least_squares(_ROUGHLY, _FEW), start)
+        change = require_success(other.simulate(end.x)).torque - found.state.problem.torque(found.state.x)
+    except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
+        return None
+    smaller = np.linalg.norm(end.residual) < np.linalg.norm(found.residual)
+    return (change, other.values(end.x)) if smaller else None
+
+
+# Of a robot
+
+
+def search_axes(
+    torques: AxisTorques, units: Sequence[tuple[str, str]], laws: Sequence[tuple[str, ...]]
+) -> tuple[tuple[AxisFaults, ...], float]:
+    """Return the faults of each axis, and the share of the squares of a residual that they explain, summed up.
+
+    Args:
+        torques: of all axes, with the columns of their free parameters.
+        units: of position and torque, of each axis.
+        laws: of each axis, the names of those that can replace its own.
+    """
+    rows, own, residual = torques.rows, torques.stack(torques.own), torques.stack(torques.error)
+    own, every = own[:, np.any(own, axis=0)], range(len(torques.names))
+    shapes = [replace(one, axis=k, column=torques.place(k, one.column)) for k in every for one in torques.shapes[k]]
+    if len(every) > 1:
+        shapes += [FaultSignature(LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
+    shapes = [one for one in shapes if np.any(one.column)]
+    where, basis = cells(*torques.places), orthonormal_basis(own, _RANK)
+    before = rest = residual - basis @ (basis.T @ residual)
+    found: list[list[Finding]] = [[] for _ in units]
+    first: tuple[FaultTest, ...] = ()
+
+    def explains(test: FaultTest, column: FloatArray) -> bool:
+        if test.name in WHOLE:
+            return abs(test.size - 1.0) < max(_SURELY * test.std, _NEARLY)
+        apart = column - basis @ (basis.T @ column)
+        size, left = float(apart @ apart), float(np.sum(rest[rows[test.axis]] ** 2))
+        return size > _RANK * float(column @ column) and float(apart @ rest) ** 2 > _MUCH * left * size
+
+    while shapes and np.any(residual):
+        if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in shapes})):
+            break
+        declared = {one.fault: 1.0 if one.fault == LOG_GAIN else 0.0 for one in shapes}
+        tests = score(
+            residual, own, shapes, declared, where, blocks=rows, along_measured_motion=torques.along_measured_motion
+        )
+        first = first or tests
+        # What one drive does otherwise moves the other joints: which of them do so, too, is seen once it is declared.
+        gone = OTHER_LAWS if any(one.test.name in OTHER_LAWS for each in found for one in each) else ()
+        likely = [one for one in tests if one.p_value <= LEVEL and one.name not in gone and len(found[one.axis]) < MOST]
+        likely.sort(key=lambda one: -one.strength / (_AS_STRONG if one.name in OTHER_LAWS else 1.0))
+        columns = {(one.axis, one.fault, one.shape): one.column for one in shapes}
+        explaining = (one for one in likely if explains(one, columns[one.axis, one.fault, one.shape]))
+        if (test := next(explaining, None)) is None:
+            break
+        rivals = (one for one in likely if one.axis == test.axis and one is not test)
+        near = tuple(one for one in rivals if one.strength > _AS_STRONG * test.strength)
+        found[test.axis].append(Finding(test, None, near, {}))
+        own = np.column_stack([own, columns[test.axis, test.fault, test.shape]])
+        basis = orthonormal_basis(own, _RANK)
+        rest = residual - basis @ (basis.T @ residual)
+        kin = {test.name, test.fault.kin} - {""}
+        shapes = [one for one in shapes if one.axis != test.axis or not kin & {one.fault.name, one.fault.kin}]
+    parts = [find_part(rest[one], torques.time[seen]) for one, seen in zip(rows, torques.seen, strict=True)]
+    faults = tuple(
+        AxisFaults(
+            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), LEVEL, {},
+            {"position": position, "velocity": f"{position}/s", "torque": torque}, laws=laws[k], of_loop=False,
+            part=parts[k],
+        )
+        for k, (position, torque) in enumerate(units)
+    )  # fmt: skip
+    return faults, explained_share(before, rest, rows)
+
+
+def explained_share(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
+    """Return by how much the squares of each axis' residual fell, as a sum of their shares, none below 0."""
+    squares = np.array([[np.sum(each[one] ** 2) for one in rows] for each in (before, after)])
+    begin, end = squares[:, squares[0] > 0.0]
+    return float(np.sum(np.maximum(1.0 - end / begin, 0.0)))
