@@ -23,8 +23,7 @@ from jointid.estimation.problems.simulated import of_record
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import finite, read
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
-from jointid.estimation.result.robot import SpringVerdict
-from jointid.estimation.result.verdict import judged
+from jointid.estimation.result.verdict import SpringVerdict, judged
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers

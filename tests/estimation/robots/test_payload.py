@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.result.robot import SpringVerdict
+from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot

@@ -17,7 +17,7 @@ from jointid.common.document import templates
 from jointid.diagnostics.report_data import compute_response, estimate_spectra
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.parts import show_value
-from jointid.estimation.result.robot import SpringVerdict
+from jointid.estimation.result.verdict import SpringVerdict
 from jointid.output.figures.axis_drawing import axis_figure
 from jointid.output.figures.charts import response_figure
 from jointid.output.report import Report, repetition

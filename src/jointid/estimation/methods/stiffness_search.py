@@ -54,7 +54,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.solve import Solution, solve
 
-Grid: TypeAlias = Callable[[ClosedLoopProblem, History], list[Candidate]]
+Grid: TypeAlias = Callable[..., list[Candidate]]
 
 _ROUGH = 1e-3  # tolerance of the rough rigid joint: a start needs no more
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
@@ -116,12 +116,12 @@ class StiffnessSearch:
             with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
                 moving = first_state(self.problem, reconstructed_position(self.problem))
         ends, failures = list[tuple[float, Solved]](), list[MethodError]()
-        grids: list[Grid] = [partial(explore, rigid=rigid, frequency=self.frequency)]
-        if self.frequency is None:
-            grids += [partial(explore_widely, rigid=rigid), self._explore_beside]
-        for grid in grids:
+        # Where the rigid joint is far off, last of all about the one that follows its reference.
+        grids: list[tuple[Grid, dict[str, float] | None]] = [(partial(explore, frequency=self.frequency), rigid)]
+        grids += [(explore_widely, rigid), (explore_widely, None)] if self.frequency is None else []
+        for grid, about in grids:
             try:
-                found = self._or_moving(grid, moving)
+                found = self._or_moving(partial(grid, rigid=about or self._following()), moving)
             except MethodError as error:
                 failures.append(error)
                 continue
@@ -175,10 +175,6 @@ class StiffnessSearch:
         frictionless = {p.name: 0.0 for p in loop.joint.parameters if p.name != "inertia"}
         values = regular_start(problem.keeping(frictionless))
         return {p.name: values[p.name] for p in loop.joint.parameters}
-
-    def _explore_beside(self, problem: ClosedLoopProblem, history: History) -> list[Candidate]:
-        """Judge the wide grid about the joint that follows its reference, where the rigid joint is far off."""
-        return explore_widely(problem, history, self._following())
 
     def _or_moving(self, grid: Grid, state: Mapping[str, float] | None) -> Solved:
         """Search with the motor at rest at the first sample, and moving where it may; an end at rest is not near."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from jointid.records.checks import EncoderLag
 from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import Conditioning
+from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.model_tests import EndogeneityTest
 from jointid.uncertainty.residual_tests import ResidualReport
@@ -189,6 +190,27 @@ def cross(gear: Transmission, name: str, unit: str, torque_unit: str) -> tuple[s
         stem, separator, way = name.rpartition("_")
         name = f"{stem}{separator}{_EXCHANGED.get(way, way)}"
     return name, unit, factor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """The parameters of an estimate as sums of a robot's own numbers.
+
+    Attributes:
+        values: (parameters,) as they were identified. covariance: of these.
+        of_standard: (parameters, 11 n) what inertial parameters, link by link, then rotors add to each.
+        of_others: (parameters, others) what all else adds: friction, offsets, springs.
+        others: (others,) about what these are. least: (others,) below which none of them is.
+        robot: makes a robot of inertial parameters, (n, 10), rotors, (n,), and the others.
+    """
+
+    values: FloatArray
+    covariance: Covariance
+    of_standard: FloatArray
+    of_others: FloatArray
+    others: FloatArray
+    least: FloatArray
+    robot: Callable[[FloatArray, FloatArray, FloatArray], Robot]
 
 
 # The other parts

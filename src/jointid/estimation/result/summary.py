@@ -43,12 +43,10 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
             more = f" (and {len(verdict.reasons) - 1} more in the report)" * (len(verdict.reasons) > len(reasons))
             listed.append((str(verdict.subject), verdict.good, (*said[:-1], f"{said[-1]}{more}")))
     notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
-    springs = () if estimate.robot is None else estimate.robot.springs
     blocks = (
         *_tables(estimate, details=details),
         *([Verdicts(tuple(listed))] if listed else []),
         Facts((*(("warning", warning) for warning in checks.warnings), *notes)),
-        Listing(tuple(f"{one}." for one in springs)),
         Facts((*_results(estimate, details=details), *_sources(estimate))),
     )
     return Document(estimate.sentence, blocks)

@@ -148,6 +148,26 @@ class StiffnessBound:
 
 
 @dataclass(frozen=True, slots=True)
+class SpringVerdict:
+    """Whether the records show the spring of a robot's joint.
+
+    Attributes:
+        joint: its name.
+        shown: whether they do.
+        stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
+        at_least: the stiffness that it has at least, two standard deviations of its compliance away.
+        unit: of these, N m/rad or N/m.
+    """
+
+    joint: str
+    shown: bool
+    stiffness: float | None
+    deviation: float | None
+    at_least: float
+    unit: str = "N m/rad"
+
+
+@dataclass(frozen=True, slots=True)
 class Widening:
     """A reason for wider intervals.
 
@@ -237,7 +257,9 @@ def _judge(estimate: Estimate) -> Iterator[Verdict]:
         hidden = {"parameters": ["stiffness", "damping"], "lag": lag}
         yield verdict_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, said, hidden)
     if estimate.robot is not None and estimate.robot.springs:
-        yield springs_verdict([str(spring) for spring in estimate.robot.springs if not spring.shown])
+        hidden = [one for one in estimate.robot.springs if not one.shown]
+        said = "{0.joint}: the records do not show a spring; its stiffness is at least {0.at_least:.3g} {0.unit}"
+        yield springs_verdict([said.format(one) for one in hidden])
 
 
 def _judge_residual(report: ResidualReport) -> Iterator[Verdict]:

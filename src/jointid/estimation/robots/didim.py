@@ -52,7 +52,7 @@ from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.inverse_model import motion_along
 from jointid.estimation.problems.simulated import Simulated, loop_problem, motion_problem, outcome_of
-from jointid.estimation.result.robot import SpringVerdict
+from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.fit import OFF, UNSEEN, Descents, End, RobotFit
 from jointid.estimation.robots.numbers import (
     add_delays,
@@ -335,7 +335,8 @@ def search_springs(
     if not end.may_show or (stiff and end.norm > without):
         with suppress(MethodError):
             seen = end.of(problem).fit(descents.tally.evaluations)
-            return replace(seen, springs=tuple(one.refused for one in _judge_springs(seen, robot)))
+            none = {"shown": False, "stiffness": None, "deviation": None}
+            return replace(seen, springs=tuple(replace(one, **none) for one in _judge_springs(seen, robot)))
     fit = descents.refine(problem, end).fit(descents.tally.evaluations)
     before, after = (problem.norms(problem.error(one.runs)) for one in (rigid, fit))
     if np.all(after >= before):
@@ -357,8 +358,8 @@ def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
         bound = fit.parameters.parameters[fit.names.index(f"{joint.name}.stiffness")].upper
         shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - OFF
         at_least, unit = 1.0 / (compliance + UNSEEN * spread), "N/m" if link.kind == "prismatic" else "N m/rad"
-        judged = SpringVerdict(joint.name, True, stiffness, deviation, at_least, unit)
-        found.append(judged if shown else judged.refused)
+        told = (stiffness, deviation) if shown else (None, None)
+        found.append(SpringVerdict(joint.name, shown, *told, at_least, unit))
     return tuple(found)
 
 

@@ -17,7 +17,7 @@ from jointid.estimation.descent import ROUGH, History
 from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of
-from jointid.estimation.result.robot import SpringVerdict
+from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_numbers import RobotNumbers, robot_with

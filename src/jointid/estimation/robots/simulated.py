@@ -22,8 +22,8 @@ from jointid.estimation.outputs import position_rms
 from jointid.estimation.problems.simulated import Simulated, SolvedRobot, loop_problem, motion_problem
 from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter
-from jointid.estimation.result.robot import SpringVerdict, Sums
+from jointid.estimation.result.parts import EstimatedParameter, Sums
+from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.didim import search_drive_side, search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import (
