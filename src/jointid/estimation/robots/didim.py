@@ -335,8 +335,9 @@ def search_springs(
     if not end.may_show or (stiff and end.norm > without):
         with suppress(MethodError):
             seen = end.of(problem).fit(descents.tally.evaluations)
-            none = {"shown": False, "stiffness": None, "deviation": None}
-            return replace(seen, springs=tuple(replace(one, **none) for one in _judge_springs(seen, robot)))
+            every = _judge_springs(seen, robot)
+            hidden = (replace(one, shown=False, stiffness=None, deviation=None) for one in every)
+            return replace(seen, springs=tuple(hidden))
     fit = descents.refine(problem, end).fit(descents.tally.evaluations)
     before, after = (problem.norms(problem.error(one.runs)) for one in (rigid, fit))
     if np.all(after >= before):
