@@ -32,10 +32,10 @@ _AT_LIMIT = 0.01  # of the periods: more is said
 _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
-def build_params(problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Collection[str] = ()) -> Params:
+def build_params(problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Mapping[str, float]) -> Params:
     """Return the parameters of a problem's solution x, (free,), those of the joint and of what surrounds it.
 
-    A deviation that is no number is not known; `held` are the names of those at a bound.
+    A deviation that is no number is not known; `held` has the bounds that are reached, by name.
     """
     own, units = {p.name for p in problem.joint.parameters}, problem.units
     std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
@@ -49,7 +49,7 @@ def build_rows(
     std: Mapping[str, float],
     unit: Callable[[Parameter], str],
     of_joint: Collection[str],
-    held: Collection[str] = (),
+    held: Mapping[str, float] | None = None,
 ) -> tuple[EstimatedParameter, ...]:
     """Return the table of an estimate.
 
@@ -59,15 +59,15 @@ def build_rows(
         std: standard deviations of the free ones, by name.
         unit: of a parameter.
         of_joint: names of those that belong to the joint, and not to what surrounds it.
-        held: names of those at a bound.
+        held: the bounds of those at one, by name.
     """
-    rows = []
-    for p in parameters:
-        value, own = values[p.name], p.name.partition("@")[0] in of_joint
-        row = EstimatedParameter(p.name, p.symbol, unit(p), value, std.get(p.name), p.free, of_joint=own)
-        nearest = p.lower if value - p.lower <= p.upper - value else p.upper
-        rows.append(replace(row, at_bound=nearest) if p.name in held else row)
-    return tuple(rows)
+    return tuple(
+        EstimatedParameter(
+            p.name, p.symbol, unit(p), values[p.name], std.get(p.name), p.free,
+            of_joint=p.name.partition("@")[0] in of_joint, at_bound=(held or {}).get(p.name),
+        )
+        for p in parameters
+    )  # fmt: skip
 
 
 def build_estimate(
@@ -209,8 +209,8 @@ def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:
     return (*loop.channels, *(("injected",) if record.injected is not None else ()))
 
 
-def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> tuple[str, ...]:
-    """Return the names of the free parameters that a bound holds.
+def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> dict[str, float]:
+    """Return the bounds that hold free parameters, by name.
 
     A descent ends a little inside of a bound. So near is a millionth of the value, or, since a bound may be 0, of the
     change that would move the residual by all of its size, where that is more.
@@ -224,8 +224,8 @@ def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArr
     norms = np.linalg.norm(J, axis=0)
     size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
     bounds, near = Bounds.of(free), _NEAR * size
-    held = (x <= bounds.lower + near) | (x >= bounds.upper - near)
-    return tuple(p.name for p, at in zip(free, held, strict=True) if at)
+    held = {p.name: p.upper for p, at in zip(free, x >= bounds.upper - near, strict=True) if at}
+    return held | {p.name: p.lower for p, at in zip(free, x <= bounds.lower + near, strict=True) if at}
 
 
 def warn_of_limit(share: float) -> tuple[str, ...]:

@@ -257,9 +257,9 @@ def _judge(estimate: Estimate) -> Iterator[Verdict]:
         hidden = {"parameters": ["stiffness", "damping"], "lag": lag}
         yield verdict_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, said, hidden)
     if estimate.robot is not None and estimate.robot.springs:
-        hidden = [one for one in estimate.robot.springs if not one.shown]
+        refused = [one for one in estimate.robot.springs if not one.shown]
         said = "{0.joint}: the records do not show a spring; its stiffness is at least {0.at_least:.3g} {0.unit}"
-        yield springs_verdict([said.format(one) for one in hidden])
+        yield springs_verdict([said.format(one) for one in refused])
 
 
 def _judge_residual(report: ResidualReport) -> Iterator[Verdict]:

@@ -335,9 +335,7 @@ def search_springs(
     if not end.may_show or (stiff and end.norm > without):
         with suppress(MethodError):
             seen = end.of(problem).fit(descents.tally.evaluations)
-            every = _judge_springs(seen, robot)
-            hidden = (replace(one, shown=False, stiffness=None, deviation=None) for one in every)
-            return replace(seen, springs=tuple(hidden))
+            return replace(seen, springs=tuple(map(_refuse, _judge_springs(seen, robot))))
     fit = descents.refine(problem, end).fit(descents.tally.evaluations)
     before, after = (problem.norms(problem.error(one.runs)) for one in (rigid, fit))
     if np.all(after >= before):
@@ -359,9 +357,13 @@ def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
         bound = fit.parameters.parameters[fit.names.index(f"{joint.name}.stiffness")].upper
         shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - OFF
         at_least, unit = 1.0 / (compliance + UNSEEN * spread), "N/m" if link.kind == "prismatic" else "N m/rad"
-        told = (stiffness, deviation) if shown else (None, None)
-        found.append(SpringVerdict(joint.name, shown, *told, at_least, unit))
+        judged = SpringVerdict(joint.name, True, stiffness, deviation, at_least, unit)
+        found.append(judged if shown else _refuse(judged))
     return tuple(found)
+
+
+def _refuse(judged: SpringVerdict) -> SpringVerdict:
+    return replace(judged, shown=False, stiffness=None, deviation=None)
 
 
 # Delays and laws that are not linear
