@@ -6,7 +6,6 @@ import pytest
 
 from jointid.common.units import UnitError, normalise_unit, parse_quantity
 from jointid.config import controller_text, dumps, edit, loads, replace_table
-from jointid.config.declaration import list_units
 from jointid.models.controllers import Cascade, DigitalFilter, FirstOrder, SecondOrder
 from jointid.models.limits import AxisLimits
 from jointid.records.columns import Column, known_units
@@ -155,12 +154,6 @@ def test_a_torque_in_volts_takes_the_constant_of_the_amplifier() -> None:
 )
 def test_a_filter_is_said_by_its_cutoff_its_time_constant_or_its_taps(said: str, made: object) -> None:
     assert loads(f"{SMALLEST}velocity_filter = {said}").controller.velocity_filter == made
-
-
-def test_units_are_those_of_the_declaration() -> None:
-    assert list_units("controller units per m s or rad s", "revolute")[:2] == ("N m/(rad s)", "A/(rad s)")
-    assert list_units("m/s or rad/s", "prismatic") == ("m/s",)
-    assert list_units("some share of it") == ()
 
 
 def test_amperes_of_a_controller_on_the_load_are_the_motors() -> None:

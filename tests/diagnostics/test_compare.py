@@ -1,7 +1,5 @@
 """What changed between two estimates: seldom anything where nothing did, and surely a stiffness that did."""
 
-from __future__ import annotations
-
 import json
 import math
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """The cause that is named where a record does not fit the declared drive: twenty mistakes on two axes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which friction a record shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

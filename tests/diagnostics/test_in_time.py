@@ -1,7 +1,5 @@
 """A force that acts for a part of the time is found there, and no fault is named for it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the samples of a record show: steps, too little motion, lost samples, an axis that hardly moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

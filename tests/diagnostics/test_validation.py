@@ -1,7 +1,5 @@
 """A validation begins with its answer: whether the joint predicts the record, within what noise allows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Criteria with known answers, which the tests of everything that judges an estimate share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A motion and a linear model of a rigid joint on it, cheap enough for hundreds of runs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from jointid.common.arrays import FloatArray

@@ -1,7 +1,5 @@
 """The answer in a line: which failed check speaks against which value."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

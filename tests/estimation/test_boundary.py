@@ -1,7 +1,5 @@
 """Flexible against rigid: chance is called chance as often as it should be, a spring is found, its opposite is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

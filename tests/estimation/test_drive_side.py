@@ -1,7 +1,5 @@
 """Drive-side identification where the truth is known: recovery, lags, and intervals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The answer: its printed table, to the letter, and its JSON."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

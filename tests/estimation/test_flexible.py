@@ -1,7 +1,5 @@
 """The flexible joint of the paper, on its digital twin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

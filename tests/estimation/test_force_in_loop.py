@@ -1,7 +1,5 @@
 """A random force in the loop lets friction slide: the intervals have to hold what that moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

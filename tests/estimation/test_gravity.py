@@ -1,7 +1,5 @@
 """Joints in gravity, identified: links and a vertical axis, from torque alone and from encoders, and what cannot be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

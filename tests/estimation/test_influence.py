@@ -1,7 +1,5 @@
 """Covariances of influences: the textbook's for white errors, right for coloured ones, wide for what repeats."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,7 +1,5 @@
 """Profiles of an estimate, as a user asks for them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

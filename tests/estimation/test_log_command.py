@@ -1,7 +1,5 @@
 """`jointid identify --window`: from a text file to the table, its JSON, and how it ends when it cannot go on."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

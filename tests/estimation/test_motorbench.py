@@ -1,7 +1,5 @@
 """The real bench of two motors and a shaft, its load encoder hidden: what torque and motor position say of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What problems of one record share: values and vectors by name, parameters kept and freed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Profiles: the textbook's interval where the problem is linear, the right one where it is not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

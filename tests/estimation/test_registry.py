@@ -1,7 +1,5 @@
 """The registry of the methods: every line of it leads to a method that says of itself what the line says."""
 
-from __future__ import annotations
-
 import pytest
 
 import jointid as ji

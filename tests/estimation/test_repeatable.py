@@ -1,7 +1,5 @@
 """What repeats with the motion: measured, tested, and covered; noise is not called repeatable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The residual's report: sizes and bands as by hand, and white noise through the filter called white."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

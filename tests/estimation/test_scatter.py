@@ -1,7 +1,5 @@
 """Whether records agree: the test's size where they do, and the variance between runs where they do not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A second solution of the same equations: how far it lies away, and intervals that are wide enough for it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

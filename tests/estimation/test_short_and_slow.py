@@ -1,7 +1,5 @@
 """Records of two seconds and loops of a third of a hertz: little to begin a search with, enough to end one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Flexible joints whose spring or friction is smooth, identified from torque and reference."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.estimates import identify

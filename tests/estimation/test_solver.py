@@ -1,7 +1,5 @@
 """The solver gets there: from nothing, from wrong starts, on plants of any size, and in few simulations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A joint by inertia, share, mode and damping ratio, and how soft it may be where its cost is given."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """What surrounds a joint, identified with it; seeds are fixed once and never retuned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

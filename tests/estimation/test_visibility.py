@@ -1,7 +1,5 @@
 """A stiffness is reported where the record shows it, and refused, with a bound, where it does not."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

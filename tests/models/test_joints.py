@@ -1,7 +1,5 @@
 """Joints: regressor times parameters is the torque, units follow the kind, the numbers of the paper follow."""
 
-from __future__ import annotations
-
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import TABLE_2, TABLE_4
 

@@ -61,13 +61,6 @@ def test_rows_are_as_printed_to_the_last_zero(table: int, symbol: str, printed: 
     assert " ".join(map(format_as_print, TABLES[table].rows[name])) == printed
 
 
-def test_every_table_is_whole() -> None:
-    assert list(TABLES) == [1, 2, 3, 4, 5, 6, 7]
-    for table in TABLES.values():
-        assert list(table.rows) == (["inertia", "viscous", "coulomb"] if table.number == 1 else NAMES)
-        assert all(len(numbers) == len(table.columns) for numbers in table.rows.values())
-
-
 def test_frequencies_and_that_print_cuts_the_free_free_one() -> None:
     found = {
         n: {name: round(f, 2) for name, f in FlexibleJoint.frequencies(TABLES[n].values).items()} for n in (2, 3, 4, 5)

@@ -7,7 +7,6 @@ from scipy.signal import cheby1, sosfiltfilt
 from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import (
     Filtering,
-    apply_window,
     decimate_all,
     differentiate_twice,
     lowpass,
@@ -48,17 +47,6 @@ def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
     assert Filtering(cutoff=60.0).resolve(T).decimation == 6  # not the paper's 12
     assert Filtering().resolve(T) == Filtering(100.0, 40.0, 10, (50, 50))
     assert Filtering().resolve(T / 8).cutoff == 320.0
-
-
-def test_columns_go_through_the_torque_s_window() -> None:
-    """A smooth signal held on a fine clock and windowed over a coarse one is the same signal, windowed by Simpson."""
-    time = np.arange(400) * T
-    smooth = np.sin(2 * np.pi * 40.0 * time)
-    fine = np.sin(2 * np.pi * 40.0 * (np.arange(-20_000, 60_000) * T / 100))
-    window = np.convolve(np.ones(200) / 200, np.ones(200) / 200)
-    exact = np.convolve(fine, window, "same")[20_000::100][:400]
-    assert np.max(np.abs(apply_window(smooth) - exact)[5:-5]) < 1e-4
-    assert np.max(np.abs(smooth - exact)[5:-5]) > 1e-2
 
 
 @pytest.mark.parametrize("timing", list(Timing))

@@ -1,7 +1,5 @@
 """Derivatives of simulations by differences of whole runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -6,8 +6,6 @@ rate, ``z' = (v - |v| z) / s``. The integrator's error control sees the bends of
 comes loose, and the ends of a spring's pieces are events.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

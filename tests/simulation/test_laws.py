@@ -1,7 +1,5 @@
 """Every law of friction, springs and gravity in its loop: derivatives against differences, equations, starts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

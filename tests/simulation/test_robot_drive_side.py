@@ -1,7 +1,5 @@
 """Robots whose motors move as prescribed: torques as in the loop that moved them, and how they change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Derivatives of a robot's torques by variation, against central differences of whole runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

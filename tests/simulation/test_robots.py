@@ -1,7 +1,5 @@
 """A robot in its loops: against an adaptive integrator with the same events, one joint's exact simulation, algebra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ Data, starts, parameters and residual sums of squares are those of https://www.i
 where the certified values are given to 11 digits. The first start is far away, the second near.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One table of problems through every solver that applies: certified regressions, bounds, cliffs, and every status."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -53,35 +53,18 @@ def write_robot(place: Path, truth: ji.robots.Robot) -> Path:
     return place
 
 
-def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    figure = tmp_path / "torque.svg"
-    run("identify", folder / "robot.toml", "--json", tmp_path / "found.json", "--details", "--figure", figure)
-    assert all(f"joint{k}" in figure.read_text(encoding="utf-8") for k in range(1, 4))
-    printed = capsys.readouterr().out
-    assert "of 25 parameters known to a tenth" in printed and "Izz1 is Izz1 + " in printed
-    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.Estimate/2" and answer["robot"] is not None and len(answer["parameters"]) == 25
-    assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
-    run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
-    assert "ordinary least squares" in capsys.readouterr().out
-    both = ("--record", folder / "one.csv", "--record", folder / "two.csv")
-    run("identify", folder / "robot.toml", *both, "--json", tmp_path / "both.json")
-    more = json.loads((tmp_path / "both.json").read_text(encoding="utf-8"))["parameters"]
-    assert more["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
-    assert more["joint2.viscous"]["stderr"] < 0.8 * answer["parameters"]["joint2.viscous"]["stderr"]
-    found = tmp_path / "found.json"
-    for words in (
-        ("validate", EMPS, "--estimate", found),
-        ("export", EMPS, "--estimate", found, "--out", tmp_path / "a.xml"),
-    ):
-        with pytest.raises(ji.RecordError):
-            run(*words)
-
-
 def test_a_saved_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path) -> None:
     joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
+    figure = tmp_path / "torque.svg"
     for record, kept in (("one.csv", found), ("two.csv", other)):
-        run("identify", joint, "--record", folder / record, "--json", kept)
+        run("identify", joint, "--record", folder / record, "--json", kept, "--details", "--figure", figure)
+    assert all(f"joint{k}" in figure.read_text(encoding="utf-8") for k in range(1, 4))
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.Estimate/2" and len(answer["parameters"]) == 25
+    assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
+    for command in ("validate", "export"):
+        with pytest.raises(ji.RecordError):
+            run(command, EMPS, "--estimate", found)
     run("validate", joint, "--estimate", found, "--record", folder / "two.csv", "--json", tmp_path / "seen.json")
     seen = json.loads((tmp_path / "seen.json").read_text("utf-8"))
     assert seen["answer"]["code"] == "predicted" and all(one["nominal_error"] for one in seen["axes"])

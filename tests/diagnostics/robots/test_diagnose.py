@@ -1,7 +1,5 @@
 """What a robot's record tells of each joint, and whether its controllers are as declared."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

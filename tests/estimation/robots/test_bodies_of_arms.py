@@ -1,7 +1,5 @@
 """Bodies of arms as they are published: they predict what the estimate predicts, are possible, and near the model's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Delays of a robot's torques that are identified with it, on twins whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

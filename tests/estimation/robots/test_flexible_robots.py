@@ -1,7 +1,5 @@
 """DIDIM of robots with flexible joints, on twins: springs that are shown, and one that is refused with its bound."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

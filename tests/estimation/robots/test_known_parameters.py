@@ -1,7 +1,5 @@
 """Values and bounds that the identification of a robot keeps, by IDIM and by DIDIM."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The estimate of a robot is that of a joint: its checks, its trust, its document, and what refuses it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

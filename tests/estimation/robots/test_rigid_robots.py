@@ -1,7 +1,5 @@
 """DIDIM of robots of rigid joints, on twins: what comes back, how fast it settles, its intervals, its refusals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Robots that MuJoCo moved: the same torques as ours, and what is identified from them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A robot identified from several logs in one fit: the problems of the logs add up."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

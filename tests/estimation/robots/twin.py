@@ -1,7 +1,5 @@
 """An arm of six joints, its motion and its records, exact but for noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

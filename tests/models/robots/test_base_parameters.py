@@ -1,7 +1,5 @@
 """Base parameters: known groupings, whatever the scale, and as many as a published count."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

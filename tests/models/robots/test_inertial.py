@@ -1,7 +1,5 @@
 """The inertial parameters in their three forms, and which of them a body can have."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """The names of a robot's parameters: each says of which sum it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

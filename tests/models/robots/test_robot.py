@@ -1,7 +1,5 @@
 """What a robot refuses to be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

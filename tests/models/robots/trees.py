@@ -1,7 +1,5 @@
 """Random robots, and the same as MuJoCo's model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
