@@ -12,7 +12,6 @@ from jointid.records.columns import Column
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import InjectionPoint, Tap, Timing
-from jointid.records.writing import write
 
 NAN = float("nan")
 RATE = 1e-3
@@ -115,16 +114,6 @@ def test_the_sample_time_comes_from_the_time_column_or_is_given(
 def test_a_clock_that_cannot_be_is_refused(columns: dict[str, Any], how: dict[str, Any], saved: Saved) -> None:
     path = saved(".csv" if "t [ms]" in columns else ".mat", **columns, q=POSITION)
     assert len(faults_of(path, {"reference": "q"}, **how)) == 1
-
-
-def test_two_rates_stand_side_by_side(saved: Saved) -> None:
-    slow = np.append(POSITION[::4], np.full(150, NAN))
-    path = saved(".csv", t=TIME, i=TORQUE, r=slow)
-    record = read(path, {"torque": "i", "reference": Column("r", sample_time=4e-3)}, kind="prismatic")
-    assert (len(record.torque), len(record.reference)) == (200, 50)
-    assert record.reference.sample_time == 4e-3
-    with pytest.raises(RecordError):
-        write(record, path)
 
 
 def test_all_faults_of_a_step_are_reported_at_once(saved: Saved) -> None:
