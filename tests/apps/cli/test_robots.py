@@ -62,9 +62,9 @@ def test_a_saved_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path
     answer = json.loads(found.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.Estimate/2" and len(answer["parameters"]) == 25
     assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
-    for command in ("validate", "export"):
+    for words in (("validate", EMPS), ("export", EMPS, "--out", tmp_path / "a.xml")):
         with pytest.raises(ji.RecordError):
-            run(command, EMPS, "--estimate", found)
+            run(*words, "--estimate", found)
     run("validate", joint, "--estimate", found, "--record", folder / "two.csv", "--json", tmp_path / "seen.json")
     seen = json.loads((tmp_path / "seen.json").read_text("utf-8"))
     assert seen["answer"]["code"] == "predicted" and all(one["nominal_error"] for one in seen["axes"])
