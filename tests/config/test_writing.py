@@ -1,7 +1,6 @@
 """A joint file that is written is read back as it was."""
 
 import dataclasses
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -66,18 +65,6 @@ def test_a_file_is_made_to_name_another_record(tmp_path: Path) -> None:
         again = load(tmp_path / "new.toml")
         assert (again.source.file, again.controller) == (str(tmp_path / "logs" / "run 1.csv"), law)
         assert again.text.startswith("# an axis\n")
-
-
-def test_units_stand_beside_the_gains_of_a_written_controller() -> None:
-    law = Cascade(position_gain=40.0, velocity_gain=2.0, velocity_filter=FirstOrder(2e-3), gain=3.0)
-    axis = loads(f"{JOINT}{CHANNELS}").axis
-    text = controller_text(law, axis)
-    assert "position_gain = 40.0  # 1/s\n" in text
-    assert "velocity_gain = 2.0  # controller units per " in text
-    assert "time_constant = 0.002  # s\n" in text
-    assert tomllib.loads(text) == tomllib.loads(controller_text(law))
-    plain = controller_text(dataclasses.replace(law, gain=1.0), axis)
-    assert f"velocity_gain = 2.0  # {axis.joint.force_unit} per " in plain
 
 
 class Other(Cascade):

@@ -1,7 +1,5 @@
 """A force that comes back with the motor's position: found with its period, and told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

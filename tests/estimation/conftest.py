@@ -1,7 +1,5 @@
 """The EMPS records and loop, as every test of an estimator uses them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

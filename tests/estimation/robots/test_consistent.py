@@ -1,7 +1,5 @@
 """Bodies near a prior that fit an estimate, and a payload from two records."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A payload on an arm of six joints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
