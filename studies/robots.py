@@ -19,11 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.estimation.problems.simulated import decimate_each
+from jointid.estimation.problems.simulated import decimate_each, pose_robot
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.simulated import problem_of
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
@@ -234,7 +233,7 @@ def judge(seed: int, flexible: bool) -> Found | None:
 
 def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
-    problem = problem_of(made.loop, made.records, fit.parameters)
+    problem = pose_robot(made.loop, made.records, fit.parameters)
     noise = problem.by_joint(decimate_each(problem.log, list(made.noise[: len(problem.measured)].T)))
     found = problem.error_of(fit.numbers)
     assert found is not None

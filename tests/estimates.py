@@ -10,9 +10,10 @@ from jointid.diagnostics.diagnosis import diagnose_joint
 from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import MOST
+from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.simulated import errors_of, problem_of
+from jointid.estimation.robots.simulated import errors_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -34,7 +35,7 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
     if estimate.settings.method == "idim":
         other = replace(part, nominal=part.parameters_of(bodies))
         return [axis.nominal_error for axis in ji.validate(replace(estimate, robot=other), records).axes]
-    problem: Any = problem_of(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
+    problem: Any = pose_robot(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
     return [*errors_of(problem, RobotNumbers.of(bodies))]
 
 

@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.simulated import loop_problem
+from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.output.figures.charts import AxisSignals
 from jointid.paper.twin import twin
@@ -225,7 +225,7 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
         values = record.motor_position.values + 5e-4 * random.standard_normal(len(record.motor_position))
         noisy = record.with_channels({"motor_position": replace(record.motor_position, values=values)})
         computed.append(ji.controller.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))
-    problem = loop_problem(loop, computed, robot_parameters(twin.robot))
+    problem = pose_robot(loop, computed, robot_parameters(twin.robot))
     assert problem.filtering.cutoff is not None and problem.filtering.cutoff < 30.0
     error = problem.error_of(RobotNumbers.of(twin.robot))
     assert error is not None

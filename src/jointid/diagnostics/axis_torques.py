@@ -23,8 +23,9 @@ from jointid.diagnostics.suspects import COMPLIANCE, list_signatures
 from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, read_as
-from jointid.estimation.problems.simulated import LoopLog, Simulated, SolvedRobot, decimate_each
+from jointid.estimation.problems.simulated import LoopLog, Simulated, decimate_each
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
@@ -186,11 +187,11 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
     return np.stack(found, axis=2)
 
 
-def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: SolvedRobot) -> AxisTorques:
+def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: RobotFit) -> AxisTorques:
     robot, numbers = part.model, part.numbers()
     problem, log = solved.problem, solved.problem.log
     measured = problem.by_joint(problem.filtered_torque)
-    predicted = measured - problem.by_joint(problem.error((solved.run,)))
+    predicted = measured - problem.by_joint(problem.error(solved.runs))
     own = solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1])
 
     def thin(columns: FloatArray) -> FloatArray:
@@ -199,7 +200,7 @@ def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: Sol
 
     laws: list[list[FaultSignature]] = [[] for _ in robot.names]
     if isinstance(log, LoopLog):
-        moved, seen, raw = Simulation.of(solved.run).motion, np.ones(measured.shape, dtype=np.bool_), None
+        moved, seen, raw = Simulation.of(solved.runs[0]).motion, np.ones(measured.shape, dtype=np.bool_), None
         motion = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
         laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
     else:

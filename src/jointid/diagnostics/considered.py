@@ -25,11 +25,12 @@ from jointid.diagnostics.faults import AxisFaults, Fault, FaultSignature
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER
-from jointid.estimation.problems.simulated import SolvedRobot, decimate_each
+from jointid.estimation.problems.simulated import decimate_each
 from jointid.estimation.result.answer import SLIGHT
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.verdict import Widening
+from jointid.estimation.robots.fit import RobotFit
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.derivatives import respond_to_laws
@@ -130,9 +131,9 @@ def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> 
     return in_threads(change, tried) if record is not None else [None] * len(tried)
 
 
-def _respond(solved: SolvedRobot, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
+def _respond(solved: RobotFit, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
     """Return the changes of a robot's filtered torques by each element, (n, rows), to first order."""
-    log, run = solved.problem.log, solved.run
+    log, run = solved.problem.log, solved.runs[0]
     each = log.experiment.axes
     others = [(one.axis, each[one.axis].with_law(each[one.axis].law_of(one.controller))) for one in tried]
     found, direct = respond_to_laws(run, others)

@@ -109,7 +109,7 @@ def simulate_forces(state: SearchState) -> list[FloatArray]:
     """
     problem, run = state.problem, state.problem.simulate(state.x)
     step, cutoff = problem.sample_time * (problem.filtering.decimation or 1), problem.filtering.cutoff
-    white = None if cutoff is None else whiteness(problem.filter_error(run)[0], step, cutoff)
+    white = None if cutoff is None else whiteness(problem.filter_error(run.torque, run)[0], step, cutoff)
     if white is not None and white.white:
         return []
     force = find_force(problem, state.x, run, problem.measured - run.torque)

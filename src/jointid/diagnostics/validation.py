@@ -460,13 +460,16 @@ def _search(problem: Any, start: FloatArray) -> Solution | None:
 
 
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> Predicted:
+    from jointid.estimation.problems.simulated import pose_robot
     from jointid.estimation.robots.numbers import robot_parameters
-    from jointid.estimation.robots.simulated import errors_of, nominal_numbers, problem_of
+    from jointid.estimation.robots.regression import require_one_log
+    from jointid.estimation.robots.simulated import errors_of, nominal_numbers
     from jointid.simulation.simulate import motion_at
 
+    require_one_log(records)
     part = estimate.require_robot()
     robot, numbers = part.model, part.numbers()
-    problem: Any = problem_of(part.setup, records, robot_parameters(robot), estimate.settings.filtering)
+    problem: Any = pose_robot(part.setup, records, robot_parameters(robot), estimate.settings.filtering)
     runs = problem.run_of(numbers)
     if runs is None:
         what = "references" if part.has_controllers else "motor positions"

@@ -36,7 +36,7 @@ from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.simulated import Simulated, decimate_each, loop_problem
+from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_numbers, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
@@ -413,7 +413,7 @@ def list_reference_laws(
     for fault in dict.fromkeys(fault for laws in each for fault in laws):
         laws = tuple(own.get(fault, law) for own, law in zip(each, setup.controllers, strict=True))
         with contextlib.suppress(JointidError):  # a log that such a controller cannot have
-            other = loop_problem(replace(setup, controllers=laws), records, problem.parameters, problem.filtering)
+            other = pose_robot(replace(setup, controllers=laws), records, problem.parameters, problem.filtering)
             if (run := other.run_of(numbers, keep=False)) is None:
                 continue
             moved = other.by_joint(decimate_each(other.log, list(other.predict(run).T))) - predicted

@@ -33,9 +33,6 @@ def least_squares(tolerance: float, evaluations: int = 200) -> LevenbergMarquard
 ROUGH = least_squares(1e-5, 30)
 """The solver of a rough descent."""
 
-GLANCE = least_squares(1e-5, 8)
-"""The solver of a first look, which only tells good starts from bad ones."""
-
 _CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
 _FIRST, _OUT = 10, 5.0  # rows; times the median size, which one in a hundred of ten rows of noise exceeds
 _SURELY = 2.0  # ... and robust standard deviations of that velocity

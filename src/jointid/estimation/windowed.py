@@ -30,10 +30,10 @@ from jointid.estimation.problems.inverse_model import (
     read_as,
 )
 from jointid.estimation.problems.log_windows import NotSimulatedError, Seen, WindowModel
-from jointid.estimation.problems.simulated import outcome_of
+from jointid.estimation.problems.simulated import outcome_of, pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.regression import inverse_of_robot
-from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers, problem_of
+from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -97,12 +97,12 @@ def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
         if not (whole or moves(records)):
             return None
         problem = like if whole else begin_window(like, records[0])
-        response, columns = problem.sensitivities(x)
+        torque, response, columns = problem.sensitivities(x)
         _require_finished(response.outcome, records[0])
         experiment = problem.axis
         position = experiment.inputs[experiment.clock.log_index // experiment.clock.lengths.size, REFERENCE]
         return Seen(
-            problem.filter_error(response)[0][np.newaxis],
+            problem.filter_error(torque, response)[0][np.newaxis],
             -problem.filter(columns)[np.newaxis],
             problem.filter(problem.measured)[np.newaxis],
             problem.kept,
@@ -110,7 +110,7 @@ def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
             problem.filtering.decimation or 1,
             [(position, np.gradient(position, experiment.sample_time))],
             response.at_limit,
-            (problem.measured, response.torque),
+            (problem.measured, torque),
         )
 
     def settling(records: Sequence[Record], x: FloatArray) -> int:
@@ -216,7 +216,7 @@ def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filter
     def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
         if not moves(records):
             return None
-        problem = replace(problem_of(under, records, parameters, filtering), parameters=parameters)
+        problem = replace(pose_robot(under, records, parameters, filtering), parameters=parameters)
         runs = problem.run(x)
         _require_finished(outcome_of(runs), records[0])
         error = problem.by_joint(problem.error(runs))

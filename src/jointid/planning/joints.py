@@ -179,7 +179,7 @@ class JointModel:
         for seed, values in enumerate(self.joints):
             x = _place(problem, values)
             run = require_success(problem.simulate(x))
-            response, columns = problem.sensitivities(x)
+            _, response, columns = problem.sensitivities(x)
             if response.outcome is not Outcome.FINISHED:
                 raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
             J = problem.filter(columns)

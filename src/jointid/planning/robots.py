@@ -26,12 +26,12 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
-from jointid.estimation.problems.simulated import loop_problem
+from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.robots.simulated import nominal_numbers, parameter_units
+from jointid.estimation.robots.simulated import describe_parameters, nominal_numbers
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import DesignedAxis
@@ -113,8 +113,7 @@ class RobotModel:
     def units(self) -> dict[str, str]:
         """Units of the parameters that a test is identified for, by name."""
         parameters = self.base if self.loop is None else robot_parameters(self.robot)
-        units = parameter_units(self.robot, parameters)
-        return {name: units[name] for name in parameters.names}
+        return {one.name: unit for one, unit, *_ in describe_parameters(self.robot, parameters)}
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -218,7 +217,7 @@ class RobotModel:
         parameters = robot_parameters(loop.robot)
         kept = run_loop(prepare(loop, driven), RobotNumbers.of(loop.robot), keep=True)
         run = require_success(Simulation.of(kept), "The robot's motion")
-        problem = loop_problem(loop, run.records(driven), parameters, self.filtering)
+        problem = pose_robot(loop, run.records(driven), parameters, self.filtering)
         values = parameters.group(kept.numbers)
         J = problem.slopes((kept,), values)
         assert problem.filtering.decimation is not None

@@ -11,7 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.validation import Prediction
-from jointid.estimation.robots.didim import search_drive_side
+from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
@@ -57,7 +57,8 @@ def blank(robot: Robot) -> Robot:
 
 
 def identified(twin: Twin, records: tuple[Record, ...], **how: object) -> RobotFit:
-    return search_drive_side(blank(twin.robot), records, None, ji.DriveSideFit(**how))  # type: ignore[arg-type]
+    settings = ji.DriveSideFit(**how)  # type: ignore[arg-type]
+    return search_robot(ji.robots.RobotDriveSide(blank(twin.robot)), records, None, settings)
 
 
 def inside(found: RobotFit, twin: Twin) -> float:
@@ -132,7 +133,8 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
 @pytest.mark.slow
 def test_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
-    found = search_drive_side(changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot, logged(twin))
+    slow = changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot
+    found = search_robot(ji.robots.RobotDriveSide(slow), logged(twin))
     assert_springs(found, twin, 0.02)
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.value(f"{joint}.stribeck_force")

@@ -27,23 +27,18 @@ is searched for by `estimation.robots`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, ignore_progress
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import (
-    GLANCE,
-    RESTING,
     History,
     Solved,
-    first_positions,
     free_more,
     search_rigid_joint,
-    unstable,
 )
 from jointid.estimation.methods.force_in_loop import (
     allow_for_force,
@@ -60,7 +55,7 @@ from jointid.estimation.methods.registry import (
     Method,
     Task,
 )
-from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch
+from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch, rough_rigid_joint
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.problems.base import DELAY, DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
@@ -75,6 +70,7 @@ from jointid.solvers.regression import refuse_idle
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
+_ROUGH = 1e-3  # tolerance of a rigid joint that only finds a delay
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
 _FLEXIBLE = ("flexible",)
 
@@ -138,10 +134,12 @@ class DIDIM(Method):
             MethodError: the record does not determine the parameters, or the loop cannot be simulated at any start.
         """
         history = History(task.progress)
-        at_delay, near = self._near_delay(task, history)
-        solved = self.solve(at_delay, history, near)
+        solved, loop = self.solve(self._near_delay(task, history), history), task.loop
         starts = solved.solution.starts
-        solved = self._free_more(solved, task, history)
+        if self.free:
+            solved = free_more(solved, self.free, self.stopping_tolerance(task.joint.model), history)
+            if loop is not None and solved.problem.loop.controller != loop.controller:  # a free delay stays what it is
+                solved = solved._replace(problem=solved.problem.declared(loop.controller))
         problem, x = solved.problem, solved.x
         error, J = history.count_evaluations(problem).linearise(x)
         run, end = problem.simulate(x), (solved.solution.message, solved.solution.converged)
@@ -162,81 +160,40 @@ class DIDIM(Method):
         runs = history.tally.evaluations
         return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
 
-    def _near_delay(self, task: Task, history: History) -> tuple[Task, list[dict[str, float]]]:
-        """Return the task at the best of several delays, and a start, where the delay is free and none is declared.
+    def solve(self, task: Task, history: History) -> Solved:
+        """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
+        model, problem = task.joint.model, _pose(task)
+        tolerance, linear = self.stopping_tolerance(model), with_linear_laws(problem)
+        if model == "flexible":
+            own = replace(task, joint=linear.joint, loop=linear.loop)
+            solved = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history).search()
+        else:
+            starts = rigid_starts(linear, task.progress)
+            solved = search_rigid_joint(linear, starts, tolerance, history, freed=bool(self.free))
+        if linear is problem:
+            return solved
+        if DELAY in self.free and model == "flexible":  # a gap is found where torque and motion are in time
+            solved = free_more(solved, (DELAY,), tolerance, history)
+        return from_linear_laws(problem, solved, tolerance, history)
 
-        A wrong delay turns the phase of a mode and of the loop, which other joints explain as well: a rough search
-        begins at each of a row of delays, and the best end decides.
+    def _near_delay(self, task: Task, history: History) -> Task:
+        """Return the task at a delay near the best, where it is free and none is declared.
+
+        A wrong delay turns the phase of a mode and of the loop, which other joints explain as well: a rigid joint is
+        searched below resonance from each of a row of delays, and the best end decides.
         """
         loop = task.loop
-        assert loop is not None
-        if DELAY not in self.free or numbers_of(loop.controller).get(DELAY) != 0.0:
-            return task, []
-        ends = list[Solved]()
+        if loop is None or DELAY not in self.free or numbers_of(loop.controller).get(DELAY) != 0.0:
+            return task
+        ends = dict[float, float]()
         for late in DELAYS:
-            under = replace(task, loop=replace(loop, controller=with_numbers(loop.controller, {DELAY: late})))
-            history.progress(Detail(f"looking for the delay near {1e3 * late:g} ms"))
+            law = with_numbers(loop.controller, {DELAY: late})
             with contextlib.suppress(MethodError):  # no joint is stable with it
-                ends.append(self._glance(under, history))
-        if not ends:
-            return task, []
-        values = min(ends, key=lambda end: end.norm).values
-        law = with_numbers(loop.controller, {DELAY: values[DELAY]})
-        return replace(task, loop=replace(loop, controller=law)), [values]
-
-    def _glance(self, task: Task, history: History) -> Solved:
-        """Return the end of a rough search with the delay free, from the one that the task declares."""
-        problem = with_linear_laws(_pose(task))
-        if task.joint.model == "flexible":
-            return self._search_springs(problem, task, history).glance(DELAY)
-        resting = problem.keeping(RESTING)
-        wider, ends = resting.freeing(DELAY), list[Solved]()
-        for start in rigid_starts(problem, ignore_progress):
-            with contextlib.suppress(MethodError):
-                x = first_positions(resting, start, history)[0]
-                ends.append(history.solve(wider, GLANCE, wider.vector(resting.values(x))))
-        if not ends:
-            raise unstable(resting, resting.vector({}))
-        return min(ends, key=lambda end: end.norm)
-
-    def _declared(self, solved: Solved, task: Task) -> Solved:
-        """Return an end under the delay that was declared; the free one stays what it is."""
-        problem, loop = solved.problem, task.loop
-        assert loop is not None
-        if problem.loop.controller == loop.controller:
-            return solved
-        return solved._replace(problem=problem.declared(loop.controller))
-
-    def solve(self, task: Task, history: History, near: Sequence[Mapping[str, float]] = ()) -> Solved:
-        """Search for the least torque error from all starts; nonlinear laws from the end with linear ones.
-
-        Args:
-            task: of a joint.
-            history: of the search.
-            near: starts of a rigid joint that are tried first.
-        """
-        tolerance, problem = self.stopping_tolerance(task.joint.model), _pose(task)
-        linear = with_linear_laws(problem)
-        if task.joint.model == "flexible":
-            solved = self._search_springs(linear, task, history).search()
-            if linear is not problem and DELAY in self.free:  # a gap is found where torque and motion are in time alone
-                solved = free_more(solved, (DELAY,), tolerance, history)
-        else:
-            starts = [*near, *rigid_starts(linear, task.progress)]
-            solved = search_rigid_joint(linear, starts, tolerance, history, freed=bool(self.free))
-            solved = solved if linear is problem else history.finish(solved, tolerance)
-        return solved if linear is problem else from_linear_laws(problem, solved, tolerance, history)
-
-    def _search_springs(self, problem: ClosedLoopProblem, task: Task, history: History) -> StiffnessSearch:
-        own, tolerance = replace(task, loop=problem.loop, joint=problem.joint), self.stopping_tolerance("flexible")
-        return StiffnessSearch(problem, own, self.frequency, self.rigid_cutoff, tolerance, history)
-
-    def _free_more(self, solved: Solved, task: Task, history: History) -> Solved:
-        """Go on with more of the surroundings free, under the delay that was declared."""
-        if not self.free:
-            return solved
-        tolerance = self.stopping_tolerance(task.joint.model)
-        return self._declared(free_more(solved, self.free, tolerance, history), task)
+                rough = rough_rigid_joint(replace(task, loop=replace(loop, controller=law)), self.rigid_cutoff, history)
+                end = free_more(rough, (DELAY,), _ROUGH, history)
+                ends[end.values[DELAY]] = end.norm / end.problem.size
+        law = with_numbers(loop.controller, {DELAY: min(ends, key=lambda late: ends[late], default=0.0)})
+        return replace(task, loop=replace(loop, controller=law))
 
 
 def _pose(task: Task) -> ClosedLoopProblem:

@@ -128,8 +128,8 @@ def widened_for_force(
     moved = {p.name: float(value) for p, value, before, own in each if abs(value - before) > _TOLD * own}
     values = ", ".join(f"{name} {number(value, 3)} {problem.units[name]}".strip() for name, value in moved.items())
     said = (
-        f"a random force in the loop, of about {number(force.rms, 2)} {problem.torque_unit} rms, lets friction slide; "
-        f"simulated with it, the fit gives {values}: the intervals hold both"
+        f"a random force in the loop, of about {number(force.rms, 2)} {problem.joint.force_unit} rms, lets friction "
+        f"slide; simulated with it, the fit gives {values}: the intervals hold both"
     )
     stated = (Message(Limitation.FORCE_IN_LOOP, said, {"rms": force.rms, "values": moved}),) if moved else ()
     return replace(known.widened_by(there - x), warnings=(*known.warnings, *stated))

@@ -23,11 +23,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, ignore_progress
+from jointid.common.messages import Detail
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Quantity
 from jointid.estimation.descent import (
-    GLANCE,
     ROUGH,
     History,
     Solved,
@@ -66,7 +65,6 @@ _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tr
 NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 _LITTLE = 0.1  # of the torque: an end that leaves so much may be a false minimum
 _REFINED = 6  # starts that are refined at most, until two of them end together
-_GLANCED = 2  # of them in a first look
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
@@ -140,22 +138,6 @@ class StiffnessSearch:
             )
         return best
 
-    def glance(self, *names: str) -> Solved:
-        """Return the best rough end of a few starts with more of the surroundings free, on the whole band of the log.
-
-        Raises:
-            MethodError: the loop cannot be simulated at any start.
-        """
-        values, _ = self._rigid(History(ignore_progress))
-        wide = self._on_band(math.inf)
-        ends = []
-        for candidate in explore(wide, self.history, values, self.frequency)[:_GLANCED]:
-            on = self._on_band(candidate.frequency).freeing(*names)
-            end = self.history.solve(on, GLANCE, on.vector(candidate.values))
-            left = wide.freeing(*names).residual(end.x)
-            ends.append(end._replace(solution=replace(end.solution, residual=left)))
-        return min(ends, key=lambda end: end.norm)
-
     def _rigid(self, history: History) -> tuple[dict[str, float], Solved | None]:
         """Return the values of a rough rigid joint, and its end; of one that follows its reference where it has none.
 
@@ -224,7 +206,7 @@ class StiffnessSearch:
 
 
 def rough_rigid_joint(task: Task, cutoff: float | None, history: History) -> Solved:
-    """Return a rough search for a flexible joint as rigid, below its resonance; its steps are no part of the history.
+    """Return a rough search for a joint as rigid, below its resonance; its steps are no part of the history.
 
     Its cut-off, Hz, where None: 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
@@ -260,9 +242,10 @@ def _least_cutoff(record: Record) -> float:
 
 
 def _rigid_loop(task: Task) -> ClosedLoop:
-    """Return the loop of a task with its joint taken for rigid."""
-    assert task.loop is not None and isinstance(task.loop.joint, FlexibleJoint)
-    return replace(task.loop, joint=task.loop.joint.rigid)
+    """Return the loop of a task with its joint taken for rigid, with linear laws."""
+    assert task.loop is not None
+    joint = task.loop.joint
+    return replace(task.loop, joint=joint.rigid if isinstance(joint, FlexibleJoint) else joint.linear)
 
 
 def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:

@@ -7,10 +7,9 @@ which parameters are free: those of the joint, then those of what surrounds it (
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import (
     DRIVE_AND_LOG,
     FAILED,
+    INITIAL,
     INITIAL_STATE,
     INITIAL_TORQUE,
     RecordProblem,
@@ -28,28 +28,16 @@ from jointid.estimation.problems.base import (
     surrounding,
 )
 from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number
-from jointid.models.joints import ClosedLoop, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends, noise_limit_of_computed
 from jointid.simulation.controller_torque import SeenPosition, seen_position
-from jointid.simulation.derivatives import Sensitivities, simulate_sensitivities
+from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import AxisInput, LoopInput, change_controller, prepare
 from jointid.simulation.plant import JointNumbers
-from jointid.simulation.simulate import Outcome, Run, Simulation, run_loop
+from jointid.simulation.simulate import Outcome, Run, Simulation, motion_at, run_loop
 from jointid.simulation.start import Initial
 from jointid.uncertainty.position_dependent_error import Cells, cells
-
-
-class Response(NamedTuple):
-    """The torque of a run as the log should show it, (samples,), and how the run ended; see `Simulation`."""
-
-    torque: FloatArray
-    outcome: Outcome
-    finished: float
-    at_limit: float
-
-
-Predicted: TypeAlias = Response | Simulation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +88,6 @@ class ClosedLoopProblem(RecordProblem):
         """Of the torque, seconds."""
         return self.axis.sample_time
 
-    @property
-    def torque_unit(self) -> str:
-        """Of the residual."""
-        return self.joint.force_unit
-
     def freeing(self, *names: str) -> ClosedLoopProblem:
         """Return the same problem with more of what surrounds the joint free.
 
@@ -144,7 +127,8 @@ class ClosedLoopProblem(RecordProblem):
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
         c = self._candidate(x)
-        return self._predict(Simulation.of(c.run(keep=True)), c)
+        run = c.run(keep=True)
+        return replace(Simulation.of(run), torque=self._show_log(self._output(run), c))
 
     def loop_at(self, x: FloatArray) -> ClosedLoop:
         """Return the loop with the controller's numbers that these parameters say."""
@@ -161,34 +145,32 @@ class ClosedLoopProblem(RecordProblem):
             x: free parameters.
             driven: from what the loop is driven with, to what it might be.
         """
-        return self._respond(x, driven).torque
+        return self._respond(x, driven)[0]
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
-        return self.filter_error(self._respond(x))[0]
+        return self.filter_error(*self._respond(x))[0]
 
-    def _respond(self, x: FloatArray, driven: Callable[[AxisInput], AxisInput] | None = None) -> Predicted:
+    def _respond(self, x: FloatArray, driven: Callable[[AxisInput], AxisInput] | None = None) -> tuple[FloatArray, Run]:
         c = self._candidate(x)
         if driven is not None:
             c = replace(c, experiment=c.experiment.alone(driven(c.experiment.axis)))
         run = c.run(keep=self.seen is not None)
-        if self.seen is not None:
-            return self._predict(Simulation.of(run), c)
-        return Response(self._show_log(run.torque, c), run.outcome, run.finished, run.at_limit)
+        return self._show_log(self._output(run), c), run
 
-    def _predict(self, run: Simulation, c: _Candidate) -> Simulation:
-        """Return a run with its torque, or what is computed from its motor position, as the log should show it."""
-        torque = run.torque if self.seen is None else self.seen.torque(run.motor_position)
-        return replace(run, torque=self._show_log(torque, c))
+    def _output(self, run: Run) -> FloatArray:
+        """Return the torque of a run, or what is computed from its motor position, (samples,)."""
+        if self.seen is None:
+            return run.torque
+        return self.seen.torque(motion_at(run, run.experiment.clock.log_index).position[:, 0])
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
-        response, columns = self.sensitivities(x)
-        error, slopes = self.filter_error(response, columns)
+        error, slopes = self.filter_error(*self.sensitivities(x))
         return error, -slopes
 
-    def sensitivities(self, x: FloatArray) -> tuple[Predicted, FloatArray]:
-        """Return the predicted log and its derivatives by the free parameters, (samples, free), raw.
+    def sensitivities(self, x: FloatArray) -> tuple[FloatArray, Run, FloatArray]:
+        """Return the predicted log, its run, and its derivatives by the free parameters, (samples, free), raw.
 
         Where the candidate cannot be simulated the derivatives are 0.
         """
@@ -197,13 +179,15 @@ class ClosedLoopProblem(RecordProblem):
         names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
-        run = self._differentiate(c, wanted, positions=self.seen is not None)
-        raw, slopes = run.run.torque, run.torque
+        found = simulate_sensitivities(
+            self.loop, c.experiment, c.numbers.values, wanted, c.initial, positions=self.seen is not None
+        )
+        raw, slopes = self._output(found.run), found.torque
         if self.seen is not None:
-            raw, slopes = self.seen.torque(run.response.motor_position), self.seen.slopes(run.motor_position)
-        response = Response(self._show_log(raw, c), run.run.outcome, run.run.finished, run.run.at_limit)
+            slopes = self.seen.slopes(found.motor_position)
+        shown = self._show_log(raw, c)
         if len(names) == len(self.free) == len(wanted) and (c.drive_gain, c.log_gain, c.log_delay) == (1.0, 1.0, 0.0):
-            return response, slopes
+            return shown, found.run, slopes
         columns = dict(zip(wanted, slopes.T, strict=True))
         if scaled:  # all of the joint's parameters are measured in the torque that acts
             columns["drive_gain"] = -sum((c.numbers.values[n] / c.drive_gain) * columns[n] for n in own)
@@ -212,21 +196,13 @@ class ClosedLoopProblem(RecordProblem):
                 columns[name] = columns[name] / c.drive_gain
         if c.log_gain != 1.0 or c.log_delay != 0.0:
             columns = {name: self._show_log(column, c) for name, column in columns.items()}
-        columns["log_gain"] = response.torque / c.log_gain
+        columns["log_gain"] = shown / c.log_gain
         columns["log_delay"] = self._slope(raw, c)
-        return response, np.column_stack([columns[p.name] for p in self.free])
+        return shown, found.run, np.column_stack([columns[p.name] for p in self.free])
 
-    def positions(self, x: FloatArray) -> Sensitivities:
-        """Return the derivatives of torque and positions by the joint's free parameters and its first state, raw."""
-        names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
-        return self._differentiate(self._candidate(x), names, positions=True)
-
-    def _differentiate(self, c: _Candidate, names: Sequence[str], *, positions: bool) -> Sensitivities:
-        return simulate_sensitivities(self.loop, c.experiment, c.numbers.values, names, c.initial, positions=positions)
-
-    def filter_error(self, run: Predicted, *columns: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
-        error = self.measured - run.torque
+    def filter_error(self, torque: FloatArray, run: Run | Simulation, *columns: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the filtered error of a run's torque, (rows,), and raw columns through the same filter, at once."""
+        error = self.measured - torque
         if run.outcome is not Outcome.FINISHED:
             # The earlier it failed the worse: a search must see which way to go.
             size = float(np.sqrt(np.mean(self.measured**2)))
@@ -245,15 +221,9 @@ class ClosedLoopProblem(RecordProblem):
         return cells(simulation.motor_position[self.kept], simulation.motor_velocity[self.kept])
 
     def regressor(self, simulation: Simulation) -> FloatArray:
-        """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""
-        if not isinstance(self.joint, RigidJoint):
-            raise MethodError(
-                "The inverse-dynamic regressor of a simulated flexible joint is no approximation of its Jacobian "
-                "(the load is not controlled); identify the joint as rigid, at low frequency."
-            )
-        columns, own = self.joint.regressor(simulation.motor)[0], self.joint.parameters
-        free = [p.free for p in self.parameters[: len(own)]]
-        return columns if all(free) else np.asarray(columns[:, free])
+        """Return the inverse-dynamic columns of a rigid joint on a run, raw, (samples, free of the joint)."""
+        columns = self.joint.regressor(simulation.motor)[0]
+        return np.asarray(columns[:, [p.free for p in self.parameters[: len(self.joint.parameters)]]])
 
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)
@@ -264,9 +234,8 @@ class ClosedLoopProblem(RecordProblem):
         if any(v != number(self.loop.controller, n) for n, v in numbers.items()):
             experiment = _change_law(experiment, tuple(numbers.items()))
         joint = JointNumbers(self.joint, {n: values[n] / gain for n in own})
-        return _Candidate(
-            experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
-        )
+        initial = Initial(*(values.get(name) for name in INITIAL))
+        return _Candidate(experiment, joint, initial, gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0))
 
     def _show_log(self, torque: FloatArray, c: _Candidate) -> FloatArray:
         """Return the torque with the gain of the log, and as much later as its stamps are wrong."""
@@ -294,11 +263,6 @@ def _shift(signal: FloatArray, samples: int) -> FloatArray:
     """Return a signal so many samples later; its ends last."""
     at = np.clip(np.arange(signal.size) - samples, 0, signal.size - 1)
     return np.asarray(signal[at])
-
-
-def initial_of(values: Mapping[str, float]) -> Initial:
-    """Return the initial state among a problem's values; on the reference, at rest, where there is none."""
-    return Initial(values.get("initial_position"), values.get("initial_velocity"), values.get("initial_torque"))
 
 
 def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> float:

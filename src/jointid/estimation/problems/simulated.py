@@ -27,7 +27,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import FAILED, LOG_DELAY
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import MeasuredMotion, join_rows, moving_weights
-from jointid.estimation.robots.numbers import RobotParameters
+from jointid.estimation.robots.numbers import RobotParameters, add_delays
 from jointid.estimation.robots.regression import (
     Records,
     each_log,
@@ -53,6 +53,7 @@ from jointid.simulation.drive_side import (
     PARTS_OF_ROBOT,
     DriveSideRun,
     PrescribedMotion,
+    RobotDriveSide,
     differentiate_drive_side,
     moves_links,
     prescribe,
@@ -124,6 +125,10 @@ class LoopLog:
     def roughly(self) -> LoopLog:
         """Return the log simulated in steps twice as long."""
         return replace(self, stride=COARSE)
+
+    def thoroughly(self) -> LoopLog:
+        """Return the log where it is searched again: itself."""
+        return self
 
     def run(self, numbers: Numbers, *, keep: bool = True) -> Run:
         """Simulate a candidate."""
@@ -203,6 +208,10 @@ class MotionLog:
             self, measured=self.measured[:size], motion=self.motion.begin(size), prescribed=prescribed, thorough=True
         )
 
+    def thoroughly(self) -> MotionLog:
+        """Return the log that is searched along all of it; itself where `roughly` leaves nothing out."""
+        return self if self.roughly() is self else replace(self, thorough=True)
+
     def with_rows(self, moving: FloatArray) -> MotionLog:
         """Return the log with other samples that count, (samples, n) of 0 and 1."""
         return replace(self, motion=replace(self.motion, moving=moving))
@@ -243,7 +252,7 @@ class MotionLog:
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one joint, (samples, ...), filtered, 0 at rest."""
         rows = self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
-        return rows.reshape(-1, *columns.shape[1:])
+        return rows.reshape(len(rows), *columns.shape[1:])
 
     @property
     def _delay(self) -> Any:
@@ -443,31 +452,56 @@ class Simulated:
         return error * weights, -self.slopes(runs, x) * weights[:, np.newaxis]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SolvedRobot:
-    """The problem of a robot's log with its run at the estimate.
-
-    Attributes:
-        problem: that was solved, or is evaluated anew.
-        run: of its log, at the estimate.
-        slopes: (rows, free) of its filtered torques by what is searched, not weighted.
-    """
-
-    problem: Simulated
-    run: Any
-    slopes: FloatArray
-
-
-def loop_problem(
-    loop: RobotLoop, records: Records, parameters: RobotParameters, filtering: Filtering | None = None
+def pose_robot(
+    setup: Robot | RobotLoop | RobotDriveSide,
+    records: Records,
+    parameters: RobotParameters,
+    filtering: Filtering | None = None,
+    late: Sequence[int] = (),
+    delay: float | None = 0.0,
+    *,
+    stated: bool = True,
 ) -> Simulated:
-    """Return the problem of reproducing the torques of a robot's records by simulating its loops.
+    """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion.
+
+    Along a motion two numbers of the record are searched beside those of the robot: by how much the log shows the
+    torques late, one for all joints, which else would be taken for the springs' damping; and where motors move at the
+    first sample the links' position and velocity there, beside those of steady motion.
+
+    Args:
+        setup: the robot, and what moves it.
+        records: of each joint, on one clock; of one log or several.
+        parameters: of the robot.
+        filtering: of torques, and of measured positions.
+        late: joints whose torques have a free delay.
+        delay: s, by which a log along a motion shows the torques late; None to search it.
+        stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
 
     Raises:
-        RecordError: a record lacks a channel that is needed.
-        MethodError: see `prepare`; or the filtering is impossible.
+        RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: see `prepare`; the filtering is impossible; or along a motion a motor hardly moves, a torque is 0
+            throughout, the delay is none, or one of several logs begins in motion.
     """
-    return Simulated.of([_loop_log(loop, log, filtering) for log in each_log(records)], parameters)
+    logs = each_log(records)
+    if isinstance(setup, RobotLoop):
+        return Simulated.of([_loop_log(setup, log, filtering) for log in logs], add_delays(parameters, setup, late))
+    robot = setup if isinstance(setup, Robot) else setup.robot
+    found = [_motion_log(robot, log, filtering or Filtering()) for log in logs]
+    for count, (_, resting) in enumerate(found if len(found) > 1 else (), start=1):
+        if moving := [robot.names[j] for j in np.flatnonzero(np.array(robot.flexible) & ~resting)]:
+            raise MethodError(
+                f"The motor of {', '.join(sorted(moving))} moves at the first sample of log {count}; expected that "
+                "each of several logs begins at rest: cut it by record.start, or identify it alone."
+            )
+    (first, resting), *_ = found
+    most = delay_of_log(None, first.sample_time).upper
+    if delay is not None and not abs(delay) <= most:
+        raise MethodError(
+            f"log_delay is {delay:g} s; expected at most {most:g} s either way, twenty samples: give it in s, or leave "
+            "it out to have it identified."
+        )
+    known = delay_of_log(delay, first.sample_time, stated=stated)
+    return Simulated.of([log for log, _ in found], of_record(parameters, robot, resting, known))
 
 
 def _loop_log(loop: RobotLoop, records: Sequence[Record], filtering: Filtering | None) -> LoopLog:
@@ -489,62 +523,15 @@ def _loop_log(loop: RobotLoop, records: Sequence[Record], filtering: Filtering |
     return LoopLog(measured, resolved, experiment, seen=seen)
 
 
-def motion_problem(
-    robot: Robot,
-    records: Records,
-    parameters: RobotParameters,
-    filtering: Filtering | None = None,
-    delay: float | None = 0.0,
-    *,
-    stated: bool = True,
-) -> Simulated:
-    """Return the problem of reproducing the torques of a robot's records along its motors' motion.
-
-    Beside the robot's parameters two of the record are searched: by how much the log shows the torques late, one number
-    for all joints, which else would be taken for the springs' damping; and where motors move at the first sample the
-    links' position and velocity there, beside those of steady motion.
-
-    Args:
-        robot: that moves.
-        records: of each joint, with torque and motor position behind the gear, on one clock; of one log or several.
-        parameters: of the robot.
-        filtering: of positions and torques.
-        delay: s, by which the log shows the torques late; None to search it.
-        stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
-
-    Raises:
-        RecordError: a channel is missing, or the joints' records have not one clock.
-        MethodError: a motor hardly moves, a torque is 0 throughout, the delay is none, the log's timing is not used, or
-            one of several logs begins in motion.
-    """
-    if filtering is not None and filtering.timing == "as_sampled":
-        raise MethodError(
-            'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
-        )
-    found = [_motion_log(robot, log, filtering or Filtering()) for log in each_log(records)]
-    flexible = np.array(robot.flexible)
-    for count, (_, resting) in enumerate(found if len(found) > 1 else (), start=1):
-        if moving := [robot.names[j] for j in np.flatnonzero(flexible & ~resting)]:
-            raise MethodError(
-                f"The motor of {', '.join(sorted(moving))} moves at the first sample of log {count}; expected that "
-                "each of several logs begins at rest: cut it by record.start, or identify it alone."
-            )
-    (first, resting), *_ = found
-    most = delay_of_log(None, first.sample_time).upper
-    if delay is not None and not abs(delay) <= most:
-        raise MethodError(
-            f"log_delay is {delay:g} s; expected at most {most:g} s either way, twenty samples: give it in s, or leave "
-            "it out to have it identified."
-        )
-    parameters = of_record(parameters, robot, resting, delay_of_log(delay, first.sample_time, stated=stated))
-    return Simulated.of([log for log, _ in found], parameters)
-
-
 def _motion_log(robot: Robot, records: Sequence[Record], filtering: Filtering) -> tuple[MotionLog, Bools]:
     """Return a log along the motors' motion, and which motors rest at its first sample, (n,)."""
     if records[-1].payload:
         raise MethodError(
             "A payload of a record is taken by IDIM and DIDIM; received one on the drive side: leave it out."
+        )
+    if filtering.timing == "as_sampled":
+        raise MethodError(
+            'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
         )
     model = "flexible" if any(robot.flexible) else "rigid"
     motion = motion_of_robot(robot, records, filtering, "The drive side of a robot", model, _SMEAR)

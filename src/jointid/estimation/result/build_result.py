@@ -137,7 +137,7 @@ def build_closed_loop_result(
         J: (rows, free) sensitivities, filtered.
         simulations: that were run.
     """
-    (error,), f = problem.filter_error(run), problem.filtering
+    (error,), f = problem.filter_error(run.torque, run), problem.filtering
     assert f.cutoff is not None
     checks = Checks(
         warnings=warn_of_limit(run.at_limit),

@@ -32,7 +32,7 @@ from jointid.models.position_forces import Motion
 if TYPE_CHECKING:
     import jointid
     from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-    from jointid.estimation.problems.simulated import SolvedRobot
+    from jointid.estimation.robots.fit import RobotFit
     from jointid.estimation.robots.simulated import IdentifiedRobot
     from jointid.records.record import Record
 
@@ -83,7 +83,7 @@ class Estimate(Documented):
     x: FloatArray | None = None
     record: Record | None = None
     records: tuple[Record, ...] = ()
-    solved: SolvedRobot | None = None
+    solved: RobotFit | None = None
     undetermined: tuple[str, ...] = ()
     shifts: tuple[FloatArray, ...] = ()
     window: Estimate | None = None

@@ -51,11 +51,10 @@ from jointid.estimation.methods.linear import solve_rows
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.inverse_model import motion_along
-from jointid.estimation.problems.simulated import Simulated, loop_problem, motion_problem, outcome_of
+from jointid.estimation.problems.simulated import Simulated, outcome_of, pose_robot
 from jointid.estimation.result.verdict import SpringVerdict
-from jointid.estimation.robots.fit import OFF, UNSEEN, Descents, End, RobotFit
+from jointid.estimation.robots.fit import OFF, UNSEEN, Descents, RobotFit
 from jointid.estimation.robots.numbers import (
-    add_delays,
     apply_constraints,
     find_free_delays,
     name_in_robot,
@@ -71,8 +70,9 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import NumberOf, law_places, values_of_joint
+from jointid.simulation.robot_numbers import values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
 from jointid.solvers.solve import Status
 
@@ -80,123 +80,104 @@ SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
-_REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
-_LATE = 2e-3  # s of a step: a delay by at most so much
-_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 _REWEIGHTINGS = 2
 _BORDERS, _SHORT = 50, 500  # samples at each end of a motion that is a guess, of more than so many
 
 
 def search_robot(
-    loop: RobotLoop,
+    setup: RobotLoop | RobotDriveSide,
     records: Records,
     filtering: Filtering | None = None,
-    settings: DIDIM | None = None,
+    settings: DIDIM | DriveSideFit | None = None,
     *,
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> RobotFit:
-    """Identify a robot from torques and references; positions in the records are not read.
+    """Identify a robot from torques and references, or along the motion of its motors.
 
     Args:
-        loop: the robot, whose joints with a spring are flexible, and its controllers. Of its numbers only the links'
-            places and gravity are read.
-        records: one for each joint, with torque and reference, of one log; or those of several logs. To show a spring
-            the motion must excite its mode, as a multisine on top of it does.
-        filtering: that torques, columns and derivatives go through alike; its cut-off above the modes.
+        setup: the robot, whose joints with a spring are flexible, and its controllers; or the robot along its motors'
+            motion. Of its numbers only the links' places and gravity are read.
+        records: one for each joint, with torque and reference or with torque and motor position behind the gear, of one
+            log; or those of several logs. To show a spring the motion must excite its mode, as a multisine on top of it
+            does.
+        filtering: that torques, columns and derivatives go through alike, its cut-off above the modes; of measured
+            positions the cut-off is five times that.
         settings: of the method.
         known: values and bounds to keep, by name; see `apply_constraints`.
         progress: receives each step.
 
     Raises:
-        RecordError: a record lacks torque or reference, or has the wrong clock or unit.
+        RecordError: a record lacks a channel, or has the wrong clock or unit.
         MethodError: the records do not determine the parameters, nothing can be simulated at the start, a frequency is
-            missing, or a robot of rigid joints explains the torques better than the springs that were found.
+            missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
+            several logs along a motion begins in motion.
     """
-    settings, known, robot = settings or DIDIM(), known or {}, loop.robot
-    late = find_free_delays(loop, settings.free)
+    known, robot, late, linear = known or {}, setup.robot, tuple[int, ...](), setup
+    delay: float | None = 0.0
+    if isinstance(setup, RobotLoop):
+        settings = settings if isinstance(settings, DIDIM) else DIDIM()
+        late, linear = find_free_delays(setup, settings.free), replace(setup, robot=robot.linear)
+    else:
+        settings = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
+        robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
+        delay = settings.log_delay
+    evaluations, frequencies = settings.evaluations, settings.frequencies or None
 
-    def pose(under: RobotLoop, through: Filtering | None, freed: Sequence[int] = ()) -> Simulated:
-        parameters = robot_parameters(under.robot, offsets=settings.offsets, logarithmic=True)
-        return loop_problem(under, records, add_delays(apply_constraints(parameters, known), under, freed), through)
+    stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
 
-    def search_rigid(under: RobotLoop, through: Filtering | None) -> RobotFit:
-        problem = pose(under, through)
-        start = _start_rigid(problem, under, each_log(records)[0])
-        return Descents(settings.evaluations, progress).settle(problem, start)
+    def pose(
+        under: RobotLoop | RobotDriveSide,
+        through: Filtering | None,
+        freed: Sequence[int] = (),
+        delay: float | None = 0.0,
+        limits: Mapping[str, Parameter] = known,
+    ) -> Simulated:
+        whole = isinstance(under, RobotLoop)
+        parameters = robot_parameters(under.robot, offsets=settings.offsets, logarithmic=True, whole=whole)
+        parameters = apply_constraints(parameters, limits)
+        return pose_robot(under, records, parameters, through, freed, delay, stated=stated)
 
-    linear, near = replace(loop, robot=robot.linear), loop
-    if any(robot.flexible):
-        problem, frequencies = pose(linear, filtering), settings.frequencies or None
+    def search_rigid(under: RobotLoop | RobotDriveSide, through: Filtering | None) -> RobotFit:
+        problem, descents = pose(under, through), Descents(evaluations, progress)
+        if isinstance(under, RobotLoop):
+            return descents.settle(problem, _start_rigid(problem, under, each_log(records)[0]))
+        # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down
+        # to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
+        problem = problem.map_logs(lambda log: log.with_rows(np.ones_like(log.motion.moving)))
+        return descents.settle(problem, np.zeros(len(problem.free)))
+
+    near = linear
+    if any(robot.flexible) or not isinstance(linear, RobotLoop):
+        problem = pose(linear, filtering, delay=delay)
         require_springs(robot, frequencies, problem.sample_time)
         rigid = search_rigid(replace(linear, robot=linear.robot.rigid), SLOW)
-        found = search_springs(problem, linear.robot, rigid, frequencies, settings.evaluations, progress)
+        found = search_springs(problem, linear.robot, rigid, frequencies, evaluations, progress)
+        whole = problem.map_logs(lambda log: log.thoroughly())
+        if whole is not problem and not any(one.shown for one in found.springs):
+            progress("no spring is seen by the beginning of the record; searching along all of it")
+            found = search_springs(whole, linear.robot, rigid, frequencies, evaluations, progress)
     else:
-        undeclared = [j for j in late if not numbers_of(loop.controllers[j]).get(DELAY)]
+        undeclared = [j for j in late if not numbers_of(linear.controllers[j]).get(DELAY)]
         ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
-        for delay in DELAYS if undeclared else (0.0,):
+        for one in DELAYS if undeclared else (0.0,):
             try:
-                under = with_delays(linear, dict.fromkeys(undeclared, delay))
+                under = with_delays(linear, dict.fromkeys(undeclared, one))
                 ends.append((search_rigid(under, filtering), under))
             except MethodError as error:  # no robot is stable with such a delay
                 failures.append(error)
         if not ends:
             raise failures[0]
-        found, near = min(ends, key=lambda one: float(np.linalg.norm(one[0].relative_error)))
+        found, near = min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
 
     def with_laws(of: Robot) -> Simulated:
-        return pose(replace(near, robot=of), filtering, late)
+        found_within = {p.name: p for p in found.parameters.parameters}  # springs have bounds that a search gave them
+        return pose(replace(near, robot=of), filtering, late, limits={**known, **found_within})
 
-    if robot.linear.joints == robot.joints and not late:
+    if not isinstance(setup, RobotLoop) or (robot.linear.joints == robot.joints and not late):
         return found
-    fit = _search_laws(robot, found, with_laws, known, settings.evaluations, progress, delays=bool(late))
+    fit = _search_laws(robot, found, with_laws, known, evaluations, progress, delays=bool(late))
     return replace(fit, iterations=found.iterations + fit.iterations, springs=_judge_springs(fit, robot))
-
-
-def search_drive_side(
-    robot: Robot,
-    records: Records,
-    filtering: Filtering | None = None,
-    settings: DriveSideFit | None = None,
-    *,
-    known: Mapping[str, Parameter] | None = None,
-    progress: Progress = ignore_progress,
-) -> RobotFit:
-    """Identify a robot, of which some joints are flexible, from motor torques and positions; references are not read.
-
-    Args:
-        robot: whose joints with a spring are flexible. Of its numbers only the links' places and gravity are read.
-        records: one for each joint, with torque and motor position behind the gear, of one log, or those of several;
-            to show a spring the motion must excite its mode, as a multisine on top of it does.
-        filtering: of positions and torques; the torques' cut-off above the modes, the positions' five times that.
-        settings: of the method.
-        known: values and bounds to keep, by name; see `apply_constraints`.
-        progress: receives the steps.
-
-    Raises:
-        RecordError: a channel is missing, or the joints' records have not one clock.
-        MethodError: as of `search_robot`, or one of several logs begins in motion.
-    """
-    robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
-    settings, known, stiff = settings or DriveSideFit(), known or {}, robot.rigid
-    frequencies, evaluations, offsets = settings.frequencies or None, settings.evaluations, settings.offsets
-    stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
-    parameters = apply_constraints(robot_parameters(robot, offsets=offsets, logarithmic=True, whole=False), known)
-    problem = motion_problem(robot, records, parameters, filtering, settings.log_delay, stated=stated)
-    require_springs(robot, frequencies, problem.sample_time)
-    of_stiff = apply_constraints(robot_parameters(stiff, offsets=offsets, whole=False), known)
-    # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
-    # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
-    slow = motion_problem(stiff, records, of_stiff, SLOW).map_logs(
-        lambda log: log.with_rows(np.ones_like(log.motion.moving))
-    )
-    rigid = Descents(evaluations, progress).settle(slow, np.zeros(len(slow.free)))
-    found = search_springs(problem, robot, rigid, frequencies, evaluations, progress)
-    if any(one.shown for one in found.springs) or problem.roughly() is problem:
-        return found
-    progress("no spring is seen by the beginning of the record; searching along all of it")
-    whole = problem.map_logs(lambda log: replace(log, thorough=True))
-    return search_springs(whole, robot, rigid, frequencies, evaluations, progress)
 
 
 # The start of rigid joints
@@ -395,20 +376,19 @@ def _search_laws(
     """
     descents, best, sigma = Descents(evaluations, progress), None, linear.problem.sigma
     values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
-    bounds = {p.name: p for p in linear.parameters.parameters}
     changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
     for i in (*([-1] if delays else []), *changed):  # the delays, then axis by axis
         laws = replace(robot, joints=(*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :])))
-        problem = replace(_restore_bounds(pose(laws), bounds), sigma=sigma)
+        problem = replace(pose(laws), sigma=sigma)
         values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
         if i < 0:
             progress("looking for the delays of the torques")
-            best, what = _descend(descents, problem, values), "delays"
+            best, what = descents.follow(problem, values), "delays"
         else:
             joint = robot.joints[i]
             starts = _starts_of(joint, values_of_joint(numbers, i), _motion_of(linear, i), known)
             progress(f"{joint.name}: looking for the {name_laws(joint.model)}, from {pluralise(len(starts), 'start')}")
-            ends = [_descend(descents, problem, values | start) for start in starts]
+            ends = [descents.follow(problem, values | start) for start in starts]
             best, what = min(ends, key=lambda end: end.norm), f"laws of {joint.name}"
         if not best.solution.jacobian.any():
             raise MethodError(
@@ -433,15 +413,6 @@ def _starts_of(
     return [{name_in_robot(joint.name, name): x for name, x in start.items()} for start in starts]
 
 
-def _restore_bounds(problem: Simulated, bounds: Mapping[str, Parameter]) -> Simulated:
-    """Return the problem with the bounds that the search with linear laws had."""
-    parameters = tuple(
-        replace(p, lower=bounds[p.name].lower, upper=bounds[p.name].upper) if p.name in bounds else p
-        for p in problem.free
-    )
-    return replace(problem, parameters=replace(problem.parameters, parameters=parameters))
-
-
 def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
     """Return the simulated motion of one axis."""
     run = fit.runs[0]
@@ -449,18 +420,3 @@ def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
     seen = motion_at(run, clock.log_index)
     motor, link = ((seen.position[:, row], seen.velocity[:, row]) for row in (rotor, joint))
     return JointMotion(clock.sample_time * clock.samples, motor, link if rotor != joint else None)
-
-
-def _descend(descents: Descents, problem: Simulated, values: Mapping[str, float]) -> End:
-    """Descend close to the minimum that a start leads to."""
-    parameters = problem.parameters
-    begin = np.array([values[name] for name in parameters.names])
-    reach = np.where(parameters.logarithmic, _REACH, np.inf)
-    own = {place for place, _ in law_places(parameters.base)}
-    for c, place in enumerate(parameters.places):
-        damping = place.of is NumberOf.SPRING and place.column == 1
-        if place.of is NumberOf.DELAY:
-            reach[c] = _LATE
-        elif (place in own or damping) and begin[c] != 0.0:
-            reach[c] = (_DAMPED if damping else _FACTOR) * abs(begin[c])
-    return descents.follow(problem.roughly(), begin, reach)

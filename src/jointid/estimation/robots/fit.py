@@ -128,13 +128,20 @@ def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made:
     """Return the fit at an end, with the slopes J, (rows, free), not weighted.
 
     Raises:
-        MethodError: the robot cannot be simulated there, or a friction that grows with the torque is not told from
-            others; see `find_separable`.
+        MethodError: the robot cannot be simulated there, or explains none of the torque; or a friction that grows with
+            the torque is not told from others, see `find_separable`.
     """
     if (outcome := outcome_of(runs)) is not Outcome.FINISHED:
         raise MethodError(
             f"The search led to where the robot cannot be simulated: {outcome.value}. Record a livelier motion, "
             "name a livelier log first, leave out springs of stiff joints, or declare simpler laws."
+        )
+    error = problem.error(runs)
+    left = problem.norms(error) / problem.sizes
+    if np.all(left > 1.0):
+        raise MethodError(
+            f"The search ended at a robot that leaves {100 * float(np.min(left)):.3g} % or more of the torque of every "
+            "joint, more than one without any torque: check units and signs, or record a livelier motion."
         )
     names, scales = problem.parameters.names, problem.parameters.scales(x)
     together = [name for name, separable in zip(names, find_separable(J), strict=True) if not separable]
@@ -143,7 +150,6 @@ def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made:
             f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "
             "all. Identify records with other known loads in one fit, or brake harder."
         )
-    error = problem.error(runs)
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
     influence = Influence(J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size)
@@ -156,7 +162,7 @@ def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made:
             f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
             "Move faster, record longer, or state the delay in [controller] and do not free it."
         )
-    covariance, left = replace(covariance, std=covariance.std * scales), problem.norms(error) / problem.sizes
+    covariance = replace(covariance, std=covariance.std * scales)
     return RobotFit(problem, x, runs, J, covariance, left, made, settled)
 
 
@@ -287,15 +293,18 @@ class Descents(History):
     ) -> End:
         """Descend roughly from values of all parameters."""
         x = problem.parameters.to_search_variables(values)
-        return self._descend(problem, x, start.reach(values), _ROUGH, min(evaluations, self.evaluations))
+        return self._descend(problem, x, problem.parameters.reach(values), _ROUGH, min(evaluations, self.evaluations))
 
-    def follow(self, problem: Simulated, values: FloatArray, reach: FloatArray) -> End:
-        """Descend from a start as the search of one joint's laws does, away from bounds, (parameters,) each.
+    def follow(self, problem: Simulated, start: Mapping[str, float]) -> End:
+        """Descend roughly from values by name as the search of one joint's laws does, away from bounds.
 
         Where a bound takes the effect of other parameters away, as a slider without stiffness, steps of Levenberg and
         Marquardt would end there.
         """
-        return End(problem, self.report(problem, ROUGH, problem.parameters.to_search_variables(values)), reach)
+        problem, parameters = problem.roughly(), problem.parameters
+        values = np.array([start[name] for name in parameters.names])
+        found = self.report(problem, ROUGH, parameters.to_search_variables(values))
+        return End(problem, found, parameters.reach(values))
 
     def refine(self, problem: Simulated, end: End) -> End:
         """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""

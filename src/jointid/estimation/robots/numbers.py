@@ -49,6 +49,9 @@ from jointid.simulation.simulate import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
+_REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
+_LATE = 2e-3  # s of a step: a delay by at most so much
+_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 _OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
 _QUANTITIES = {
     "rotor_inertia": Quantity.INERTIA,
@@ -187,6 +190,18 @@ class RobotParameters:
     def to_search_variables(self, values: FloatArray) -> FloatArray:
         """Convert parameters, (parameters,), to search variables."""
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
+
+    def reach(self, values: FloatArray) -> FloatArray:
+        """Return how far one step of a search from these values may move each parameter, (parameters,)."""
+        reach = np.where(self.logarithmic, _REACH, np.inf)
+        of_laws = {place for place, _ in law_places(self.base)}
+        for c, place in enumerate(self.places):
+            damping = place.of is NumberOf.SPRING and place.column == 1
+            if place.of is NumberOf.DELAY:
+                reach[c] = _LATE
+            elif (place in of_laws or damping) and values[c] != 0.0:
+                reach[c] = (_DAMPED if damping else _FACTOR) * abs(values[c])
+        return reach
 
     def numbers(self, values: FloatArray) -> RobotNumbers:
         """Return the candidate with these parameters."""

@@ -6,7 +6,7 @@ found.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +19,13 @@ from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import position_rms
-from jointid.estimation.problems.simulated import Simulated, SolvedRobot, loop_problem, motion_problem
+from jointid.estimation.problems.simulated import Simulated, pose_robot
 from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, Sums
 from jointid.estimation.result.verdict import SpringVerdict
-from jointid.estimation.robots.didim import search_drive_side, search_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import search_robot
+from jointid.estimation.robots.fit import RobotFit, conclude
 from jointid.estimation.robots.numbers import (
     RobotParameters,
     begin_delays,
@@ -34,16 +34,15 @@ from jointid.estimation.robots.numbers import (
     standard_index,
     with_delays,
 )
-from jointid.estimation.robots.regression import Records, each_log
-from jointid.models.robots.dynamics import IntArray
+from jointid.estimation.robots.regression import Records, each_log, require_one_log
 from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, robot_with, with_values
-from jointid.simulation.simulate import Outcome, motion_at
+from jointid.simulation.robot_numbers import NumberOf, RobotNumbers, robot_with, with_values
+from jointid.simulation.simulate import motion_at
 from jointid.uncertainty.covariance import Covariance
 
 _TWO = 2.0  # standard deviations
@@ -211,22 +210,18 @@ def identify_simulated_robot(
         progress: receives the steps.
 
     Raises:
-        RecordError, MethodError: see `search_robot`, `search_drive_side`.
+        RecordError, MethodError: see `search_robot`.
     """
-    if isinstance(model, RobotDriveSide):
-        side = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
-        fit = search_drive_side(model.robot, records, filtering, side, known=known, progress=progress)
-        parameters = fit.parameters
-        method = "drive_side", "drive side of a robot, from motor torques and motor positions"
-    else:
-        didim = settings if isinstance(settings, DIDIM) else DIDIM()
-        fit = search_robot(model, records, filtering, didim, known=known, progress=progress)
-        parameters = begin_delays(fit.parameters, model)
+    fit = search_robot(model, records, filtering, settings, known=known, progress=progress)
+    parameters = fit.parameters
+    method = "drive_side", "drive side of a robot, from motor torques and motor positions"
+    if isinstance(model, RobotLoop):
+        parameters = begin_delays(parameters, model)
         model = at_estimate(model, parameters, fit.values)
         computed = any(record.computed for log in each_log(records) for record in log)
         method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
     robot, logs = model.robot, each_log(records)
-    problem = problem_of(model, records, robot_parameters(robot), filtering)
+    problem = pose_robot(model, records, robot_parameters(robot), filtering)
     nominal = nominal_numbers(robot, parameters.numbers(fit.values))
     part = IdentifiedRobot(
         setup=model,
@@ -260,7 +255,7 @@ def identify_simulated_robot(
     if len(logs) > 1:
         return result
     (run,) = fit.runs
-    result = replace(result, solved=SolvedRobot(replace(problem, parameters=parameters), run, fit.slopes))
+    result = replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
     if method[0] != "didim":
         return result
     simulated = motion_at(run, problem.log.experiment.clock.log_index).position[:, run.numbers.rotors]
@@ -286,53 +281,37 @@ def table_of_robot(
     part: IdentifiedRobot, parameters: RobotParameters, held: Mapping[str, float]
 ) -> tuple[EstimatedParameter, ...]:
     """Return the table of the parameters; of a spring that is not shown, a bound at most."""
-    robot, rotors = part.model, parameters.base.rotors
-    hidden = [one for one in part.springs if not one.shown]
+    hidden, rows = [one for one in part.springs if not one.shown], list[EstimatedParameter]()
     refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
     refused |= {f"{one.joint}.damping": None for one in hidden}
-    rows = []
-    named = zip(*_of_table(parameters), part.values, part.covariance.std, strict=True)
-    units = parameter_units(robot, parameters)
-    for one, place, value, std in named:
-        joint, determined = _joint_of(place, rotors), one.name not in refused
+    described = describe_parameters(part.model, parameters)
+    for (one, unit, axis, of_record), value, std in zip(described, part.values, part.covariance.std, strict=True):
+        told = one.name not in refused
         rows.append(
             EstimatedParameter(
-                name=one.name,
-                symbol=one.symbol,
-                unit=units[one.name],
-                value=float(value) if determined else None,
-                stderr=float(std) if determined and one.free else None,
-                free=one.free,
+                one.name,
+                one.symbol,
+                unit,
+                float(value) if told else None,
+                float(std) if told and one.free else None,
+                one.free,
                 lower_bound=refused.get(one.name),
-                of_joint=not place.is_of_record,
+                of_joint=not of_record,
                 at_bound=held.get(one.name),
-                axis="" if joint is None else robot.names[joint],
+                axis=axis,
             )
         )
     return tuple(rows)
 
 
-def _of_table(parameters: RobotParameters) -> tuple[tuple[Parameter, ...], tuple[NumberPlace, ...]]:
-    """Return the parameters and their places, the fixed ones last."""
-    return (*parameters.parameters, *parameters.fixed), (*parameters.places, *parameters.kept)
-
-
-def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]:
-    """Return the unit of each parameter by its name."""
-    found = {}
-    for one, place in zip(*_of_table(parameters), strict=True):
-        if place.of is NumberOf.LINK:
-            found[one.name] = UNITS[place.column]
-        else:
-            joint = _joint_of(place, parameters.base.rotors)
-            kind = "revolute" if joint is None else robot.links[joint].kind
-            found[one.name] = unit_of(one.quantity, kind, TORQUE_UNIT[kind])
-    return found
-
-
-def _joint_of(place: NumberPlace, rotors: IntArray) -> int | None:
-    """Return the joint of a parameter, or that carries its link; None of a number of the whole log."""
-    return None if place.of is NumberOf.LOG else joint_of(place, rotors)
+def describe_parameters(robot: Robot, parameters: RobotParameters) -> Iterator[tuple[Parameter, str, str, bool]]:
+    """Yield each parameter, the fixed ones last: with its unit, its joint's name, and whether it is of the record."""
+    places = (*parameters.places, *parameters.kept)
+    for one, place in zip((*parameters.parameters, *parameters.fixed), places, strict=True):
+        joint = None if place.of is NumberOf.LOG else joint_of(place, parameters.base.rotors)
+        kind = "revolute" if joint is None else robot.links[joint].kind
+        unit = UNITS[place.column] if place.of is NumberOf.LINK else unit_of(one.quantity, kind, TORQUE_UNIT[kind])
+        yield one, unit, "" if joint is None else robot.names[joint], place.is_of_record
 
 
 def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
@@ -346,37 +325,21 @@ def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     return replace(numbers, masses=masses, log=found.log, delays=found.delays)
 
 
-def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Filtering | None) -> SolvedRobot:
-    """Return the problem of an identified robot, with its run and slopes, from the records it was identified from.
+def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Filtering | None) -> RobotFit:
+    """Return the fit of an identified robot to the records that it was identified from, without a search.
 
     Raises:
         RecordError, MethodError: as of the identification; or the robot cannot be simulated.
     """
-    found = problem_of(part.setup, records, part.parameters, filtering)
+    require_one_log(records)
+    found = pose_robot(part.setup, records, part.parameters, filtering)
     problem = replace(found, parameters=part.parameters)  # with those of the record
     x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
-    (run,) = runs = problem.run(x)
-    if run.outcome is not Outcome.FINISHED:
-        raise MethodError(
-            f"The identified robot cannot be simulated along the record: {run.outcome.value}; give the record that it "
-            "was identified from."
-        )
-    return SolvedRobot(problem, run, problem.slopes(runs, x))
+    runs = problem.run(x)
+    return conclude(problem, x, runs, problem.slopes(runs, x), 0, True)
 
 
 def errors_of(problem: Simulated, numbers: RobotNumbers) -> FloatArray:
     """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
     error = problem.error_of(numbers)
     return np.full(problem.sigma.size, np.inf) if error is None else problem.norms(error) / problem.sizes
-
-
-def problem_of(
-    setup: Robot | RobotLoop | RobotDriveSide,
-    records: Records,
-    parameters: RobotParameters,
-    filtering: Filtering | None = None,
-) -> Simulated:
-    """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
-    if isinstance(setup, RobotLoop):
-        return loop_problem(setup, records, parameters, filtering)
-    return motion_problem(setup if isinstance(setup, Robot) else setup.robot, records, parameters, filtering)

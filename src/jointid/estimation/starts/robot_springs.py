@@ -36,8 +36,6 @@ _DAMPING = 0.03  # of critical, of the springs a search begins with
 _MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the grid in which a frequency is searched
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is searched
-_REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
-_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,12 +104,6 @@ class StartOfSprings:
     def all_at(self, frequency: float) -> FloatArray:
         """Return all parameters with one frequency of all springs."""
         return self.values(dict.fromkeys(self.names, frequency))
-
-    def reach(self, values: FloatArray) -> FloatArray:
-        """Return how far a step may move each parameter, (parameters,): rotors, springs and damping not too far."""
-        parameters = self.problem.parameters
-        damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
-        return np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
 
     def values(self, hertz: Mapping[str, float]) -> FloatArray:
         """Return all parameters with springs of these frequencies, (parameters,)."""
