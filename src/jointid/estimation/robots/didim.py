@@ -37,6 +37,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -113,56 +114,51 @@ def search_robot(
             missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
             several logs along a motion begins in motion.
     """
-    known, robot, late, linear = known or {}, setup.robot, tuple[int, ...](), setup
-    delay: float | None = 0.0
-    if isinstance(setup, RobotLoop):
-        settings = settings if isinstance(settings, DIDIM) else DIDIM()
-        late, linear = find_free_delays(setup, settings.free), replace(setup, robot=robot.linear)
-    else:
-        settings = settings if isinstance(settings, DriveSideFit) else DriveSideFit()
+    known, robot, along, near = known or {}, setup.robot, isinstance(setup, RobotDriveSide), cast("Any", setup)
+    how: Any = settings or (DriveSideFit() if along else DIDIM())
+    evaluations, frequencies, late, delay = how.evaluations, how.frequencies or None, tuple[int, ...](), 0.0
+    if along:
         robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
-        delay = settings.log_delay
-    evaluations, frequencies = settings.evaluations, settings.frequencies or None
-
+        delay = how.log_delay
+    else:
+        late, near = find_free_delays(near, how.free), replace(near, robot=robot.linear)
     stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
 
     def pose(
-        under: RobotLoop | RobotDriveSide,
+        under: Any,
         through: Filtering | None,
         freed: Sequence[int] = (),
         delay: float | None = 0.0,
         limits: Mapping[str, Parameter] = known,
     ) -> Simulated:
-        whole = isinstance(under, RobotLoop)
-        parameters = robot_parameters(under.robot, offsets=settings.offsets, logarithmic=True, whole=whole)
+        parameters = robot_parameters(under.robot, offsets=how.offsets, logarithmic=True, whole=not along)
         parameters = apply_constraints(parameters, limits)
         return pose_robot(under, records, parameters, through, freed, delay, stated=stated)
 
-    def search_rigid(under: RobotLoop | RobotDriveSide, through: Filtering | None) -> RobotFit:
+    def search_rigid(under: Any, through: Filtering | None) -> RobotFit:
         problem, descents = pose(under, through), Descents(evaluations, progress)
-        if isinstance(under, RobotLoop):
+        if not along:
             return descents.settle(problem, _start_rigid(problem, under, each_log(records)[0]))
         # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down
         # to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
         problem = problem.map_logs(lambda log: log.with_rows(np.ones_like(log.motion.moving)))
         return descents.settle(problem, np.zeros(len(problem.free)))
 
-    near = linear
-    if any(robot.flexible) or not isinstance(linear, RobotLoop):
-        problem = pose(linear, filtering, delay=delay)
+    if along or any(robot.flexible):
+        problem = pose(near, filtering, delay=delay)
         require_springs(robot, frequencies, problem.sample_time)
-        rigid = search_rigid(replace(linear, robot=linear.robot.rigid), SLOW)
-        found = search_springs(problem, linear.robot, rigid, frequencies, evaluations, progress)
+        rigid = search_rigid(replace(near, robot=near.robot.rigid), SLOW)
+        found = search_springs(problem, near.robot, rigid, frequencies, evaluations, progress)
         whole = problem.map_logs(lambda log: log.thoroughly())
         if whole is not problem and not any(one.shown for one in found.springs):
             progress("no spring is seen by the beginning of the record; searching along all of it")
-            found = search_springs(whole, linear.robot, rigid, frequencies, evaluations, progress)
+            found = search_springs(whole, near.robot, rigid, frequencies, evaluations, progress)
     else:
-        undeclared = [j for j in late if not numbers_of(linear.controllers[j]).get(DELAY)]
+        undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
         ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
         for one in DELAYS if undeclared else (0.0,):
             try:
-                under = with_delays(linear, dict.fromkeys(undeclared, one))
+                under = with_delays(near, dict.fromkeys(undeclared, one))
                 ends.append((search_rigid(under, filtering), under))
             except MethodError as error:  # no robot is stable with such a delay
                 failures.append(error)
@@ -174,7 +170,7 @@ def search_robot(
         found_within = {p.name: p for p in found.parameters.parameters}  # springs have bounds that a search gave them
         return pose(replace(near, robot=of), filtering, late, limits={**known, **found_within})
 
-    if not isinstance(setup, RobotLoop) or (robot.linear.joints == robot.joints and not late):
+    if along or (robot.linear.joints == robot.joints and not late):
         return found
     fit = _search_laws(robot, found, with_laws, known, evaluations, progress, delays=bool(late))
     return replace(fit, iterations=found.iterations + fit.iterations, springs=_judge_springs(fit, robot))
