@@ -77,9 +77,6 @@ def test_parameters_are_a_mapping_of_rows() -> None:
     assert "Fv" in ESTIMATE.params
     with pytest.raises(UnknownName, match="viscous"):
         ESTIMATE["stiffness"]
-    assert rows["viscous"].axis == ""
-    flexible = replace(rows["viscous"], name="elbow.load_viscous", axis="elbow")
-    assert flexible.axis == "elbow"
 
 
 def test_an_interval_has_what_a_lack_of_fit_adds() -> None:
