@@ -38,7 +38,7 @@ def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() 
     record = logged(RigidJoint("prismatic", PreslidingFriction()), WOUND, seconds=8.0)
     loop = ClosedLoop(RigidJoint("prismatic", StribeckFriction()), LAW)  # a wrong law of friction
     faults = ji.diagnose(record, ji.identify(record, loop, checks=False)).axes[0].faults
-    names = {name for one in faults.findings for name in one.test.label.split(" or ")}
+    names = {fault.name for one in faults.findings for fault in (one.test.fault, *one.test.alike)}
     assert not {"velocity_gain", "position_gain", "delay", "period", "log_gain", "log_delay"} & names
 
 

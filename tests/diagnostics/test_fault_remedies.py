@@ -24,7 +24,7 @@ def told(fault: Fault, *, of_loop: bool) -> str:
     other = OtherLaw(fault, "the drive runs another law", "that law", PD(position_gain=1.0, derivative_gain=1.0))
     law = other if fault.name in OTHER_LAWS else None
     finding = Finding(test, 1.1, (), {}, law)
-    return " ".join(map(str, AxisFaults((finding,), (test,), 0.05, {}, UNITS, laws=LAWS, of_loop=of_loop).reasons))
+    return " ".join(map(str, AxisFaults((finding,), (test,), {}, UNITS, laws=LAWS, of_loop=of_loop).reasons))
 
 
 @pytest.mark.parametrize("of_loop", [True, False])

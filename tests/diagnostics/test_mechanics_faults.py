@@ -218,7 +218,7 @@ def test_what_the_user_holds_is_not_tried_otherwise() -> None:
 def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() -> None:
     test = FaultTest(CUBIC_SPRING, (), 0.0, 0.3, 0.1, 0.2, 0.3)
     suspected = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
-    check = AxisFaults((), (test,), 0.05, {"stiffness": "K12"}, {"stiffness": "N/m"}, suspected=(suspected,))
+    check = AxisFaults((), (test,), {"stiffness": "K12"}, {"stiffness": "N/m"}, suspected=(suspected,))
     *_, wider = widen_for_faults(check, {})
     assert wider.by == {"stiffness": 20.0, "damping": 0.1}
     assert not any(one.by for one in widen_for_faults(replace(check, suspected=()), {}))

@@ -117,7 +117,7 @@ def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
     found = ji.identify(logged(), loop, ji.DIDIM(outputs=("motor_position",)), checks=False)
     assert ji.diagnose(logged(), found).axes[0].law is None
-    (profile,) = ji.intervals(found, logged().without("torque")).profiles
+    (profile,) = ji.intervals(found, logged().without("torque"))
     low, high = profile.interval
     assert low is not None and high is not None and low < 0.5 < high
 

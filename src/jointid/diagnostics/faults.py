@@ -13,7 +13,6 @@ from typing import Literal, TypeAlias
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
-from jointid.common.transmission import Side
 from jointid.diagnostics.in_time import Part
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -22,11 +21,9 @@ from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
 from jointid.models.friction import StribeckFriction
 
-MICROSECOND = 1e-6
-"""Seconds: a shorter time is not given in ms."""
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
-
+_NO_TIME = 1e-6  # s: no drive keeps so short a time
 
 Measure: TypeAlias = Literal["", "%", "ms", "torque", "position", "level"]
 """Unit in which a sentence shows the size of a fault: none, or that its level is shown, as a torque."""
@@ -133,11 +130,6 @@ class FaultTest:
         return self.fault.name
 
     @property
-    def label(self) -> str:
-        """Codes of the fault and of those it cannot be distinguished from."""
-        return " or ".join(one.name for one in (self.fault, *self.alike))
-
-    @property
     def statistic(self) -> float:
         """Ratio of the size to its deviation."""
         return self.size / self.std if self.std > 0 else 0.0
@@ -165,7 +157,7 @@ def name_number(name: str) -> str:
 
 def milliseconds(seconds: float) -> str:
     """Return a time in ms; one that no drive keeps is 0."""
-    return "0" if abs(seconds) < MICROSECOND else number(1e3 * seconds, 2)
+    return "0" if abs(seconds) < _NO_TIME else number(1e3 * seconds, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,10 +218,8 @@ class AxisFaults:
     Attributes:
         findings: faults found, the likeliest first.
         tests: of every fault as if it were the only one, the likeliest first.
-        level: largest share of records without a fault in which one is found.
         symbols: of the joint's parameters, by name.
         units: of the joint's parameters by name, and of "torque", "position" and "velocity".
-        side: of the transmission, on which all of these numbers are; None without one.
         laws: names of springs and nonlinear frictions that can replace those of the joint.
         of_loop: whether faults of the loop were tested, which needs its simulation.
         suspected: faults that are not named, and whose shifts the intervals hold. One of the mechanics that is
@@ -243,10 +233,8 @@ class AxisFaults:
 
     findings: tuple[Finding, ...]
     tests: tuple[FaultTest, ...]
-    level: float
     symbols: Mapping[str, str]
     units: Mapping[str, str]
-    side: Side | None = None
     laws: tuple[str, ...] = ()
     of_loop: bool = True
     suspected: tuple[Finding, ...] = ()
@@ -317,12 +305,11 @@ class AxisFaults:
             return "; or, as far as this record shows, ".join(laws)
         if test.declared and not fault.measure:
             return _state_number(test)
-        side = "" if self.side is None else f" on the {self.side} side"
         unit, factor = {"ms": ("ms", 1e3), "%": ("%", 100.0)}.get(fault.measure, ("", 1.0))
-        unit = unit or f"{self.units.get(fault.measure, '')}{side}"
+        unit = unit or self.units.get(fault.measure, "")
         size = f"{format_signed(factor * test.size, 3)} ± {number(2 * factor * test.std, 2)} {unit}"
         if fault.measure == "level":
-            size = f"{number(finding.value or test.shape, 4)} {self.units['torque']}{side}"
+            size = f"{number(finding.value or test.shape, 4)} {self.units['torque']}"
         return fault.title if not fault.measure or 2 * test.std >= abs(test.size) else f"{fault.title}: {size}"
 
 

@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Facts, Listing, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import join
-from jointid.common.transmission import Transmission
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.parts import IN_WINDOWS
@@ -29,38 +26,14 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import ProfileInterval, profile, profile_compliance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Intervals(Documented):
-    """Intervals of an estimate by profiles.
-
-    Attributes:
-        profiles: of the quantities asked for.
-        transmission: on whose `side` all numbers are.
-    """
-
-    profiles: tuple[ProfileInterval, ...]
-    transmission: Transmission | None = None
-
-    @property
-    def sentence(self) -> str:
-        """The first interval that was found."""
-        return f"{self.profiles[0]}."
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Return one profile after the other; there are no further details."""
-        del details
-        blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles[1:])))
-        return Document(self.sentence, blocks)
-
-
 def intervals(
     estimate: Estimate,
     record: Record,
     quantities: Sequence[str] | None = None,
     *,
     progress: Progress = ignore_progress,
-) -> Intervals:
-    """Return profiles of an estimate by DIDIM.
+) -> tuple[ProfileInterval, ...]:
+    """Return profiles of an estimate by DIDIM, each on the side of the transmission that the estimate is on.
 
     Args:
         estimate: of the record.
@@ -90,7 +63,7 @@ def intervals(
 
     if asked:
         progress(f"profiling {join(asked)}")
-    return Intervals(tuple(in_threads(follow, wanted)), estimate.settings.joint.transmission)
+    return tuple(in_threads(follow, wanted))
 
 
 def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:

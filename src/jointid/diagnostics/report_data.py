@@ -102,7 +102,7 @@ def collect_report_data(
 
     keep("validation", lambda: validate(estimate, record))
     keep("response", lambda: compute_response(estimate))
-    keep("profiles", lambda: intervals(estimate, record, asked, progress=progress).profiles)
+    keep("profiles", lambda: intervals(estimate, record, asked, progress=progress))
     check = estimate.checks.diagnosis
     return ReportData(
         estimate, check if isinstance(check, Diagnosis) else None, **found, channels=dict(record.items()),

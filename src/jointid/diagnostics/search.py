@@ -130,9 +130,8 @@ def search_faults(
     motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
     units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
     return AxisFaults(
-        tuple(findings), first.tests, level,
-        symbols={p.name: p.symbol for p in joint.parameters}, units=units,
-        side=None if joint.transmission is None else joint.transmission.side, laws=list_laws(joint),
+        tuple(findings), first.tests,
+        symbols={p.name: p.symbol for p in joint.parameters}, units=units, laws=list_laws(joint),
         suspected=tuple(suspected), part=part, explained=explained,
     )  # fmt: skip
 
@@ -339,7 +338,7 @@ def search_axes(
     parts = [find_part(rest[one], torques.time[seen]) for one, seen in zip(rows, torques.seen, strict=True)]
     faults = tuple(
         AxisFaults(
-            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), LEVEL, {},
+            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), {},
             {"position": position, "velocity": f"{position}/s", "torque": torque}, laws=laws[k], of_loop=False,
             part=parts[k],
         )

@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import Friction, Part
+from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring
 from jointid.records.record import Tap
@@ -68,11 +68,6 @@ class Seen:
             self._known[known] = self.respond(force)
         return self._known[known]
 
-    @property
-    def fastest(self) -> float:
-        """The greatest speed."""
-        return float(np.max(np.abs(self.velocity), initial=0.0))
-
     @cached_property
     def values(self) -> Mapping[str, float]:
         """The parameters of a loop's joint, by name."""
@@ -94,13 +89,6 @@ class Seen:
             return 0.0
         run = self.loop[0].simulate(self.loop[1])
         return 0.0 if run.load_position is None else float(np.max(np.abs(run.motor_position - run.load_position)))
-
-    def friction(self, part: Part) -> float:
-        """Return the mean friction of both directions on all masses of a loop's joint; 1 of another axis."""
-        if self.loop is None:
-            return 1.0
-        law, sides = self.loop[0].joint.friction, ("motor_", "load_") if self.is_flexible else ("",)
-        return float(sum(by * self.values[name] for side in sides for name, by in law.mean(part, side).items()))
 
     @property
     def has_linear_friction(self) -> bool:

@@ -174,7 +174,8 @@ def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield a friction that is larger, or smaller, by ``S exp(-(v / vs)^2)``, for some vs."""
     if seen.loop is not None and isinstance(seen.loop[0].joint.friction, StribeckFriction | PreslidingFriction):
         return  # its own law has that
-    for speed in (share * (seen.fastest or 1.0) for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
+    fastest = float(np.max(np.abs(seen.velocity), initial=0.0)) or 1.0
+    for speed in (share * fastest for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
         column = seen.force(-np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
         yield speed, None if column is None else sign * column
 
@@ -194,7 +195,7 @@ def _winds_up(seen: Seen) -> Columns:
     still, moves = np.sign(seen.velocity), np.diff(seen.position, prepend=seen.position[0])
     for distance in (share * float(np.ptp(seen.position)) for share in _DISTANCES):
         if distance > 0:
-            yield distance, seen.force(-seen.friction("coulomb") * (_wind(moves / distance) - still))
+            yield distance, seen.force(still - _wind(moves / distance))
 
 
 def _wind(moves: FloatArray) -> FloatArray:

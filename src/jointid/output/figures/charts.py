@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jointid.diagnostics.diagnosis import Diagnosis
-    from jointid.diagnostics.intervals import Intervals
-    from jointid.diagnostics.report_data import FrequencyResponse, ReportData
+    from jointid.diagnostics.report_data import FrequencyResponse
+    from jointid.uncertainty.profile import ProfileInterval
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
@@ -330,9 +330,9 @@ def correlation_figure(estimate: Estimate) -> Figure:
 
 
 @styled
-def profiles_figure(estimate: Estimate, found: Intervals | ReportData) -> Figure:
+def profiles_figure(estimate: Estimate, found: Sequence[ProfileInterval]) -> Figure:
     """Draw the profiles, each beside the interval of the table."""
-    shown = [one for one in found.profiles if one.points.size > 2]
+    shown = [one for one in found if one.points.size > 2]
     if not shown:
         raise RecordError("No quantity has a profile; name others, or identify from a motion that tells these.")
     figure, drawn = panels([210] * len(shown), 3)

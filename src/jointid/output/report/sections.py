@@ -140,7 +140,7 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
     }
     if estimate.robot is None:
         every["correlation"] = lambda: charts.correlation_figure(estimate)
-        every["profiles"] = lambda: charts.profiles_figure(estimate, given)
+        every["profiles"] = lambda: charts.profiles_figure(estimate, given.profiles)
         if given.response is not None:
             every["response"] = partial(charts.response_figure, estimate, given.response)
         if tuned is not None:
