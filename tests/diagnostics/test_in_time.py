@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.in_time import find_part
+from jointid.diagnostics.search import find_part
 from jointid.estimation.result.verdict import Reason, Status, Subject
 from studies.robot_mistakes import judge
 

@@ -32,7 +32,7 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import IN_WINDOWS
-from jointid.estimation.result.verdict import POOR_FIT, Status, Subject
+from jointid.estimation.result.verdict import POOR_FIT, Status
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -222,9 +222,6 @@ def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
         code = str(causes[0]["cause"] if causes else values.get("suspect", loop.reasons[0].code))
         spoils = loop.status is Status.FAILED and not estimate.answer.reliable
         yield Symptom(code, "; ".join(one.words for one in loop.reasons[:2]), spoils=spoils)
-    for scale in (v for v in estimate.checks.verdicts if v.subject is Subject.SCALE):
-        if scale.status is not Status.PASSED:
-            yield Symptom(str(scale.reasons[0].code), scale.said, spoils=False)
     for axis, error in (fit.axis_errors or {"": fit.filtered_error}).items():
         if not error <= POOR_FIT:
             left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the model"

@@ -13,7 +13,6 @@ from typing import Literal, TypeAlias
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
-from jointid.diagnostics.in_time import Part
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import format_signed
@@ -209,6 +208,32 @@ class Finding:
     law: OtherLaw | None = None
     left: float | None = None
     alike: tuple[OtherLaw, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Part of the time in which a residual is concentrated.
+
+    Attributes:
+        begin, end: of it, s.
+        share: of the squares of the residual that are in it.
+    """
+
+    begin: float
+    end: float
+    share: float
+
+    @property
+    def reason(self) -> Message:
+        """The message that states it."""
+        clause = f"from {number(self.begin, 3)} to {number(self.end, 3)} s the torque does not follow the model"
+        words = (
+            f"{clause}: {number(100 * self.share, 2)} % of the squares of the residual are there, and no known fault "
+            "explains them, as where something touches the joint; leave that out by record.start and record.stop "
+            "(times count from the first sample that was read)"
+        )
+        values = {"begin": self.begin, "end": self.end, "share": self.share}
+        return Message(Reason.MISFIT_IN_PART, words, values, clause)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,9 @@ from jointid.common.text import join
 from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
 from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit, find_gross_cause
-from jointid.diagnostics.in_time import find_part_of_loop
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
+from jointid.diagnostics.search import find_part_of_loop
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method

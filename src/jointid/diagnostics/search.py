@@ -24,8 +24,7 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding
-from jointid.diagnostics.in_time import find_part, find_part_of_loop
+from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding, Part
 from jointid.diagnostics.model_free import LawOnPosition
 from jointid.diagnostics.score import RARER, rank_tests, score
 from jointid.diagnostics.search_state import LEVEL, MOST, RIVAL, SearchState, Tested, simulate_forces
@@ -69,6 +68,12 @@ _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 _RANK = 1e-9  # of the largest singular value
+
+_BLOCKS = 40  # of a residual, in time
+_FEWEST_ROWS = 4  # rows of a block
+_SHORTEST = 2  # blocks of a part
+_TIMES = 25.0  # as much as elsewhere: on healthy drives it is about 3, with a known fault that is not all taken off 20
+_ORDERS, _CHANCE = 199, 0.1  # of the blocks, at random
 
 # Of a joint
 
@@ -352,3 +357,52 @@ def explained_share(before: FloatArray, after: FloatArray, rows: Sequence[slice]
     squares = np.array([[np.sum(each[one] ** 2) for one in rows] for each in (before, after)])
     begin, end = squares[:, squares[0] > 0.0]
     return float(np.sum(np.maximum(1.0 - end / begin, 0.0)))
+
+
+# In time
+
+
+def find_part(residual: FloatArray, time: FloatArray) -> Part | None:
+    """Return the part of the time in which a residual is concentrated, or None.
+
+    A contact, a hand on the arm or a drive that is off acts for a part of the record. No number of the joint, the loop
+    or the log explains it, and each that is fitted to it is wrong. A run of blocks is a finding where its mean square
+    is far above that of the rest, and where the same blocks in random order seldom have a run that exceeds it by as
+    much. A run at the beginning is none: a wrong model of the first motion is seen there.
+
+    Args:
+        residual: (rows,) in the order of time.
+        time: (rows,) of them, s.
+    """
+    size = residual.size // _BLOCKS
+    if size < _FEWEST_ROWS or not np.any(residual):
+        return None
+    squares = np.sum(residual[: size * _BLOCKS].reshape(_BLOCKS, size) ** 2, axis=1)
+    begin, end = np.triu_indices(_BLOCKS + 1, _SHORTEST)
+    inside = (end - begin <= _BLOCKS // 2) & (begin > 1)
+    begin, end = begin[inside], end[inside]
+    count = end - begin
+
+    def exceed(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return by how much each run exceeds the rest, by the deviation of its sum, and the sums."""
+        ends = np.concatenate([[0.0], np.cumsum(blocks)])
+        within = ends[end] - ends[begin]
+        rest = (ends[-1] - within) / (_BLOCKS - count)
+        return (within - count * rest) / np.sqrt(count), within
+
+    strength, within = exceed(squares)
+    best = int(np.argmax(strength))
+    whole = float(np.sum(squares))
+    if within[best] / count[best] < _TIMES * (whole - within[best]) / (_BLOCKS - count[best]):
+        return None
+    random = np.random.default_rng(0)
+    by_chance = sum(np.max(exceed(random.permutation(squares))[0]) >= strength[best] for _ in range(_ORDERS))
+    if (1 + by_chance) / (1 + _ORDERS) > _CHANCE:
+        return None
+    return Part(float(time[begin[best] * size]), float(time[end[best] * size - 1]), float(within[best]) / whole)
+
+
+def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Part | None:
+    """Return the part of the time in which a joint does not follow its solved problem, or None."""
+    residual = problem.residual(x)
+    return find_part(residual, np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size))
