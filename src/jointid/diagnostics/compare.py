@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from jointid.common.document import Document, Documented, Facts, Listing, Table
+from jointid.common.document import Document, Documented, Facts, Table
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import in_words, join, number
 from jointid.estimation.result.fields import read
@@ -56,7 +56,6 @@ class EstimateComparison(Documented):
         same_record: True if a record of one is also of the other.
         rows: every quantity.
         level: see `LEVEL`.
-        notes: limits of the comparison, one sentence each.
     """
 
     in_json = "changed sentence"
@@ -64,7 +63,6 @@ class EstimateComparison(Documented):
     same_record: bool
     rows: tuple[QuantityChange, ...]
     level: float
-    notes: tuple[str, ...]
 
     @property
     def changed(self) -> tuple[QuantityChange, ...]:
@@ -91,7 +89,7 @@ class EstimateComparison(Documented):
         return f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the table and the sentences; there are no further details."""
+        """Return the table; there are no further details."""
         del details
         rows = []
         for row in self.rows:
@@ -101,7 +99,7 @@ class EstimateComparison(Documented):
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
         facts = Facts(tuple(zip("AB", self.records, strict=True)))
-        return Document(self.sentence, (facts, table, Listing(self.notes)))
+        return Document(self.sentence, (facts, table))
 
 
 def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = LEVEL) -> EstimateComparison:
@@ -142,8 +140,7 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
                 f"A and B are not of the same system: the {what} is {one} in A and {there.get(what)} in B; identify "
                 "both with the same file and options."
             )
-    prints = [_fingerprints(one) for one in both]
-    same = not prints[0].isdisjoint(prints[1])
+    same = not _fingerprints(both[0]).isdisjoint(_fingerprints(both[1]))
     sums = [_sums(one) for one in both]
     parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
     rows = [
@@ -151,11 +148,8 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
         for before, after in parts
         for name in dict.fromkeys((*before, *after))
     ]
-    notes = ["A record of one is also of the other, and they share its errors: differences are not tested."] * same
-    if not all(prints):
-        notes.append("A log states no SHA-256 of its torque: the tests hold where both estimates are of other records.")
     records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
-    return EstimateComparison(records, same, _adjust_p_values(rows), level, tuple(notes))
+    return EstimateComparison(records, same, _adjust_p_values(rows), level)
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
