@@ -1,10 +1,10 @@
 """Cross-validation of spring and friction laws on held-out parts of a record.
 
 A law with more parameters always has the smaller error where it was fitted; elsewhere only if the record shows what it
-adds. So the record is cut into consecutive parts, and every third of them is held out from a fit, in turn. The whole
-record is simulated; the rows of the held-out parts are not counted. Each law is compared with the one that predicts
-the held-out parts best, by the mean logarithm of the ratio of their squared errors in each part: few parts with much
-motion hold most of the squares. Among the laws whose mean is at most three standard errors above 0, or whose error is
+adds. So the record is cut into consecutive parts, and every third of them is held out, in turn: the fit to the whole
+record moves by one Gauss-Newton step to that of the other rows. Each law is compared with the one that predicts the
+held-out parts best, by the mean logarithm of the ratio of their squared errors in each part: few parts with much motion
+hold most of the squares. Among the laws whose mean is at most three standard errors above 0, or whose error is
 hardly larger, the one with the fewest parameters is chosen (L. Breiman et al., Classification and Regression Trees,
 1984, section 3.4.3, with one standard error).
 """
@@ -24,11 +24,10 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Message, Progress, follow
-from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter
 from jointid.common.text import interval, join, number
 from jointid.common.transmission import Transmission
-from jointid.estimation.descent import History, Solved, free_more, least_squares
+from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL, adjust_parameters
@@ -40,12 +39,11 @@ from jointid.models.springs import SPRINGS, LinearSpring, Spring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 PARTS, TIMES = 24, 3
-"""Parts of a record, at most, and fits, each without every third of them."""
+"""Parts of a record, at most, and times that every third of them is held out."""
 
 RIGID = "none"
 """Name of the spring of a rigid joint, which is judged beside the laws."""
@@ -53,9 +51,7 @@ RIGID = "none"
 _FEWEST = 8 * PARTS  # rows of a record that can be cut
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
-_MORE = 0.002  # of the error that is left: a law that takes less of it where it is fitted adds nothing elsewhere
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
-_HELD_OUT = least_squares(1e-5, 20)  # of the fits without a part, which begin where the whole record's ended
 _SIMPLE: Mapping[str, Spring | Friction] = {"spring": LinearSpring(), "friction": SymmetricFriction()}
 """The law that is always identified, and by whose mode the others are."""
 
@@ -162,7 +158,7 @@ class LawComparison(Documented):
             errors = _format_share(one.fitted), _format_share(one.kept)
             rows.append((one.name, str(one.parameters), *errors, rating, one.words or one.refusal))
         header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
-        note = f"{TIMES} fits, each without a third of {PARTS} parts of the record, which it then predicts"
+        note = f"kept apart: a third of {PARTS} parts of the record, in turn, by the fit to the others"
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
 
@@ -187,76 +183,37 @@ def cut(problem: ClosedLoopProblem) -> NDArray[np.intp] | None:
     return np.unique(place, return_inverse=True)[1]
 
 
-def squares_of(error: FloatArray, parts: NDArray[np.intp], least: float = 0.0) -> FloatArray:
-    """Return the sum of squares of an error, (rows,), in each part, (parts,), with `least` added to each."""
-    return np.asarray(np.bincount(parts, weights=error**2) + least)
-
-
-def mean_logarithm(squares: FloatArray, others: FloatArray) -> tuple[float, float]:
-    """Return mean and standard error of the logarithms of ratios of sums of squares, (parts,)."""
-    seen = (squares > 0) & (others > 0)
-    ratio = np.log(squares[seen] / others[seen])
-    if ratio.size < 2:
-        return 0.0, 0.0
-    return float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """A problem restricted to the rows, (rows,), that are true in `seen`."""
-
-    problem: ClosedLoopProblem
-    seen: NDArray[np.bool_]
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self.problem.residual(x)[self.seen]
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error, slopes = self.problem.linearise(x)
-        return error[self.seen], slopes[self.seen]
-
-
-def predict_held_out(problem: ClosedLoopProblem, x: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
-    """Return the error of a solved problem, (rows,), each part by a fit without it.
+def predict_held_out(error: FloatArray, slopes: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
+    """Return the error of a fit, (rows,), each part by the linear fit without it.
 
     Args:
-        problem: that was solved.
-        x: its solution.
+        error: (rows,) that a fit to all rows leaves.
+        slopes: (rows, parameters) its derivatives.
         parts: (rows,) see `cut`.
     """
-    values = problem.values(x)
-    started = problem.keeping({name: values[name] for name in INITIAL if name in values})  # only the first shows it
-
-    def predict(time: int) -> FloatArray:
+    found = np.zeros_like(error)
+    for time in range(TIMES):
         kept = parts % TIMES == time
-        end = solve(_Part(started, ~kept), _HELD_OUT, started.vector(values))
-        return np.where(kept, started.residual(end.x), 0.0)
+        step = np.linalg.lstsq(slopes[~kept], error[~kept], rcond=None)[0]
+        found[kept] = error[kept] - slopes[kept] @ step
+    return found
 
-    return np.asarray(np.sum(in_threads(predict, range(TIMES)), axis=0))
 
-
-def judge(solved: Solved, law: Spring | Friction | None, simple: JudgedLaw | None) -> JudgedLaw:
-    """Return an identified law with its squared error in the parts that were held out.
-
-    A smooth law that fits no better than the simple one takes over its predictions: fits of smooth laws take ten times
-    as long.
-
-    Args:
-        solved: the joint with the law.
-        law: of it; None for a rigid joint.
-        simple: the linear law, judged.
+def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
+    """Return an identified law, None for a rigid joint, with its squared error in the parts that were held out.
 
     Raises:
         MethodError: there are too few rows.
     """
     problem, x = solved.problem, solved.x
     error, slopes = problem.linearise(x)
+    parts = cut(problem)
+    if parts is None:
+        raise MethodError(f"Laws are compared over {_FEWEST} filtered rows: record longer, or raise the cutoff.")
+    reached = np.any(slopes, axis=0)  # not of a piece that the record never reaches
+    shared = np.array([p.name not in INITIAL for p in problem.free])  # a first state is shown by the first part alone
+    apart = predict_held_out(error, (slopes / column_norms(slopes))[:, reached & shared], parts)
     known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x))).covariance.std
-    reached = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
     std = {p.name: float(one) for p, one, seen in zip(problem.free, known, reached, strict=True) if seen}
     values, names, said = problem.values(x), [p.name for p in _parameters(problem.joint, law)], dict[str, str]()
     for p in (p for p in problem.parameters if p.name in names):
@@ -264,25 +221,25 @@ def judge(solved: Solved, law: Spring | Friction | None, simple: JudgedLaw | Non
         said[p.name] = f"{size} {problem.units[p.name]}" if p.name in std or not p.free else "(not identifiable)"
     symbols = {p.name: p.symbol for p in problem.parameters}
     words = law.describe(said) if isinstance(law, Spring) else ", ".join(f"{symbols[n]} {said[n]}" for n in names)
-    found = JudgedLaw(
-        RIGID if law is None else law.name, len(names), {name: values[name] for name in names},
-        {name: std[name] for name in names if name in std}, problem.filtered_error(error), None, words=words,
-    )  # fmt: skip
-    if simple is not None and problem.joint.stepped and (found.fitted or 0.0) > (1.0 - _MORE) * (simple.fitted or 0.0):
-        return replace(found, kept=simple.kept, squares=simple.squares)
-    parts = cut(problem)
-    if parts is None:
-        raise MethodError(f"Laws are compared over {_FEWEST} filtered rows: record longer, or raise the cutoff.")
-    apart = predict_held_out(problem, x, parts)
     least = (_NOTHING * problem.size) ** 2 / PARTS
-    return replace(found, kept=problem.filtered_error(apart), squares=squares_of(apart, parts, least))
+    return JudgedLaw(
+        RIGID if law is None else law.name, len(names), {name: values[name] for name in names},
+        {name: std[name] for name in names if name in std}, problem.filtered_error(error),
+        problem.filtered_error(apart), words=words, squares=np.bincount(parts, weights=apart**2) + least,
+    )  # fmt: skip
 
 
 def rank(found: Sequence[JudgedLaw]) -> tuple[JudgedLaw, ...]:
     """Return laws with `worse` and `error` relative to the best one."""
     best = min((one.squares for one in found if one.squares is not None), key=lambda one: float(np.mean(np.log(one))))
-    apart = [(0.0, 0.0) if one.squares is None else mean_logarithm(one.squares, best) for one in found]
-    return tuple(replace(one, worse=worse, error=error) for one, (worse, error) in zip(found, apart, strict=True))
+
+    def compare(one: JudgedLaw) -> JudgedLaw:
+        if one.squares is None or best.size < 2:
+            return one
+        ratio = np.log(one.squares / best)
+        return replace(one, worse=float(np.mean(ratio)), error=float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
+
+    return tuple(map(compare, found))
 
 
 def compare_laws(
@@ -321,13 +278,13 @@ def compare_laws(
     first = identify(simple, filtering or Filtering())
     if joint.model == "flexible":
         settings = replace(settings, frequency=FlexibleJoint.frequencies(first.values)["free_free"])
-    line = judge(first, simple, None)
+    line = judge(first, simple)
 
     def judge_law(law: Spring | Friction | None) -> JudgedLaw:
         try:
             if law is None:
-                return judge(Solved(*fit_rigid(first.problem, first.values)), law, line)
-            return line if law == simple else judge(identify(law, first.problem.filtering), law, line)
+                return judge(Solved(*fit_rigid(first.problem, first.values)), law)
+            return line if law == simple else judge(identify(law, first.problem.filtering), law)
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             name, size = RIGID if law is None else law.name, len(_parameters(joint, law))

@@ -50,13 +50,12 @@ class Plots:
         return torque(self.estimate)
 
     def residual(self, record: Record | Sequence[Record]) -> Figure:
-        """Return the torque error against velocity and position, and its autocorrelation.
+        """Return the torque error against velocity and position.
 
         Args:
             record: of the identification, or another one; an estimate keeps no motion. Of a robot one of each joint.
         """
-        found = validate(self.estimate, record)
-        return charts.residual_figure(AxisSignals.of_validation(found), found)
+        return charts.residual_figure(AxisSignals.of_validation(validate(self.estimate, record)))
 
     def spectrum(self) -> Figure:
         """Return the amplitude spectra of measured and predicted torque, and of their difference.

@@ -96,9 +96,9 @@ class AxisSignals:
         size = found.axes[0].measured.size
         return [
             cls(
-                axis.name, axis.unit, axis.position_unit, found.method, axis.transmission,
+                axis.name, axis.unit, axis.position_unit, found.method, found.transmission,
                 instants(size, found.sample_time), axis.measured, axis.predicted, axis.compared > 0.0,
-                axis.relative_error, axis.motor.position[:size], axis.motor.velocity[:size],
+                axis.relative_error, axis.position[:size], axis.velocity[:size],
             )
             for axis in found.axes
         ]  # fmt: skip
@@ -204,14 +204,12 @@ def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
 
 
 @styled
-def residual_figure(axes: Sequence[AxisSignals], validation: Validation | None = None) -> Figure:
-    """Draw the error of each axis against velocity and position, and the autocorrelation of a validation's error."""
+def residual_figure(axes: Sequence[AxisSignals]) -> Figure:
+    """Draw the error of each axis against velocity and position."""
     if any(axis.velocity is None or axis.position is None for axis in axes):
         raise RecordError("The residual has no picture without a motion; validate by a record with position.")
-    columns = 2 + (validation is not None)
-    figure, drawn = panels([280 if len(axes) == 1 else 230] * (columns * len(axes)), columns)
-    for k, axis in enumerate(axes):
-        of_speed, of_position, *of_lag = drawn[columns * k : columns * (k + 1)]
+    figure, drawn = panels([280 if len(axes) == 1 else 230] * (2 * len(axes)), 2)
+    for axis, of_speed, of_position in zip(axes, drawn[::2], drawn[1::2], strict=True):
         assert axis.velocity is not None and axis.position is not None
         left, velocity, position = (s[axis.compared] for s in (axis.error, axis.velocity, axis.position))
         least = _MOVES * float(np.max(np.abs(velocity), initial=0.0))
@@ -220,13 +218,6 @@ def residual_figure(axes: Sequence[AxisSignals], validation: Validation | None =
         words = f"{axis.name}, error [{axis.unit}]" if axis.name else f"error [{axis.unit}]"
         of_speed.set(xlabel=f"velocity{axis.side} [{axis.length}/s]", ylabel=words)
         of_position.set(xlabel=f"position{axis.side} [{axis.length}]", ylabel=words)
-        for place in of_lag:
-            assert validation is not None
-            found = validation.axes[k]
-            lags = np.arange(found.autocorrelation.size, dtype=np.float64)
-            place.fill_between(lags, -found.white_band, found.white_band, color="#999999", label="white", **BAND)
-            place.plot(lags, found.autocorrelation, color=ERROR, marker="o")
-            place.set(xlabel="lag [filtered samples]", ylabel="autocorrelation")
     return figure
 
 

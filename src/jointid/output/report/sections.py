@@ -45,7 +45,7 @@ _PICTURES = {
         "Residual",
         "The error against the {motion} velocity and position of the motor, with its mean over all samples. Noise "
         "alone has a mean of 0 everywhere: a mean that bends with velocity is friction, one that waves with position "
-        "is cogging, gravity or a screw's pitch. The autocorrelation is of the filtered error: white in the grey band.",
+        "is cogging, gravity or a screw's pitch.",
     ),
     "spectra": (
         "Spectra",
@@ -135,7 +135,7 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
         axes = [charts.AxisSignals.of(estimate)] if direct is None else charts.AxisSignals.of_validation(direct)
     every: dict[str, Callable[[], Figure]] = {
         "torque": lambda: charts.torque_figure(axes),
-        "residual": lambda: charts.residual_figure(axes, given.validation),
+        "residual": lambda: charts.residual_figure(axes),
         "spectra": lambda: charts.spectra_figure(axes, cutoff, {} if estimate.robot else estimate.frequencies),
     }
     if estimate.robot is None:
