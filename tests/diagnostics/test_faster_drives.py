@@ -10,7 +10,6 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.variants import PERIOD, list_variants
-from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -65,8 +64,7 @@ def test_a_declared_period_is_not_doubted() -> None:
     declared = replace(loop, controller=replace(CASCADE, delay=LOG / 8, period=LOG / 8))
     estimate = identify(record, declared)
     for law, doubted in ((declared, False), (loop, True)):
-        problem = torque_problem(record, law, estimate.settings.filtering, law.joint.parameters)
-        variants = list_variants(problem, problem.vector(estimate.values), record)
+        variants = list_variants(law.controller, record, LOG, law.controller.period or LOG)
         assert any(one.fault is PERIOD for one in variants) is doubted
     assert faults_of(estimate, record).as_declared
 

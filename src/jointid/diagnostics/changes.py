@@ -5,7 +5,7 @@ the same record of another joint: ``u = g C(r - q)``. A number on the wrong side
 or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in mm, a
 gear's ratio or its square the wrong side of the gear.
 
-To add one, write what corrects it, its words, and its row.
+To add one, write what corrects it, its words, and its row. Other laws of the drive (`variants`) are rows, too.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.faults import milliseconds, name_number
-from jointid.diagnostics.variants import INTERPOLATIONS, PERIOD, TIMES_FASTER, list_other_ways, say_way
+from jointid.diagnostics.variants import PERIOD, WHOLE, Variant, list_variants
 from jointid.models.controllers import FirstOrder, numbers_of, unit_of_number, with_numbers
-from jointid.models.controllers.servo_base import DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -144,8 +143,7 @@ def is_small(name: str, value: float | None, loop: ClosedLoop, period: float) ->
         return False
     if name in ("torque_scale", "reference_scale", "law_gain"):
         return value > 0 and abs(math.log(value)) < _SMALL
-    number_name = {"velocity_filter": _TIME, "torque_filter": ""}.get(name, name)
-    declared = numbers_of(loop.controller).get(number_name, 0.0)
+    declared = numbers_of(loop.controller).get({"velocity_filter": _TIME, "torque_filter": ""}.get(name, name), 0.0)
     if name.endswith("gain"):
         return declared > 0 and value > 0 and abs(math.log(value / declared)) < _SMALL
     # A first order in the place of taps is no small change.
@@ -253,22 +251,6 @@ def _try_factors(beside_injected: bool, case: Case) -> Iterator[Case]:
         yield case.under(*scaled, free="gain")
 
 
-def _try_periods(case: Case, **more: Any) -> Iterator[Case]:
-    law = case.controller
-    if isinstance(law, DiagramController) and law.period is None:
-        yield case.under(*(replace(law, period=case.period / times, **more) for times in TIMES_FASTER))
-
-
-def _try_interpolation(way: Interpolation, case: Case) -> Iterator[Case]:
-    """Yield the drive with another interpolation, at faster rates without a declared period."""
-    if way in list_other_ways(case.controller, case.record, case.period):
-        yield case.under(replace(case.controller, interpolation=way))
-    elif way == "hold":
-        for faster in _try_periods(case):
-            if way in list_other_ways(faster.controller, case.record, faster.period):
-                yield from _try_periods(case, interpolation=way)
-
-
 # What they then are
 
 
@@ -332,10 +314,15 @@ def _say_late(late: float | None, _: object) -> Meanings:
     yield "averaged_reference", f"the drive {mean}", 2 * late
 
 
-def _say_interpolation(way: Interpolation, period: float | None, _: object) -> Meanings:
-    said = f'{say_way(way)}: declare interpolation = "{way}"'
-    more = "" if period is None else f", and the controller's period, about {1e3 * period:.4g} ms"
-    yield INTERPOLATIONS[way].name, said + more, period
+def _of_variant(variant: Variant) -> Change:
+    """Return the row of other laws of the drive, of which the period that was found tells one."""
+
+    def say(period: float | None, _: object) -> Meanings:
+        law = min(variant.laws, key=lambda one: abs(one.rate * (period or 0.0) - 1.0))
+        yield variant.fault.name, f"{law.words}: declare {law.remedy}", period
+
+    laws = [law.controller for law in variant.laws]
+    return Change(variant.fault.name, lambda case: [case.under(*laws)], say)
 
 
 def _say_number(name: str, clause: str, value: float | None, loop: ClosedLoop) -> Meanings:
@@ -384,13 +371,13 @@ CHANGES = (
     ),
     _row("delay", partial(_try_delay, "delay")),
     Change("reference_delay", partial(_try_delay, "reference_delay"), _say_late),
-    _row(
-        PERIOD.name, _try_periods,
-        "the controller runs faster than the log: declare its period, about {fine} ms, and its interpolation",
-    ),
-    *(
-        Change(fault.name, partial(_try_interpolation, way), partial(_say_interpolation, way))
-        for way, fault in INTERPOLATIONS.items()
-    ),
 )  # fmt: skip
-"""Every change, in the order in which they are tried."""
+
+
+def list_changes(case: Case) -> Iterator[Change]:
+    """Yield every change in the order in which they are tried: the table, then what a drive may do otherwise."""
+    yield from CHANGES
+    assert case.record.torque is not None
+    for variant in list_variants(case.controller, case.record, case.record.torque.sample_time, case.period):
+        if variant.fault is PERIOD or variant.fault.name in WHOLE:
+            yield _of_variant(variant)

@@ -1,12 +1,12 @@
 """Search for the cause of a misfit between a record and the declared drive.
 
-Sensitivities show small deviations of one number (`search`). For a large one, as a torque that is ten times too
+Sensitivities show small deviations of one number (`check_loop`). For a large one, as a torque that is ten times too
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
 Of each case the two best starts are followed for a few steps; those far behind the best case are given up, the others
-converge. A flexible joint is first identified as rigid, far below its resonance, which shows a wrong sign or size; only
-the remaining cases are fitted to the whole band.
+converge. A flexible joint is identified as rigid, far below its resonance, which shows a wrong sign, size or clock; a
+filter or a delay of its drive is left to the sensitivities.
 
 The search assumes one mistake. A free number may absorb much of two: so the residual of a cause must be about that of
 free linear responses to the reference (`model_free`), which assume no drive. If that of the best cause is clearly
@@ -19,9 +19,8 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from typing import TypeAlias
 
 import numpy as np
@@ -31,25 +30,19 @@ from jointid.common.errors import FaultsError, JointidError, RecordError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
-from jointid.diagnostics.changes import CHANGES, Case, Cause, Change, is_small
-from jointid.diagnostics.faults import FaultTest
+from jointid.diagnostics.changes import Case, Cause, Change, is_small, list_changes
+from jointid.diagnostics.faults import FaultTest, Measure
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
-from jointid.diagnostics.samples import (
-    find_broken_part,
-    find_plain_cause,
-    find_standstill,
-    find_steps,
-)
+from jointid.diagnostics.samples import find_broken_part, find_plain_cause, find_standstill, find_steps
 from jointid.estimation.identify import WINDOW, windows_of
 from jointid.estimation.identify_record import identify_record
-from jointid.estimation.methods.drive_side import DriveSideProblem, grid_starts, motion_problem
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.stiffness_search import rigid_cutoff
-from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG, INITIAL, log_delay
+from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
-from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
 from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -57,9 +50,8 @@ from jointid.records.checks import still_faults
 from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import DriveSide
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import solve
 
 _SECONDS = 20.0  # of the processor, for the search
 _FITS = 0.15  # of the torque: largest residual of a right model
@@ -82,12 +74,7 @@ _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _TOLERANCE = 1e-4  # of a fit that only has to show its residual
 _STARTS = 2  # of a case, that are followed
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
-_ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
 _RANGE = 1e4  # times its start, up and down: bounds of a number
-_SHARES = (0.35, 0.65)  # of the load in the inertia of a flexible joint
-_NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
-_LOOPS = 10  # of a case, which are all tried then
-_APART = 2  # one of so many frequencies of the grid is tried
 _TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
 _FAILS = (JointidError, np.linalg.LinAlgError)
@@ -100,8 +87,8 @@ class Causes:
     """Causes of a misfit between a record and the declared drive.
 
     Attributes:
-        declared_error: residual share of the filtered torque with the declared drive; infinite if its loop cannot be
-            simulated.
+        declared_error: residual share of the filtered torque with the declared drive, of a flexible joint far below its
+            resonance; infinite if its loop cannot be simulated.
         explanations: at most three causes that this record cannot distinguish, the likeliest first.
         nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
@@ -151,7 +138,7 @@ class Causes:
         return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
 
 
-# Causes, as they are asked for
+# The order of the questions
 
 
 def find_gross_cause(
@@ -166,18 +153,19 @@ def find_gross_cause(
     A spring may be refused for a cause that shows far below its resonance, however small the misfit is. A misfit that
     is `local` in time has only causes that the samples show: what acts all the time does not explain a part of it.
     """
-    loop, filtering, left = estimate.settings.loop, estimate.settings.filtering, estimate.fit.filtered_error
+    loop, left = estimate.settings.loop, estimate.fit.filtered_error
     assert loop is not None
     plain = find_broken_part(record) or find_standstill(record, loop)
     if plain is not None:
         return Causes(left, plain=plain)
     if local:
         return None
-    poor = left > _SUSPICIOUS
-    if not poor and isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows):
-        rigid = fit_rigid([(None, Case(record, (loop,), filtering))], low=True)
-        poor = min((fit.error for fit in rigid), default=0.0) >= _POOR_START
-    return find_causes(record, loop, estimate, progress=progress) if poor else None
+    if left <= _SUSPICIOUS:
+        refused = isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows)
+        rigid = fit_changes([(None, Case(record, (loop,), estimate.settings.filtering))]) if refused else []
+        if not rigid or rigid[0].error < _POOR_START:
+            return None
+    return find_causes(record, loop, estimate, progress=progress)
 
 
 def explain_misfit(
@@ -212,12 +200,12 @@ def explain_misfit(
     if left is not None and not gross and left <= _MORE_OF_A_LAW * responses:
         return None  # under that law nothing more is wrong
     causes = known or find_causes(record, loop, estimate, progress=progress)
-    return causes if causes.found or error > POOR_FIT else None
+    return causes if causes.found or causes.declared_error > POOR_FIT else None
 
 
 def _is_gross(one: FaultTest, period: float) -> bool:
     """Return whether a fault is too large for a sensitivity to be a guide."""
-    if one.fault.measure == "ms":
+    if one.fault.measure is Measure.TIME:
         return abs(one.size) > _MUCH_LATER * period
     return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
 
@@ -265,7 +253,7 @@ def explain_failure(
     return type(error)(words if causes.explanations or causes.plain else f"{words} {error}")
 
 
-# Their search
+# The search
 
 
 def find_causes(
@@ -289,14 +277,13 @@ def find_causes(
         RecordError: a channel of the loop is missing, or the torque is 0 in every sample.
     """
     record.require(loop.channels, "The search for a cause")
-    assert record.torque is not None
+    assert record.torque is not None and record.reference is not None
     if not np.any(record.torque.values):
         raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
-    left = math.inf if estimate is None else estimate.fit.filtered_error
     plain = find_plain_cause(record) or find_standstill(record, loop)
     if plain is not None:
-        return Causes(left, plain=plain)
-    filtering = Filtering()
+        return Causes(math.inf if estimate is None else estimate.fit.filtered_error, plain=plain)
+    filtering, until, flexible = Filtering(), time.process_time() + _SECONDS, isinstance(loop.joint, FlexibleJoint)
     if estimate is not None:
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *DRIVE_AND_LOG}
         free = [row.name for row in estimate.params.rows if row.name in names and not row.of_joint]
@@ -305,18 +292,28 @@ def find_causes(
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    fits = fit_changes(tried, time.process_time() + _SECONDS)
-    left = min((left, *(fit.error for fit in fits if fit.change is None)))
+    fits = fit_changes(tried, until)
+    left = min((fit.error for fit in fits if fit.change is None), default=math.inf)
+    if flexible and left < _POOR_START:
+        return Causes(left)  # a wrong spring, filter or delay, of which sensitivities tell
+    left = left if estimate is None or flexible else min(left, estimate.fit.filtered_error)
+    problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
+    # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
+    memory = MEMORY * (max(case.factor or 1.0, 1.0) if case.free is None else 1.0)
+    reference = case.record.reference
+    responses = 0.0 if problem is None or reference is None else find_unexplained_share(
+        problem, reference.values, memory
+    )  # fmt: skip
     told = [
         [Cause(name, words, value, fit.error) for name, words, value in fit.change.say(fit.number, loop)]
         for fit in fits
         if fit.change is not None
     ]
-    for judge in (_judge_motion, _judge_mode):
-        least = min((each[0].left for each in told), default=math.inf)
-        told += [[one] for one in [judge(declared, fits[0] if fits else None, least)] if one is not None]
+    told += [[one] for one in [_judge_motion(declared)] if one is not None]
+    least = min((each[0].left for each in told), default=math.inf)
+    if least > _TWICE * responses and time.process_time() < until:
+        told += [[one] for one in [_judge_mode(declared)] if one is not None and one.left * _TWICE <= least]
     explaining = _explaining(sorted(told, key=lambda each: each[0].left), left, declared)
-    responses = _fit_free_responses(declared, fits)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
@@ -332,7 +329,7 @@ def list_cases(declared: Case) -> list[Tried]:
     """
     record, (loop, *_) = declared.record, declared.loops
     law, found = compare_law(record, loop), list[Tried]()
-    for change in CHANGES:
+    for change in list_changes(declared):
         for case in change.correct(declared):
             if record.computed and case.record.torque is not record.torque:
                 continue
@@ -372,66 +369,33 @@ def _explaining(told: Sequence[Sequence[Cause]], left: float, declared: Case) ->
     return tuple(found.values())[:_NAMED]
 
 
-def _fit_free_responses(declared: Case, fits: Sequence[Fit]) -> float:
-    """Return the share of the torque that is no linear response to the reference, in the best case."""
-    case = fits[0].case if fits else declared
-    problem = fits[0].problem if fits else _pose(declared, declared.loops[0])
-    assert case.record.reference is not None
-    # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-    memory = MEMORY * (max(case.factor or 1.0, 1.0) if case.free is None else 1.0)
-    return 0.0 if problem is None else find_unexplained_share(problem, case.record.reference.values, memory)
-
-
-# Causes that are judged by a problem of their own
-
-
-def _judge_motion(declared: Case, best: Fit | None, _: float) -> Cause | None:
-    """Return a reference that is the motor's position, with its residual; None if it cannot be.
-
-    The motion of a flexible joint is prescribed then, and not compared at rest. Its residual is scaled to that of the
-    other causes by the residuals of the best of them under both measures.
-    """
-    record, joint, words = declared.record, declared.loops[0].joint, "the channel given as the reference is the motor's"
-    assert record.torque is not None
-    moved = replace(record, motor_position=record.reference, load_position=None)
-    cause = Cause("reference_is_position", f"{words} actual position")
+def _judge_motion(declared: Case) -> Cause | None:
+    """Return a reference that is the motor's position, with its residual; None if it cannot be."""
+    moved = replace(declared.record, motor_position=declared.record.reference, load_position=None)
+    loop, filtering = _as_rigid(declared, declared.loops[0])
     try:
-        if not isinstance(joint, FlexibleJoint):
-            left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
-            return replace(cause, left=left)
-        delay = log_delay(None, record.torque.sample_time)
-        problem = motion_problem(moved, DriveSide(joint), declared.filtering, joint.parameters, delay)
-        solution = _follow(problem, grid_starts(problem, None)[0][0], _TO_ITS_END)
+        left = identify_record(moved, loop.joint, IDIM(), filtering=filtering).fit.filtered_error
     except _FAILS:
         return None
-    left = float(np.linalg.norm(solution.residual)) / problem.size
-    if best is not None and best.problem.measured.size == problem.measured.size:
-        measured = best.problem.measured
-        other, size = (problem.filter(one) for one in (measured - best.problem.torque(best.x), measured))
-        left *= best.error * float(np.linalg.norm(size) / np.linalg.norm(other))
-    return replace(cause, left=left)
+    words = "the channel given as the reference is the motor's actual position"
+    return Cause("reference_is_position", words, left=left)
 
 
-def _judge_mode(declared: Case, _: Fit | None, least: float) -> Cause | None:
-    """Return the mode that explains a record of a rigid joint clearly better than any other cause; else None.
-
-    The additional parameters absorb a part of other causes, so an equal residual is not enough.
-    """
-    rigid = declared.loops[0].joint
-    if not isinstance(rigid, RigidJoint):
+def _judge_mode(declared: Case) -> Cause | None:
+    """Return the mode of a record of a rigid joint, with its residual; None where it shows none."""
+    loop = declared.loops[0]
+    if not isinstance(loop.joint, RigidJoint):
         return None
-    loop = replace(declared.loops[0], joint=rigid.flexible)
+    flexible = replace(loop, joint=loop.joint.flexible)
     try:
-        found = next(iter(fit_changes([(None, replace(declared, loops=(loop,)))])), None)
+        found = identify_record(declared.record, flexible, DIDIM(free=declared.beside), declared.filtering)
     except _FAILS:  # the other causes stand
         return None
-    if found is None or found.error * _TWICE > least:
+    if found.params["stiffness"].value is None:
         return None
-    if not all(found.values[name] > 0 for name in ("motor_inertia", "load_inertia", "stiffness")):
-        return None
-    mode = FlexibleJoint.frequencies(found.values)["free_free"]
+    mode = found.frequencies["free_free"]
     words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
-    return Cause("flexible", words, mode, found.error)
+    return Cause("flexible", words, mode, found.fit.filtered_error)
 
 
 # The joint in each case
@@ -448,24 +412,30 @@ class Fit:
     error: float
 
     @property
-    def values(self) -> dict[str, float]:
-        """The value of every parameter."""
-        return self.problem.values(self.x)
-
-    @property
     def number(self) -> float | None:
         """The corrected number; None if the case has none."""
         if self.case.free is not None:
-            return (self.case.factor or 1.0) * self.values[self.case.free]
+            return (self.case.factor or 1.0) * self.problem.values(self.x)[self.case.free]
         if len(self.case.loops) > 1:  # the period of the loop whose start ended best
             return self.problem.axis.law.period
         return self.case.factor
+
+    def free_number(self) -> Fit:
+        """Return the fit with the number of its case free, within wide bounds."""
+        name = self.case.free
+        if name is None:
+            return self
+        problem = self.problem.freeing(name)
+        for own in (p for p in problem.parameters if p.name == name):
+            wide = replace(own, lower=(own.start or 0.0) / _RANGE, upper=(own.start or 0.0) * _RANGE)
+            problem = problem.replace_parameters({name: wide})
+        return replace(self, problem=problem, x=problem.vector(self.problem.values(self.x)))
 
     def descend(self, evaluations: int) -> Fit | None:
         """Return the fit after a limited descent; None if it fails."""
         try:
             with np.errstate(all="ignore"):
-                solution = _follow(self.problem, self.x, evaluations)
+                solution = solve(self.problem, LevenbergMarquardt(_TOLERANCE, evaluations), self.x)
         except _FAILS:  # a loop that runs away, or a part of the law that vanishes
             return None
         error = float(np.linalg.norm(solution.residual)) / self.problem.size
@@ -473,122 +443,22 @@ class Fit:
 
 
 def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
-    """Fit the joint in each case, the best first.
+    """Fit the joint in each case, a flexible one as rigid, the best first; a case far behind the best is given up.
 
     What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
     """
-    if not isinstance(tried[0][1].loops[0].joint, FlexibleJoint):
-        return fit_rigid(tried, until)
-    rigid = fit_rigid(tried, until, low=True)
-    least = min((fit.error for fit in rigid), default=math.inf)
 
-    def list_starts(rigid: Fit) -> Iterator[Fit]:
-        for problem in (_pose(rigid.case, one) for one in _loops_near(rigid)):
-            if problem is None:
-                continue
-            axis = problem.axis
-            modes = frequencies_to_try(axis.law, rigid.values["inertia"], axis.sample_time)[::_APART]
-            for hertz, share, late in itertools.product(modes, _SHARES, _delays_to_try(problem)):
-                start = start_with_mode(problem, rigid.values, hertz, share)
-                yield _start((rigid.change, rigid.case), problem, {**start, **late})
-
-    left = [fit for fit in rigid if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
-    return _race(in_threads(lambda fit: _choose_best(list_starts(fit), until), left), 0.0, until)
-
-
-def fit_rigid(tried: Sequence[Tried], until: float = math.inf, *, low: bool = False) -> list[Fit]:
-    """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_changes`."""
-
-    def list_starts(one: Tried) -> Iterator[Fit]:
-        for loop in one[1].loops:
-            if (problem := _pose(one[1], loop, low=low)) is not None:
-                starts = itertools.product(_rigid_starts(problem), _delays_to_try(problem))
-                yield from (_start(one, problem, {**values, **late}) for values, late in starts)
-
-    started = in_threads(lambda one: _choose_best(list_starts(one), until), tried)
-    return _race(started, _ROUGHLY if low else 0.0, until)
-
-
-def _loops_near(rigid: Fit) -> tuple[ClosedLoop, ...]:
-    """Return the loops of the starts: with numbers near that of the rigid joint, and a few others."""
-    name, case = rigid.case.free, rigid.case
-    if name not in case.numbers:
-        return case.loops
-    near = case.at(name, (rigid.values[name] * by for by in _NEAR)).loops
-    return (*near, *(case.loops if len(case.loops) <= _LOOPS else ()))
-
-
-def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
-    """Return the problem of a case with one of its loops, its number fixed; None if there is none."""
-    around = [one for one in case.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
-    filtering, torque = case.filtering, case.record.torque
-    assert torque is not None
-    if low and isinstance(loop.joint, FlexibleJoint):
-        loop = replace(loop, joint=loop.joint.rigid)
-        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
-    try:
-        problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
-        return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
-    except JointidError:
-        return None
-
-
-def _delays_to_try(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
-    """Yield values of a free delay where none is declared, or once none."""
-    undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
-    yield from ({DELAY: late} for late in DELAYS) if undeclared else ({},)
-
-
-def _rigid_starts(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
-    """Yield starts by the inverted controller, and by a motor that follows the reference exactly."""
-    for start in (inversion_start, regular_start):
-        try:
-            values = start(problem)
-        except JointidError:
-            continue
-        values["inertia"] = abs(values["inertia"])
-        for p in problem.free_joint:
-            values[p.name] = min(max(values[p.name], p.lower), p.upper)
-        yield values
-
-
-def _start(tried: Tried, problem: ClosedLoopProblem, values: dict[str, float]) -> Fit:
-    """Return a start with its residual share of the torque."""
-    x, left = problem.vector(values), math.inf
-    if problem.size > 0.0:  # else a torque that the filter removes
-        with np.errstate(all="ignore"):  # a loop that runs away
-            left = float(np.linalg.norm(problem.residual(x))) / problem.size
-    return Fit(*tried, problem, x, left if math.isfinite(left) else math.inf)
-
-
-def _choose_best(starts: Iterable[Fit], until: float) -> list[Fit]:
-    """Return the few best starts of a case, with its number free."""
-    in_time = takewhile(lambda _: time.process_time() < until, starts)
-    best = sorted((one for one in in_time if one.error < _ASTRAY), key=lambda one: one.error)[:_STARTS]
-    free = []
-    for fit in best:
-        name = fit.case.free
-        problem = fit.problem if name is None else fit.problem.freeing(name)
-        for own in (p for p in problem.parameters if p.name == name):
-            start = own.start or 0.0
-            wide = replace(own, lower=start / _RANGE, upper=start * _RANGE)
-            problem = problem.replace_parameters({own.name: wide})
-        free.append(replace(fit, problem=problem, x=problem.vector(fit.values)))
-    return free
-
-
-def _race(started: Sequence[list[Fit]], loss: float, until: float) -> list[Fit]:
-    """Return the solutions, the best first; a case far behind the best one is given up early.
-
-    One that is worse by less than the share `loss` is not given up.
-    """
+    def start(one: Tried) -> list[Fit]:
+        in_time = itertools.takewhile(lambda _: time.process_time() < until, _list_starts(one))
+        best = sorted((fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)
+        return [fit.free_number() for fit in best[:_STARTS]]
 
     def go_on(fit: Fit, evaluations: int) -> Fit | None:
         return fit.descend(evaluations) if time.process_time() < until else fit
 
+    started = in_threads(start, tried)
     first = [list(filter(None, in_threads(lambda fit: go_on(fit, _FEW), starts))) for starts in started]
-    least = min((fit.error for fits in first for fit in fits), default=math.inf)
-    bound = max(_BEHIND * least, least + loss)
+    bound = _BEHIND * min((fit.error for fits in first for fit in fits), default=math.inf)
     ends = []
     for fits in filter(None, first):
         # To their minima, where their numbers can be stated.
@@ -597,6 +467,42 @@ def _race(started: Sequence[list[Fit]], loss: float, until: float) -> list[Fit]:
     return sorted(ends, key=lambda fit: fit.error)
 
 
-def _follow(problem: ClosedLoopProblem | DriveSideProblem, x: FloatArray, evaluations: int) -> Solution:
-    """Solve with a limited number of evaluations."""
-    return solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
+def _list_starts(one: Tried) -> Iterator[Fit]:
+    """Yield starts by the inverted controller, and by a motor that follows the reference exactly, at some delays."""
+    for problem in (_pose(one[1], loop) for loop in one[1].loops):
+        if problem is None or not problem.size > 0.0:  # a torque that the filter removes
+            continue
+        undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
+        for make in (inversion_start, regular_start):
+            try:
+                values = make(problem)
+            except JointidError:
+                continue
+            values["inertia"] = abs(values["inertia"])
+            values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
+            for late in DELAYS if undeclared else (None,):
+                x = problem.vector(values if late is None else {**values, DELAY: late})
+                with np.errstate(all="ignore"):  # a loop that runs away
+                    left = float(np.linalg.norm(problem.residual(x))) / problem.size
+                yield Fit(*one, problem, x, left if math.isfinite(left) else math.inf)
+
+
+def _pose(case: Case, loop: ClosedLoop) -> ClosedLoopProblem | None:
+    """Return the problem of a case with one of its loops, its number fixed; None if there is none."""
+    around = [one for one in case.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
+    rigid, filtering = _as_rigid(case, loop)
+    try:
+        problem = torque_problem(case.record, rigid, filtering, rigid.joint.parameters)
+        return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
+    except JointidError:
+        return None
+
+
+def _as_rigid(case: Case, loop: ClosedLoop) -> tuple[ClosedLoop, Filtering]:
+    """Return a loop and the filter of its rows, of a flexible joint as rigid, far below its resonance."""
+    torque = case.record.torque
+    assert torque is not None
+    if not isinstance(loop.joint, FlexibleJoint):
+        return loop, case.filtering
+    below = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
+    return replace(loop, joint=loop.joint.rigid), below

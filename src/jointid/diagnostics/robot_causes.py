@@ -3,7 +3,7 @@
 Each is a change of the log or of the model, with which the inverse model is solved again on some hundred instants. Its
 numbers are searched on a grid, then by descent (variable projection). The rows of each joint are divided by the size of
 its error as declared, so the sum of squares is the number of joints before a cause is corrected. The cause that lowers
-it most is named.
+it most is named. To add one, yield its row in `_changes`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,31 +37,30 @@ _STEPS = 8  # of a descent
 _TWO = 2  # joints: one alone has none of these causes
 _SAME = 1e-9  # of the travel
 _REST = 0.02  # of the largest speed: below, Coulomb friction is left out
-_ZEROS = tuple(np.pi / 6 * k for k in range(-5, 7) if k)  # rad
-_GEARS = tuple(math.log(one) for one in (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0))
-_UNITS = (math.log(180 / math.pi), -math.log(180 / math.pi), math.log(1e3), -math.log(1e3))
-_COUPLED = (-1.0, -0.5, 0.5, 1.0)
+_ZEROS = tuple((np.pi / 6 * k,) for k in range(-5, 7) if k)  # rad
+_GEARS = tuple((math.log(one),) for one in (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0))
+_UNITS = tuple((sign * math.log(one),) for one in (180 / math.pi, 1e3) for sign in (1.0, -1.0))
+_COUPLED = ((-1.0,), (-0.5,), (0.5,), (1.0,))
 _GRAVITY = 9.81  # m/s2
-_OPPOSITE = 0.999  # of the cosine: of gravity that is said to be upside down
 _LONGEST = 1.0  # m: a longer correction of a length is none
-_SIGN = "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels, or in record.channels"
 
 _OF_PAIRS = (
-    ("swapped_channels", False, True, "the torques of {} and {} are exchanged: exchange the columns"),
-    ("order", True, True, "the logs of {} and {} are exchanged: give each joint the columns of the other"),
-    ("swapped_positions", True, False, "the positions of {} and {} are exchanged: exchange the columns"),
+    ("swapped_channels", False, True, "the torques of {joint} and {other} are exchanged: exchange the columns"),
+    ("order", True, True, "the logs of {joint} and {other} are exchanged: give each joint the columns of the other"),
+    ("swapped_positions", True, False, "the positions of {joint} and {other} are exchanged: exchange the columns"),
 )
 """Of two joints: the code, whether positions and torques are exchanged, and the words."""
 
-_OF_JOINTS: tuple[tuple[str, int, int, tuple[float, ...], str], ...] = (
-    ("torque_sign", 0, 1, (), _SIGN),
+_SIGN = "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels, or in record.channels"
+_OF_JOINTS: tuple[tuple[str, int, int, Sequence[Sequence[float]], str], ...] = (
+    ("torque_sign", 0, 1, ((),), _SIGN),
     ("log_gain", 0, 1, _GEARS, "the logged torque of {joint} is {value} times what moves it: check its unit"),
     (
-        "position_sign", 1, 0, (),
+        "position_sign", 1, 0, ((),),
         "the position of {joint} has the wrong sign: turn motor_position.sign round in its joints.channels",
     ),
     (
-        "joint_sign", 1, 1, (),
+        "joint_sign", 1, 1, ((),),
         "position and torque of {joint} count the other way than the model's axis: turn motor_position.sign and "
         "torque.sign round in its joints.channels",
     ),
@@ -73,40 +73,38 @@ _OF_JOINTS: tuple[tuple[str, int, int, tuple[float, ...], str], ...] = (
         "the position of {joint} is {value} times what moves the links: check its unit and its ratio",
     ),
 )  # fmt: skip
-"""Of one joint: the code, powers of a factor on position and torque, its starts (-1 alone if none), and the words."""
+"""Of one joint: the code, powers of a factor on position and torque, its starts (-1 if it has none), and the words."""
 
 
 class _Case(NamedTuple):
-    """A model and a log: motion of the motors and their torques, (samples, n) each, and where they move."""
+    """A model and a log: positions, velocities and accelerations of the motors, (3, samples, n), and their torques.
+
+    The torques, and 1 where a motor moves, are (samples, n).
+    """
 
     robot: Robot
-    q: FloatArray
-    v: FloatArray
-    a: FloatArray
+    motion: FloatArray
     torque: FloatArray
     moving: FloatArray
 
-    def arranged(self, positions: Sequence[int], torques: Sequence[int]) -> _Case:
-        """Return the case with the columns of its log in other orders."""
-        at = list(positions)
-        q, v, a, moving = (one[:, at] for one in (self.q, self.v, self.a, self.moving))
-        return _Case(self.robot, q, v, a, self.torque[:, list(torques)], moving)
-
-    def scaled(self, k: int, position: float, torque: float) -> _Case:
-        """Return the case with position and torque of a joint times these."""
-        by = np.ones((2, len(self.robot)))
-        by[:, k] = position, torque
-        q, v, a = (one * by[0] for one in (self.q, self.v, self.a))
-        return self._replace(q=q, v=v, a=a, torque=self.torque * by[1])
-
 
 class _Change(NamedTuple):
-    """A mistake with its numbers: the case in which it is corrected, its words and value, and starts of a search."""
+    """A mistake with its numbers.
+
+    Attributes:
+        name: its code.
+        joints: that it concerns.
+        words: with the first and last of these as {joint} and {other}, its {value}, and its numbers as {numbers}.
+        correct: returns the case in which it is corrected.
+        value: that its numbers are.
+        starts: of a search for them.
+    """
 
     name: str
-    joints: tuple[int, ...]
+    joints: Sequence[int]
+    words: str
     correct: Callable[[FloatArray], _Case]
-    say: Callable[[FloatArray], tuple[str, float | None]]
+    value: Callable[[FloatArray], float | None] = lambda _: None
     starts: Sequence[Sequence[float]] = ((),)
 
     def cost(self, left: float, x: FloatArray) -> float:
@@ -117,6 +115,16 @@ class _Change(NamedTuple):
         if self.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
             return math.inf
         return left * _SIMPLER ** (0 if self.name == "base" else x.size)
+
+    def explain(self, names: Sequence[str], x: FloatArray, left: float) -> Cause:
+        """Return the cause, of joints of these names."""
+        value, joints = self.value(x), tuple(names[k] for k in self.joints)
+        said = joints or names
+        words = self.words.format(
+            joint=said[0], other=said[-1], all=join(said), names=join(names), numbers=", ".join(f"{one:.2f}" for one in x),
+            value="" if value is None else number(value, 3),
+        )  # fmt: skip
+        return Cause(self.name, words, value, left, joints)
 
 
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> Cause | None:
@@ -135,9 +143,7 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     for _, start, change in (*free[:_BEST], *(one for one in free[_BEST:] if one[2].name in _FROM_DECLARED)):
         found.append((*solve.descend(change.correct, start), change))
     least, x, change = min(found, key=lambda one: one[2].cost(one[0], one[1]))
-    if len(robot) - least < _LEAST:
-        return None
-    return Cause(change.name, *change.say(x), least, tuple(robot.names[k] for k in change.joints))
+    return change.explain(robot.names, x, least) if len(robot) - least >= _LEAST else None
 
 
 def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | None:
@@ -161,9 +167,9 @@ def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Cas
     torque = lowpass(motion.torque, motion.filtering.position_cutoff, motion.sample_time)
     rows = np.arange(len(torque))[motion.inside]
     rows = rows[:: max(rows.size // _INSTANTS, 1)]
-    q, v, a = (one[rows] @ robot.coupling.T for one in (motion.q, motion.v, motion.a))
-    moving = motion.moving[rows] * (np.abs(v) > _REST * np.max(np.abs(v), axis=0))
-    return _Case(robot, q, v, a, torque[rows], moving)
+    moved = np.stack([one[rows] @ robot.coupling.T for one in (motion.q, motion.v, motion.a)])
+    moving = motion.moving[rows] * (np.abs(moved[1]) > _REST * np.max(np.abs(moved[1]), axis=0))
+    return _Case(robot, moved, torque[rows], moving)
 
 
 class _Solver:
@@ -180,7 +186,7 @@ class _Solver:
 
     def error(self, case: _Case) -> FloatArray:
         """Return the residual, joint after joint, in units of that of the declared case."""
-        q, v, a = (one @ np.linalg.inv(case.robot.coupling).T for one in (case.q, case.v, case.a))
+        q, v, a = case.motion @ np.linalg.inv(case.robot.coupling).T
         rotors = inverse_columns(case.robot, q, v, a)[:, :, -len(case.robot) :]
         columns = [self.parameters.columns(case.robot, q, v, a), rotors]
         W = np.concatenate(columns, axis=2) * case.moving[:, :, np.newaxis]
@@ -195,122 +201,99 @@ class _Solver:
         """Return the least squares from a start, by a few steps, and its numbers."""
         from scipy.optimize import least_squares
 
-        def error(x: FloatArray) -> FloatArray:
-            return self.error(correct(x))
-
-        found = least_squares(error, x, max_nfev=_STEPS)
+        found = least_squares(lambda x: self.error(correct(x)), x, max_nfev=_STEPS)
         return 2.0 * float(found.cost), found.x
 
 
-def _changes(declared: _Case) -> Iterator[_Change]:
+# The rows
+
+
+def _changes(case: _Case) -> Iterator[_Change]:
     """Yield all changes: of the log, of one joint after the other, and of the model."""
-    names, own = declared.robot.names, [*range(len(declared.robot))]
-
-    def arrange(
-        name: str, joints: Sequence[int], positions: Sequence[int], torques: Sequence[int], words: str
-    ) -> _Change:
-        case = declared.arranged(positions, torques)
-        return _Change(name, tuple(joints), lambda _: case, lambda _: (words, None))
-
+    robot = case.robot
+    names, own = robot.names, [*range(len(robot))]
     for i, j in itertools.combinations(own, 2):
         other = [j if k == i else i if k == j else k for k in own]
         for code, positions, torques, words in _OF_PAIRS:
-            said = words.format(names[i], names[j])
-            yield arrange(code, (i, j), other if positions else own, other if torques else own, said)
+            yield _Change(
+                code, (i, j), words,
+                partial(_arrange, case, other if positions else own, other if torques else own),
+            )  # fmt: skip
     first = sorted(own, key=names.__getitem__)
     orders = {tuple(own[::-1]), tuple(map(first.index, own)), *((*own[by:], *own[:by]) for by in own[1:])}
     for order in sorted(one for one in orders if sum(k != at for k, at in enumerate(one)) > _TWO):
-        said = f"the columns of {join([names[k] for k in order])} are of {join(names)}"
-        yield arrange("order", own, order, order, f"the log has the joints in another order: {said}")
-    for k in own:
-        yield from (_scale(declared, k, *row) for row in _OF_JOINTS)
-        yield from _changes_of_link(declared, k)
-    yield _hang(declared)
-    follows = np.linalg.inv(declared.robot.coupling)
+        words = "the log has the joints in another order: the columns of {all} are of {names}"
+        yield _Change("order", order, words, partial(_arrange, case, [*order], [*order]))
+    for k, link in enumerate(robot.links):
+        for code, position, torque, starts, words in _OF_JOINTS:
+            yield _Change(code, (k,), words, partial(_scale, case, k, position, torque), _factor, starts)
+        if link.kind == "revolute":
+            words = "the encoder of {joint} reads 0 where the joint of the model is near {value} rad: check it, and "
+            yield _Change("zero", (k,), words + "give its zero in its table", partial(_turn, case, k), _angle, _ZEROS)
+        if k:  # the place of the first one moves the base
+            words = "the geometry of the model is not that of the robot: the torques fit a {joint} that stands "
+            words += "{numbers} m elsewhere on the link before it: check the model's lengths"
+            yield _Change("geometry", (k,), words, partial(_lengthen, case, k), _length, ((0.0, 0.0, 0.0),))
+    known = float(np.linalg.norm(robot.gravity))
+    code, words = "gravity", "the links weigh something, and the model has no gravity: give it {value} m/s2 along "
+    if known:
+        code, words = "base", "the base stands {value} rad otherwise in the model's frame: declare it as robot.base "
+        words += "(roll, pitch, yaw), with gravity along "
+    tilt = partial(_tilt, robot.gravity) if known else lambda _: _GRAVITY
+    yield _Change(
+        code, (), words + "{numbers}", partial(_hang, case, known or _GRAVITY), tilt, [*np.eye(3), *-np.eye(3)]
+    )
+    follows = np.linalg.inv(robot.coupling)
     for i, j in itertools.permutations(own, 2):
         # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
-        if abs(i - j) == 1 and not declared.robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
-            yield _couple(declared, i, j)
+        if abs(i - j) == 1 and not robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
+            words = "the motor of {joint} turns with {other}: declare coupling = {{ {other} = {value} }} for {joint}"
+            yield _Change("coupled", (i, j), words, partial(_couple, case, i, j), lambda x: float(x[0]), _COUPLED)
 
 
-def _scale(
-    declared: _Case, k: int, name: str, position: int, torque: int, starts: tuple[float, ...], words: str
-) -> _Change:
-    """Return the change of a log whose position and torque of a joint are off by powers of a factor."""
-
-    def correct(x: FloatArray) -> _Case:
-        factor = math.exp(x[0]) if x.size else -1.0
-        return declared.scaled(k, factor**position, factor**torque)
-
-    def say(x: FloatArray) -> tuple[str, float | None]:
-        value = math.exp(-x[0]) if x.size else None
-        return words.format(joint=declared.robot.names[k], value=number(value, 3)), value
-
-    return _Change(name, (k,), correct, say, tuple((one,) for one in starts) or ((),))
+def _arrange(case: _Case, positions: Sequence[int], torques: Sequence[int], _: FloatArray) -> _Case:
+    at = list(positions)
+    return _Case(case.robot, case.motion[:, :, at], case.torque[:, list(torques)], case.moving[:, at])
 
 
-def _changes_of_link(declared: _Case, k: int) -> Iterator[_Change]:
-    """Yield the zero of a joint's encoder, and the place of its link on the one before it."""
-    robot, name, at = declared.robot, declared.robot.names[k], declared.robot.links[k].origin
-
-    def turn(x: FloatArray) -> _Case:
-        return declared._replace(robot=robot.turn(x[0] * np.eye(len(robot))[k]))
-
-    def say_zero(x: FloatArray) -> tuple[str, float]:
-        zero = float((x[0] + math.pi) % (2 * math.pi) - math.pi)
-        said = f"the encoder of {name} reads 0 where the joint of the model is near {number(zero, 2)} rad"
-        return f"{said}: check it, and give its zero in its table", zero
-
-    def lengthen(x: FloatArray) -> _Case:
-        links = list(robot.links)
-        links[k] = replace(links[k], origin=at + x)
-        return declared._replace(robot=replace(robot, links=tuple(links)))
-
-    def say_place(x: FloatArray) -> tuple[str, float]:
-        before, after = (", ".join(f"{float(one):.3f}" for one in place) for place in (at, at + x))
-        said = f"{name} stands at {before} m on the link before it, and the torques fit {after} m"
-        words = f"the geometry of the model is not that of the robot: {said}: check the model's lengths"
-        return words, float(np.linalg.norm(x))
-
-    if robot.links[k].kind == "revolute":
-        yield _Change("zero", (k,), turn, say_zero, tuple((one,) for one in _ZEROS))
-    if k:
-        yield _Change("geometry", (k,), lengthen, say_place, ((0.0, 0.0, 0.0),))
+def _scale(case: _Case, k: int, position: int, torque: int, x: FloatArray) -> _Case:
+    factor, by = math.exp(x[0]) if x.size else -1.0, np.ones((2, len(case.robot)))
+    by[:, k] = factor**position, factor**torque
+    return case._replace(motion=case.motion * by[0], torque=case.torque * by[1])
 
 
-def _hang(declared: _Case) -> _Change:
-    """Return the change of the base, or the gravity that a model has not."""
-    robot, known = declared.robot, float(np.linalg.norm(declared.robot.gravity))
-    size = known or _GRAVITY
-
-    def hang(x: FloatArray) -> _Case:
-        return declared._replace(robot=replace(robot, gravity=size * x / np.linalg.norm(x)))
-
-    def say(x: FloatArray) -> tuple[str, float]:
-        gravity = hang(x).robot.gravity
-        towards = ", ".join(f"{one:.2f}" for one in gravity / size)
-        if not known:
-            return f"the links weigh something, and the model has no gravity: give it {size} m/s2 along {towards}", size
-        upside_down = min(gravity[2], -robot.gravity[2]) > _OPPOSITE * size
-        how = "hangs upside down" if upside_down else f"stands so that gravity points along {towards}"
-        cosine = float(gravity @ robot.gravity) / size**2
-        words = f"the base {how} in the model's frame: declare it as robot.base (roll, pitch, yaw)"
-        return words, math.acos(min(max(cosine, -1.0), 1.0))
-
-    return _Change("base" if known else "gravity", (), hang, say, (*np.eye(3), *-np.eye(3)))
+def _turn(case: _Case, k: int, x: FloatArray) -> _Case:
+    return case._replace(robot=case.robot.turn(x[0] * np.eye(len(case.robot))[k]))
 
 
-def _couple(declared: _Case, motor: int, joint: int) -> _Change:
-    """Return the change of a motor that turns with another joint."""
-    robot, (one, other) = declared.robot, (declared.robot.names[k] for k in (motor, joint))
+def _lengthen(case: _Case, k: int, x: FloatArray) -> _Case:
+    links = list(case.robot.links)
+    links[k] = replace(links[k], origin=links[k].origin + x)
+    return case._replace(robot=replace(case.robot, links=tuple(links)))
 
-    def couple(x: FloatArray) -> _Case:
-        joints = list(robot.joints)
-        joints[motor] = replace(joints[motor], coupling={other: float(x[0])})
-        return declared._replace(robot=replace(robot, joints=tuple(joints)))
 
-    def say(x: FloatArray) -> tuple[str, float]:
-        declare = f"coupling = {{ {other} = {number(x[0], 3)} }}"
-        return f"the motor of {one} turns with {other}: declare {declare} for {one}", float(x[0])
+def _hang(case: _Case, size: float, x: FloatArray) -> _Case:
+    return case._replace(robot=replace(case.robot, gravity=size * x / np.linalg.norm(x)))
 
-    return _Change("coupled", (motor, joint), couple, say, tuple((x,) for x in _COUPLED))
+
+def _couple(case: _Case, motor: int, joint: int, x: FloatArray) -> _Case:
+    joints = list(case.robot.joints)
+    joints[motor] = replace(joints[motor], coupling={case.robot.names[joint]: float(x[0])})
+    return case._replace(robot=replace(case.robot, joints=tuple(joints)))
+
+
+def _factor(x: FloatArray) -> float | None:
+    return math.exp(-x[0]) if x.size else None
+
+
+def _angle(x: FloatArray) -> float:
+    return float((x[0] + math.pi) % (2 * math.pi) - math.pi)
+
+
+def _length(x: FloatArray) -> float:
+    return float(np.linalg.norm(x))
+
+
+def _tilt(gravity: FloatArray, x: FloatArray) -> float:
+    cosine = float(gravity @ x) / float(np.linalg.norm(gravity) * np.linalg.norm(x))
+    return math.acos(min(max(cosine, -1.0), 1.0))

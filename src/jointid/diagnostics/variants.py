@@ -9,20 +9,21 @@ the identified joint is another one. A drive that is faster than its reference h
 cubics. It may also see its reference late, or average it over a time, which makes it later by half of that; so the time
 follows from the delay that fits.
 
-Each law is screened first: one simulation under it at the same joint, or of all joints of a robot, shows what it
-changes. Two laws are distinguished
-by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again under the other law, and the
-residual is regressed on the change of the fit. The coefficient is 0 under the declared law and 1 under the other one. A
-record may exclude neither. So all laws that it allows are compared, and the likeliest is chosen; of equals the
-plainest. One that moves a parameter out of its interval without being excluded is undecided.
+Each variant is screened first: one simulation under its first law at the same joint, or of all joints of a robot, shows
+what it changes. Two laws are distinguished by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is
+identified again under the other law, and the residual is regressed on the change of the fit. The coefficient is 0 under
+the declared law and 1 under the other one. A record may exclude neither. So all laws that it allows are compared, and
+the likeliest is chosen; of equals the plainest. One that moves a parameter out of its interval without being excluded
+is undecided.
+
+To add one, yield it in `list_variants`: the search for a gross cause (`changes`) tries it, too.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -30,14 +31,14 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, OtherLaw
+from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, Measure, OtherLaw
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
-from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_numbers, with_present_sample
+from jointid.models.controllers import PD, PID, Cascade, numbers_of, with_numbers, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -45,9 +46,7 @@ from jointid.records.resampling import default_interpolation
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import RobotNumbers
 
-TIMES_FASTER = (2, 4, 8)
-"""Than the log: at these rates a drive may run whose period is not declared."""
-_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
+_TIMES_FASTER = (2, 4, 8)  # than the log: at these rates a drive may run whose period is not declared
 _SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
 _SOLVED = 1e-6  # far below a deviation
 _SCREENED = 4  # samples of the log: of a mean that shows whether the reference is late
@@ -61,23 +60,24 @@ _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen
 _OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
+_CODES = {"hold": "held_reference", "linear": "linear_reference", "cubic": "cubic_reference"}
 PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sample")
 MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions")
 PERIOD = Fault("period", "period of the controller")
-
-
-def say_way(way: Interpolation) -> str:
-    """Return the clause on what a drive does between the samples of its reference."""
-    return f"the reference is {_DONE[way]} between its samples"
-
-
 INTERPOLATIONS: dict[Interpolation, Fault] = {
-    way: Fault(f"{name}_reference", f"reference {_DONE[way]} between its samples")
-    for way, name in zip(_DONE, ("held", "linear", "cubic"), strict=True)
-}
-AVERAGED = Fault("averaged_reference", "reference averaged by the drive")
+    way: Fault(
+        _CODES[way], f"reference {done} between its samples", one_sided=True, least=_OF_ROBOT,
+        says=f'the reference is {done} between its samples: declare interpolation = "{way}"',
+    )
+    for way, done in _DONE.items()
+}  # fmt: skip
+AVERAGED = Fault(
+    "averaged_reference", "reference averaged by the drive", one_sided=True,
+    says="the drive averages the reference over some {size}, or it is late by half of that: declare reference_average, "
+    "or reference_delay",
+)  # fmt: skip
 LATE = REFERENCE_DELAY
-WHOLE = tuple(fault.name for fault in INTERPOLATIONS.values())
+WHOLE = tuple(_CODES.values())
 """Names of those that a drive has or has not, so that their size is 1."""
 _OF_REFERENCE = (LATE, AVERAGED, *INTERPOLATIONS.values())
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *_OF_REFERENCE))
@@ -89,66 +89,64 @@ _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are sai
 
 
 class Variant(NamedTuple):
-    """What a drive may do otherwise: laws of one kind.
+    """What a drive may do otherwise.
 
     Attributes:
         fault: that it does.
-        screen: a controller that does it: what it changes shows whether the record can tell.
-        laws: returns those to identify the joint under, the plainest first, given whether the screen is evident.
-        evident: whether they are tried only then.
+        laws: that do it, the plainest first: what that changes shows whether the record can tell.
+        evident: whether they are tried only where it surely does.
     """
 
     fault: Fault
-    screen: Any
-    laws: Callable[[bool], Sequence[OtherLaw]]
+    laws: tuple[OtherLaw, ...]
     evident: bool = False
 
 
-def list_variants(problem: ClosedLoopProblem, x: FloatArray, record: Record) -> Iterator[Variant]:
+def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[Variant]:
     """Yield the ways in which a drive may use reference, position and velocity, with their rates.
 
     Cubics matter to a law that differentiates the reference: from lines it gets the velocity half a sample late.
 
     Args:
-        problem: of a joint's loop.
-        x: (free,) its solution.
-        record: whose reference the controller reads.
+        law: as declared.
+        record: whose reference it reads.
+        log: sample time of the torque, s.
+        period: of the law, s.
     """
-    law: Any = problem.loop.controller
-    log, period = problem.sample_time, float(problem.axis.law.period)
-    for way in list_other_ways(law, record, period):
-        filled = replace(law, interpolation=way)
-        yield _alone(OtherLaw(INTERPOLATIONS[way], say_way(way), f'interpolation = "{way}"', filled))
-    if numbers_of(law).keys() & {p.name for p in problem.free}:
-        return  # a free number may stand for any law
+    assert record.reference is not None
+    for way in _list_other_ways(law, record, period):
+        said, filled = f"the reference is {_DONE[way]} between its samples", replace(law, interpolation=way)
+        yield _alone(OtherLaw(INTERPOLATIONS[way], said, f'interpolation = "{way}"', filled))
     if isinstance(law, DiagramController) and not law.reference_average:
-        screen = replace(law, reference_average=_SCREENED * log)
-        yield Variant(AVERAGED, screen, lambda _: _list_late(problem, x), evident=True)
-    yield from (_alone(other) for other in list_feedback_laws(law, period))
+        yield Variant(AVERAGED, (_average(law, _SCREENED * log),), evident=True)
+    yield from map(_alone, list_feedback_laws(law, period))
     if not isinstance(law, DiagramController) or law.period is not None:
         return
-    assert record.reference is not None
-    used, least = law.interpolation or default_interpolation(record.reference), log / TIMES_FASTER[0]
-    ways = [None, *list_other_ways(replace(law, period=least), record, least)]
-    for other in ways if _differentiates_reference(law) else [one for one in ways if one != "cubic"]:
-        there = law if other is None else replace(law, interpolation=other)
-        more = "" if other is None else f", with its reference {_DONE[other]}"
-        rates = partial(_list_rates, there, log, more, other or used)
-        yield Variant(PERIOD, replace(there, period=least), rates, evident=other == "hold")  # no usual guess
+    used, least = law.interpolation or default_interpolation(record.reference), log / _TIMES_FASTER[0]
+    for way in (None, *_list_other_ways(replace(law, period=least), record, least)):
+        if way == "cubic" and not _differentiates_reference(law):
+            continue
+        faster, more = law if way is None else replace(law, interpolation=way), ""
+        if way is not None:
+            more = f", with its reference {_DONE[way]}"
+        laws = tuple(
+            OtherLaw(
+                PERIOD, f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{more}",
+                f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{way or used}"',
+                replace(faster, period=log / times), times / log,
+            )
+            for times in _TIMES_FASTER
+        )  # fmt: skip
+        yield Variant(PERIOD, laws, evident=way == "hold")  # no usual guess
 
 
 def _alone(law: OtherLaw) -> Variant:
-    return Variant(law.fault, law.controller, lambda _: (law,), evident=law.fault is MEASURED_VELOCITY)
+    return Variant(law.fault, (law,), evident=law.fault is MEASURED_VELOCITY)
 
 
-def _list_rates(law: Any, log: float, other: str, way: Interpolation, evident: bool) -> list[OtherLaw]:
-    """Return the laws of faster drives."""
-    found = []
-    for times in TIMES_FASTER if evident else _UNDECIDED:
-        words = f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{other}"
-        declared = f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{way}"'
-        found.append(OtherLaw(PERIOD, words, declared, replace(law, period=log / times), times / log))
-    return found
+def _average(law: Any, mean: float) -> OtherLaw:
+    said = f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
+    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
 
 
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
@@ -158,37 +156,25 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...
     late = wider.values(descend(wider, wider.vector(problem.values(x)), _SOLVED).x)[LATE.name]
     words = f"the law sees the reference {number(1e3 * late, 3)} ms late"
     delayed = OtherLaw(LATE, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
-    return average_reference(law, late, period), delayed
+    return _average(law, period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)), delayed
 
 
-def average_reference(law: Any, late: float, period: float) -> OtherLaw:
-    """Return the law with a reference that is averaged, and not delayed, where it is so late, s; see `say_mean`."""
-    mean = period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)
-    return OtherLaw(AVERAGED, say_mean(mean), f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
-
-
-def say_mean(mean: float) -> str:
-    """Return the clause on a drive that averages its reference over a time, s."""
-    return f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
-
-
-def list_feedback_laws(controller: Controller, period: float) -> Iterator[OtherLaw]:
+def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
     """Yield the laws that a drive may run under the same settings, at the same rate."""
     if isinstance(controller, Cascade | PID) and controller.integral_gain:
-        other, gain = with_present_sample(controller, period), "position_gain"
+        other, gain, more = with_present_sample(controller, period), "position_gain", ""
         if isinstance(controller, Cascade):
-            gain = "velocity_gain"
-        remedy = f"{gain} {number(100 * (getattr(other, gain) / getattr(controller, gain) - 1), 2)} % larger"
-        if isinstance(controller, Cascade):
-            remedy += f" and the integral time {number(1e3 * period, 3)} ms longer"
-        yield OtherLaw(PRESENT_SAMPLE, "the integral takes in the present sample, too", remedy, other)
+            gain, more = "velocity_gain", f" and the integral time {number(1e3 * period, 3)} ms longer"
+        share = number(100 * (getattr(other, gain) / getattr(controller, gain) - 1), 2)
+        words = "the integral takes in the present sample, too"
+        yield OtherLaw(PRESENT_SAMPLE, words, f"{gain} {share} % larger{more}", other)
     if getattr(controller, "velocity_filter", None) == (1.0,):
         words = "the velocity is measured or observed, half a period earlier than a difference of positions"
-        earlier: Any = replace(cast("Any", controller), velocity_filter=_HALF_A_PERIOD_EARLIER)
+        earlier = replace(controller, velocity_filter=_HALF_A_PERIOD_EARLIER)
         yield OtherLaw(MEASURED_VELOCITY, words, f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}", earlier)
 
 
-def list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
+def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
     """Return the interpolations besides the one in use; none where one is declared."""
     assert record.reference is not None
     declared = getattr(controller, "interpolation", "none is possible")
@@ -239,6 +225,10 @@ class LawTest:
             return False
         return self.likelihood >= max((one.strength**2 for one in found.tests), default=0.0) - RIVAL
 
+    def leaves_as_little(self, other: LawTest) -> bool:
+        """Whether the other law leaves hardly less, by its own noise."""
+        return other.gain > 0 and (other.gain - self.gain) * other.likelihood <= RIVAL * other.gain
+
     def as_likely(self, others: Sequence[LawTest]) -> bool:
         """Whether none of others is far likelier.
 
@@ -246,25 +236,17 @@ class LawTest:
         noise in its test, so two likelihoods differ even where two laws leave the same residual.
         """
         best = max(others, key=lambda one: one.likelihood)
-        if self.likelihood >= best.likelihood - RIVAL:
-            return True
-        return best.gain > 0 and (best.gain - self.gain) * best.likelihood <= RIVAL * best.gain
+        return self.likelihood >= best.likelihood - RIVAL or self.leaves_as_little(best)
 
 
 def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
-    """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
+    """Return the plainest of the likely laws that leave least; None if none leaves less than the declared one.
 
-    None if no law of the reference leaves less than the declared one, however likely the tests of them make it. Many
-    of these are alike: of those that leave nearly as little the plainest comes first in the list.
+    Many laws of the reference are alike: of those that leave nearly as little the plainest comes first in the list.
     """
-    likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
-    if likeliest is None or likeliest.test.fault not in _OF_REFERENCE:
-        return likeliest
-    likely = [one for one in explaining if one.test.fault in _OF_REFERENCE and one.as_likely([likeliest])]
-    best = max(likely, key=lambda one: one.gain)
-    if best.gain <= 0:
-        return None
-    return next(one for one in likely if (best.gain - one.gain) * best.likelihood <= RIVAL * best.gain)
+    likely = [one for one in explaining if one.as_likely(explaining)]
+    best = max(likely, key=lambda one: one.gain, default=None)
+    return None if best is None else next((one for one in likely if one.leaves_as_little(best)), None)
 
 
 def _may_matter(found: Tested, step: FaultTest, moved: FloatArray) -> bool:
@@ -288,22 +270,25 @@ def test_laws(found: Tested, proof: Proof | None) -> list[LawTest]:
     """
     tests: list[LawTest] = []
     problem, x, record = found.state.problem, found.state.x, found.record
-    for variant in () if record is None else list_variants(problem, x, record):
+    if record is None:
+        return tests
+    law = problem.loop.controller
+    fixed = not numbers_of(law).keys() & {p.name for p in problem.free}  # a free number may stand for any law
+    for variant in list_variants(law, record, problem.sample_time, problem.axis.law.period):
         kin = _OF_REFERENCE if variant.fault is AVERAGED else (variant.fault,)
-        if record is None or {one.name for one in kin} & {*found.state.named}:
+        if {one.name for one in kin} & {*found.state.named} or not (fixed or variant.fault.name in WHOLE):
             continue
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
-            moved = found.residual - problem.under(variant.screen, record).residual(x)
+            moved = found.residual - problem.under(variant.laws[0].controller, record).residual(x)
             step, start = found.test_law(variant.fault, moved), x
-            seen = step.p_value <= found.level
-            if not (seen if variant.evident else _may_matter(found, step, moved)):
+            if not (step.p_value <= found.level if variant.evident else _may_matter(found, step, moved)):
                 continue
-            for law in variant.laws(step.size > 0 and seen):
-                one = _test_law(found, law, record, start)
-                if one is None or (law.fault is PERIOD and not one.possible):
+            for other in _list_late(problem, x) if variant.fault is AVERAGED else variant.laws:
+                one = _test_law(found, other, record, start)
+                if one is None or (other.fault is PERIOD and not one.possible):
                     break
                 start = one.x
-                if proof is None or not proof.excludes_law(law):
+                if proof is None or not excludes(record, proof.loop, other.controller):
                     tests.append(one)
     return tests
 
@@ -371,20 +356,8 @@ class Proof:
             return excludes(self.record, self.loop, other)
         return False
 
-    def excludes_law(self, law: OtherLaw) -> bool:
-        """Whether the drive does not run another law."""
-        return excludes(self.record, self.loop, law.controller)
-
 
 # Of a robot
-
-_WAYS = {
-    way: replace(fault, remedy=f'declare interpolation = "{way}"', one_sided=True, least=_OF_ROBOT)
-    for way, fault in INTERPOLATIONS.items()
-}
-_MEAN = replace(
-    AVERAGED, remedy="declare it as reference_average, or half of it as reference_delay", one_sided=True, measure="ms"
-)
 
 
 def list_reference_laws(
@@ -402,13 +375,10 @@ def list_reference_laws(
         numbers: of the robot.
         predicted: (n, rows) filtered torques of its simulation.
     """
-    mean, inputs = _SCREENED * problem.sample_time, problem.log.experiment.axes
-    each = list[dict[Fault, Any]]()
-    for law, record, read in cast("Any", zip(setup.controllers, records, inputs, strict=True)):
-        ways = list_other_ways(law, record, read.law.period)
-        each.append({_WAYS[way]: replace(law, interpolation=way) for way in ways})
-        if isinstance(law, DiagramController) and not law.reference_average:
-            each[-1][_MEAN] = replace(cast("Any", law), reference_average=mean)
+    log, each = problem.sample_time, list[dict[Fault, Any]]()
+    for law, record, read in cast("Any", zip(setup.controllers, records, problem.log.experiment.axes, strict=True)):
+        variants = [one for one in list_variants(law, record, log, read.law.period) if one.fault in _OF_REFERENCE]
+        each.append({one.fault: one.laws[0].controller for one in variants})
     found: list[list[FaultSignature]] = [[] for _ in each]
     for fault in dict.fromkeys(fault for laws in each for fault in laws):
         laws = tuple(own.get(fault, law) for own, law in zip(each, setup.controllers, strict=True))
@@ -417,6 +387,9 @@ def list_reference_laws(
             if (run := other.run_of(numbers, keep=False)) is None:
                 continue
             moved = other.by_joint(decimate_each(other.log, list(other.predict(run).T))) - predicted
+            shown, size = fault, 1.0
+            if fault is AVERAGED:
+                shown, size = replace(AVERAGED, measure=Measure.TIME), _SCREENED * log
             for k in (k for k, own in enumerate(each) if fault in own):
-                found[k].append(FaultSignature(fault, moved[k] / (mean if fault is _MEAN else 1.0)))
+                found[k].append(FaultSignature(shown, moved[k] / size))
     return found

@@ -59,7 +59,7 @@ def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> N
     if cause == "gear_ratio":
         assert found.cause.joints == ("joint2",) and found.cause.value == pytest.approx(1.25, rel=1e-2)
     if cause == "base":
-        assert "upside down" in found.sentence
+        assert found.cause.value == pytest.approx(np.pi, abs=0.02)
 
 
 @pytest.mark.parametrize("joint", [pytest.param(0, marks=pytest.mark.slow), 1])
@@ -111,7 +111,6 @@ def test_a_base_is_named_by_its_angle_from_the_declared_one(tilt: float) -> None
     down = 9.81 * np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     cause = cause_of(replace(arm(3), gravity=np.array([0.0, 0.0, 9.81])), replace(arm(3), gravity=down))
     assert cause is not None and cause.name == "base" and cause.value == pytest.approx(tilt, abs=0.02)
-    assert "upside down" not in cause.words
 
 
 @pytest.mark.slow
