@@ -121,8 +121,8 @@ class _Change(NamedTuple):
         value, joints = self.value(x), tuple(names[k] for k in self.joints)
         said = joints or names
         words = self.words.format(
-            joint=said[0], other=said[-1], all=join(said), names=join(names), numbers=", ".join(f"{one:.2f}" for one in x),
-            value="" if value is None else number(value, 3),
+            joint=said[0], other=said[-1], all=join(said), names=join(names),
+            value="" if value is None else number(value, 3), numbers=", ".join(f"{one:.2f}" for one in x),
         )  # fmt: skip
         return Cause(self.name, words, value, left, joints)
 
