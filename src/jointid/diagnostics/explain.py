@@ -5,8 +5,8 @@ large, the best fit among sensitivities is any number. So each mistake is correc
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
 Of each case the two best starts are followed for a few steps; those far behind the best case are given up, the others
-converge. A flexible joint is identified as rigid, far below its resonance, which shows a wrong sign, size or clock; a
-filter or a delay of its drive is left to the sensitivities.
+converge. A flexible joint is first identified as rigid, far below its resonance, which shows a wrong sign or size; only
+the remaining cases are fitted to the whole band.
 
 The search assumes one mistake. A free number may absorb much of two: so the residual of a cause must be about that of
 free linear responses to the reference (`model_free`), which assume no drive. If that of the best cause is clearly
@@ -43,6 +43,7 @@ from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG, INITI
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
+from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
 from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -73,6 +74,10 @@ _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _TOLERANCE = 1e-4  # of a fit that only has to show its residual
 _STARTS = 2  # of a case, that are followed
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
+_ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
+_NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
+_LOOPS = 10  # of a case, which are all tried then
+_APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
 _RANGE = 1e4  # times its start, up and down: bounds of a number
 _TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
@@ -86,8 +91,8 @@ class Causes:
     """Causes of a misfit between a record and the declared drive.
 
     Attributes:
-        declared_error: residual share of the filtered torque with the declared drive, of a flexible joint far below its
-            resonance; infinite if its loop cannot be simulated.
+        declared_error: residual share of the filtered torque with the declared drive; infinite if its loop cannot be
+            simulated.
         explanations: at most three causes that this record cannot distinguish, the likeliest first.
         nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
@@ -161,7 +166,7 @@ def find_gross_cause(
         return None
     if left <= _SUSPICIOUS:
         refused = isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows)
-        rigid = fit_changes([(None, Case(record, (loop,), estimate.settings.filtering))]) if refused else []
+        rigid = fit_rigid([(None, Case(record, (loop,), estimate.settings.filtering))]) if refused else []
         if not rigid or rigid[0].error < _POOR_START:
             return None
     return find_causes(record, loop, estimate, progress=progress)
@@ -276,7 +281,7 @@ def find_causes(
     plain = find_plain_cause(record) or find_standstill(record, loop)
     if plain is not None:
         return Causes(math.inf if estimate is None else estimate.fit.filtered_error, plain=plain)
-    filtering, until, flexible = Filtering(), time.process_time() + _SECONDS, isinstance(loop.joint, FlexibleJoint)
+    filtering, until = Filtering(), time.process_time() + _SECONDS
     if estimate is not None:
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *DRIVE_AND_LOG}
         free = [row.name for row in estimate.params.rows if row.name in names and not row.of_joint]
@@ -286,10 +291,8 @@ def find_causes(
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
     fits = fit_changes(tried, until)
-    left = min((fit.error for fit in fits if fit.change is None), default=math.inf)
-    if flexible and left < _POOR_START:
-        return Causes(left)  # a wrong spring, filter or delay, of which sensitivities tell
-    left = left if estimate is None or flexible else min(left, estimate.fit.filtered_error)
+    left = math.inf if estimate is None else estimate.fit.filtered_error
+    left = min((left, *(fit.error for fit in fits if fit.change is None)))
     problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY * (max(case.factor or 1.0, 1.0) if case.free is None else 1.0)
@@ -363,11 +366,12 @@ def _explaining(told: Sequence[Sequence[Cause]], left: float, declared: Case) ->
 
 
 def _judge_motion(declared: Case) -> Cause | None:
-    """Return a reference that is the motor's position, with its residual; None if it cannot be."""
-    moved = replace(declared.record, motor_position=declared.record.reference, load_position=None)
-    loop, filtering = _as_rigid(declared, declared.loops[0])
+    """Return a reference that is the position of a rigid joint's motor, with its residual; None if it cannot be."""
+    moved, joint = replace(declared.record, motor_position=declared.record.reference), declared.loops[0].joint
+    if not isinstance(joint, RigidJoint):
+        return None
     try:
-        left = identify_record(moved, loop.joint, IDIM(), filtering=filtering).fit.filtered_error
+        left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
     except _FAILS:
         return None
     words = "the channel given as the reference is the motor's actual position"
@@ -436,23 +440,41 @@ class Fit:
 
 
 def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
-    """Fit the joint in each case, a flexible one as rigid, the best first; a case far behind the best is given up.
+    """Fit the joint in each case, the best first.
 
     What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
     """
+    fits = fit_rigid(tried, until)
+    if not isinstance(tried[0][1].loops[0].joint, FlexibleJoint):
+        return fits
+    least = min((fit.error for fit in fits), default=math.inf)
+    near = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
+    return _race([_list_flexible_starts(fit) for fit in near], until)
 
-    def start(one: Tried) -> list[Fit]:
-        in_time = itertools.takewhile(lambda _: time.process_time() < until, _list_starts(one))
+
+def fit_rigid(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
+    """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_changes`."""
+    loss = _ROUGHLY if isinstance(tried[0][1].loops[0].joint, FlexibleJoint) else 0.0
+    return _race([_list_rigid_starts(one) for one in tried], until, loss)
+
+
+def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> list[Fit]:
+    """Return the solutions of cases from their starts, the best first; one far behind the best is given up early.
+
+    One that is worse by less than the share `loss` is not given up.
+    """
+
+    def choose(own: Iterator[Fit]) -> list[Fit]:
+        in_time = itertools.takewhile(lambda _: time.process_time() < until, own)
         best = sorted((fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)
         return [fit.free_number() for fit in best[:_STARTS]]
 
     def go_on(fit: Fit, evaluations: int) -> Fit | None:
         return fit.descend(evaluations) if time.process_time() < until else fit
 
-    started = in_threads(start, tried)
-    first = [list(filter(None, in_threads(lambda fit: go_on(fit, _FEW), starts))) for starts in started]
-    bound = _BEHIND * min((fit.error for fits in first for fit in fits), default=math.inf)
-    ends = []
+    first = [list(filter(None, in_threads(lambda fit: go_on(fit, _FEW), one))) for one in in_threads(choose, starts)]
+    least = min((fit.error for fits in first for fit in fits), default=math.inf)
+    bound, ends = max(_BEHIND * least, least + loss), []
     for fits in filter(None, first):
         # To their minima, where their numbers can be stated.
         going = (fit if fit.error > bound else go_on(fit, _TO_ITS_END) or fit for fit in fits)
@@ -460,12 +482,10 @@ def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
     return sorted(ends, key=lambda fit: fit.error)
 
 
-def _list_starts(one: Tried) -> Iterator[Fit]:
+def _list_rigid_starts(one: Tried) -> Iterator[Fit]:
     """Yield starts by the inverted controller, and by a motor that follows the reference exactly, at some delays."""
-    for problem in (_pose(one[1], loop) for loop in one[1].loops):
-        if problem is None or not problem.size > 0.0:  # a torque that the filter removes
-            continue
-        undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
+    posed = (_pose(one[1], loop, low=True) for loop in one[1].loops)
+    for problem in (problem for problem in posed if problem is not None):
         for make in (inversion_start, regular_start):
             try:
                 values = make(problem)
@@ -473,29 +493,45 @@ def _list_starts(one: Tried) -> Iterator[Fit]:
                 continue
             values["inertia"] = abs(values["inertia"])
             values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
-            for late in DELAYS if undeclared else (None,):
-                x = problem.vector(values if late is None else {**values, DELAY: late})
-                with np.errstate(all="ignore"):  # a loop that runs away
-                    left = float(np.linalg.norm(problem.residual(x))) / problem.size
-                yield Fit(*one, problem, x, left if math.isfinite(left) else math.inf)
+            yield from _delayed(one, problem, values)
 
 
-def _pose(case: Case, loop: ClosedLoop) -> ClosedLoopProblem | None:
+def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
+    """Yield starts with modes, near the number of the rigid joint, which is approximate, and at a few others."""
+    case, values = rigid.case, rigid.problem.values(rigid.x)
+    name, loops = case.free, case.loops
+    if name in case.numbers:
+        near = case.at(name, (values[name] * by for by in _NEAR)).loops
+        loops = (*near, *(loops if len(loops) <= _LOOPS else ()))
+    for problem in (_pose(case, loop) for loop in loops):
+        if problem is None:
+            continue
+        modes = frequencies_to_try(problem.axis.law, values["inertia"], problem.sample_time)[::_APART]
+        for hertz, share in itertools.product(modes, _SHARES):
+            yield from _delayed((rigid.change, case), problem, start_with_mode(problem, values, hertz, share))
+
+
+def _delayed(one: Tried, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
+    """Yield a start with its residual share of the torque, at some delays where one is free and none declared."""
+    undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
+    for late in ({DELAY: late} for late in DELAYS) if undeclared else ({},):
+        x, left = problem.vector({**values, **late}), math.inf
+        if problem.size > 0.0:  # else a torque that the filter removes
+            with np.errstate(all="ignore"):  # a loop that runs away
+                left = float(np.linalg.norm(problem.residual(x))) / problem.size
+        yield Fit(*one, problem, x, left if math.isfinite(left) else math.inf)
+
+
+def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
     """Return the problem of a case with one of its loops, its number fixed; None if there is none."""
     around = [one for one in case.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
-    rigid, filtering = _as_rigid(case, loop)
+    filtering, torque = case.filtering, case.record.torque
+    assert torque is not None
+    if low and isinstance(loop.joint, FlexibleJoint):
+        loop = replace(loop, joint=loop.joint.rigid)
+        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
     try:
-        problem = torque_problem(case.record, rigid, filtering, rigid.joint.parameters)
+        problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
         return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
     except JointidError:
         return None
-
-
-def _as_rigid(case: Case, loop: ClosedLoop) -> tuple[ClosedLoop, Filtering]:
-    """Return a loop and the filter of its rows, of a flexible joint as rigid, far below its resonance."""
-    torque = case.record.torque
-    assert torque is not None
-    if not isinstance(loop.joint, FlexibleJoint):
-        return loop, case.filtering
-    below = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
-    return replace(loop, joint=loop.joint.rigid), below

@@ -225,7 +225,7 @@ def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
     return JudgedLaw(
         RIGID if law is None else law.name, len(names), {name: values[name] for name in names},
         {name: std[name] for name in names if name in std}, problem.filtered_error(error),
-        problem.filtered_error(apart), words=words, squares=np.bincount(parts, weights=apart**2) + least,
+        problem.filtered_error(apart), words=words, squares=np.asarray(np.bincount(parts, weights=apart**2) + least),
     )  # fmt: skip
 
 

@@ -201,7 +201,10 @@ class _Solver:
         """Return the least squares from a start, by a few steps, and its numbers."""
         from scipy.optimize import least_squares
 
-        found = least_squares(lambda x: self.error(correct(x)), x, max_nfev=_STEPS)
+        def error(x: FloatArray) -> FloatArray:
+            return self.error(correct(x))
+
+        found = least_squares(error, x, max_nfev=_STEPS)
         return 2.0 * float(found.cost), found.x
 
 

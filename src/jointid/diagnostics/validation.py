@@ -409,9 +409,9 @@ def _compare(
         found = _search(free, free.vector(problem.values(x)))
         return None if found is None else found.residual[np.newaxis]
 
-    columns = (one[:, np.newaxis] for one in (measured, predicted))
-    rows, moved = (one[np.newaxis] for one in (error, whole)), (one[:, np.newaxis] for one in motion)
-    return _Predicted(problem.sample_time, problem.filtering.borders, *columns, *rows, *moved, fit_anew)
+    raw, told, q, v = (one[:, np.newaxis] for one in (measured, predicted, *motion))
+    rows = error[np.newaxis], whole[np.newaxis]
+    return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, q, v, fit_anew)
 
 
 def _search(problem: Any, start: FloatArray) -> Solution | None:

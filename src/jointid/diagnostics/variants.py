@@ -123,21 +123,20 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
     if not isinstance(law, DiagramController) or law.period is not None:
         return
     used, least = law.interpolation or default_interpolation(record.reference), log / _TIMES_FASTER[0]
-    for way in (None, *_list_other_ways(replace(law, period=least), record, least)):
-        if way == "cubic" and not _differentiates_reference(law):
+    for other in (None, *_list_other_ways(replace(law, period=least), record, least)):
+        if other == "cubic" and not _differentiates_reference(law):
             continue
-        faster, more = law if way is None else replace(law, interpolation=way), ""
-        if way is not None:
-            more = f", with its reference {_DONE[way]}"
+        faster: Any = law if other is None else replace(law, interpolation=other)
+        more = "" if other is None else f", with its reference {_DONE[other]}"
         laws = tuple(
             OtherLaw(
                 PERIOD, f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{more}",
-                f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{way or used}"',
+                f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{other or used}"',
                 replace(faster, period=log / times), times / log,
             )
             for times in _TIMES_FASTER
         )  # fmt: skip
-        yield Variant(PERIOD, laws, evident=way == "hold")  # no usual guess
+        yield Variant(PERIOD, laws, evident=other == "hold")  # no usual guess
 
 
 def _alone(law: OtherLaw) -> Variant:
