@@ -62,6 +62,7 @@ _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong 
 # the controller's, too, which it explains whatever the controller does.
 _MORE, _MORE_OF_POSITION = 1.15, 2.0
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
+_FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
 _NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
 _NAMED = 3
@@ -187,18 +188,23 @@ def explain_misfit(
     it found for the controller. `known` are the causes that `find_gross_cause` found. The others are as `find_causes`
     has them.
     """
-    loop = estimate.settings.loop
-    assert loop is not None
-    steps = find_steps(record) if faults is None or faults else None
-    if steps is not None:
-        return Causes(estimate.fit.filtered_error, plain=steps)
+    loop, error = estimate.settings.loop, estimate.fit.filtered_error
+    assert loop is not None and record.reference is not None
     gross = any(_is_gross(one, estimate.data.sample_time) for one in faults or ())
-    if known is None and not gross:
+    poor = known is not None or gross
+    if not poor and faults is not None and not faults:
         return None
-    if known is not None and left is not None and not gross and left <= _MORE_OF_A_LAW * known.unexplained:
+    problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
+    responses = find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
+    # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
+    refused = any(p.value is None for p in estimate.params.rows)
+    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
+    if not (poor or strained or find_steps(record) or error > _FAR_MORE * responses > 0):
+        return None
+    if left is not None and not gross and left <= _MORE_OF_A_LAW * responses:
         return None  # under that law nothing more is wrong
     causes = known or find_causes(record, loop, estimate, progress=progress)
-    return causes if causes.found or causes.declared_error > POOR_FIT else None
+    return causes if causes.found or error > POOR_FIT else None
 
 
 def _is_gross(one: FaultTest, period: float) -> bool:

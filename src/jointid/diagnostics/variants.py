@@ -239,13 +239,17 @@ class LawTest:
 
 
 def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
-    """Return the plainest of the likely laws that leave least; None if none leaves less than the declared one.
+    """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
 
-    Many laws of the reference are alike: of those that leave nearly as little the plainest comes first in the list.
+    None if no law of the reference leaves less than the declared one, however likely the tests of them make it. Many
+    of these are alike: of those that leave nearly as little the plainest comes first in the list.
     """
-    likely = [one for one in explaining if one.as_likely(explaining)]
-    best = max(likely, key=lambda one: one.gain, default=None)
-    return None if best is None else next((one for one in likely if one.leaves_as_little(best)), None)
+    likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
+    if likeliest is None or likeliest.test.fault not in _OF_REFERENCE:
+        return likeliest
+    likely = [one for one in explaining if one.test.fault in _OF_REFERENCE and one.as_likely([likeliest])]
+    best = max(likely, key=lambda one: one.gain)
+    return next((one for one in likely if one.leaves_as_little(best)), None)
 
 
 def _may_matter(found: Tested, step: FaultTest, moved: FloatArray) -> bool:
