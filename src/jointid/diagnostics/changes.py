@@ -259,7 +259,7 @@ def _is(factor: float, other: float, near: float = _NEAR) -> bool:
     return min(abs(math.log(factor / other)), abs(math.log(factor * other))) < near
 
 
-def say_times(factor: float) -> str:
+def _say_times(factor: float) -> str:
     """Return a factor above 1, or its inverse, in words."""
     return f"about {number(max(factor, 1 / factor), 2)} times"
 
@@ -268,7 +268,7 @@ def _say_factor(value: float | None, loop: ClosedLoop) -> Meanings:
     assert value is not None
     numbers, ratio = numbers_of(loop.controller), _gear_ratio(loop)
     factor = value / numbers["gain"]
-    times = say_times(factor)
+    times = _say_times(factor)
     size, other = ("large", "small") if factor > 1 else ("small", "large")
     if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
         actual = "load" if (factor > 1) is (ratio > 1) else "motor"
@@ -300,7 +300,7 @@ def _say_sign(*_: object) -> Meanings:
 
 def _say_sample_time(value: float | None, loop: ClosedLoop) -> Meanings:
     assert value is not None
-    yield "sample_time", f"the sample time is {say_times(value)} too {'short' if value > 1 else 'long'}", value
+    yield "sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value
     if "velocity_gain" in numbers_of(loop.controller):
         # u = g (Kv e - v): with all velocities f times as large it is the law with Kv f times as large, and g f times
         # as small. Only filters and delays tell the two apart, hardly.
@@ -326,7 +326,7 @@ def _of_variant(variant: Variant) -> Change:
 
 
 def _say_number(name: str, clause: str, value: float | None, loop: ClosedLoop) -> Meanings:
-    """Yield one mistake, its clause with the number as {ms} or {fine}, or {shown} and {declared} with units."""
+    """Yield one mistake, its clause with the number and the declared one as {shown} and {declared}, with units."""
 
     def show(value: float) -> str:
         if name.endswith(("delay", "filter")):
@@ -336,10 +336,9 @@ def _say_number(name: str, clause: str, value: float | None, loop: ClosedLoop) -
 
     if value is None and "{shown}" in clause:
         clause = f"the declared {name_number(name)} is not there"
-    known, declared = value or 0.0, numbers_of(loop.controller).get(name, 0.0)
-    numbers = {"shown": show(known), "declared": show(declared)} if "{shown}" in clause else {}
-    said = f"the {name_number(name)}"
-    yield name, clause.format(ms=milliseconds(known), fine=f"{1e3 * known:.4g}", name=said, **numbers), value
+    declared = numbers_of(loop.controller).get(name, 0.0)
+    numbers = {"shown": show(value or 0.0), "declared": show(declared)} if "{shown}" in clause else {}
+    yield name, clause.format(name=f"the {name_number(name)}", **numbers), value
 
 
 def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS_ABOUT) -> Change:
@@ -363,7 +362,7 @@ CHANGES = (
     ),
     _row(
         "torque_filter", partial(_try_filter, "torque_filter"),
-        "there is one more torque filter, such as one of first order with {ms} ms",
+        "there is one more torque filter, such as one of first order with {shown}",
     ),
     _row(
         "velocity_feedforward", _try_feedforward,

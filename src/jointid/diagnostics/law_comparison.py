@@ -25,7 +25,7 @@ from jointid.common.document import Document, Documented, Facts, Table, common_f
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Message, Progress, follow
 from jointid.common.parameters import Parameter
-from jointid.common.text import interval, join, number
+from jointid.common.text import interval, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.didim import DIDIM
@@ -127,10 +127,8 @@ class LawComparison(Documented):
     @property
     def answer(self) -> Message:
         """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
-        found, simple = self.shown, _SIMPLE[self.kind].name
-        beside = [f"a {simple} one {_format_share(one.kept)}" for one in self.laws if found.name != simple == one.name]
+        found = self.shown
         left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted"
-        left = ", ".join((left, *beside))
         if found.name == RIGID:
             code, words = LawCode.NO_SPRING, f'no spring: a rigid joint {left}; declare the joint with model = "rigid"'
         elif found.name == self.declared:
@@ -139,8 +137,6 @@ class LawComparison(Documented):
             code = LawCode(f"another_{self.kind}")
             words = f"{found.name} {self.kind}, {found.words}: it {left}; declare the joint with "
             words += f'{self.kind} = "{found.name}" to identify it'
-        if lost := [one.name for one in self.laws if one.refusal]:
-            words += f"; {join(lost)} could not be identified"
         return Message(code, f"The record shows {words}", {self.kind: found.name, "declared": self.declared})
 
     @property
