@@ -129,12 +129,12 @@ class Change(NamedTuple):
     Attributes:
         name: its code.
         correct: yields the cases in which it is corrected.
-        say: yields what it may be, given the number that was found and the declared loop.
+        say: yields what it may be, given the number that was found and the case as declared.
     """
 
     name: str
     correct: Callable[[Case], Iterable[Case]]
-    say: Callable[[float | None, ClosedLoop], Meanings]
+    say: Callable[[float | None, Case], Meanings]
 
 
 def is_small(name: str, value: float | None, loop: ClosedLoop, period: float) -> bool:
@@ -242,9 +242,9 @@ def _try_torque_scales(case: Case) -> Iterator[Case]:
             yield replace(case.logging(torque=torque.values / factor), free="log_gain", factor=factor)
 
 
-def _try_factors(beside_injected: bool, case: Case) -> Iterator[Case]:
+def _try_factors(case: Case) -> Iterator[Case]:
     numbers, law = case.numbers, case.controller
-    if "gain" in numbers and beside_injected is (case.record.injected is not None):
+    if "gain" in numbers:
         # A limit that was declared beside a wrong scale is wrong, too, or not: without one both are tried.
         endless = with_numbers(law, {"limit": float("inf")}) if "limit" in numbers else law
         scaled = (with_numbers(endless, {"gain": factor * numbers["gain"]}) for factor in _FACTORS)
@@ -264,33 +264,34 @@ def _say_times(factor: float) -> str:
     return f"about {number(max(factor, 1 / factor), 2)} times"
 
 
-def _say_factor(value: float | None, loop: ClosedLoop) -> Meanings:
+def _say_factor(of_torque: bool, value: float | None, case: Case) -> Meanings:
+    """Yield what a factor of the torque, or a gain of the law, may mean.
+
+    An injected signal in its own scale tells the torque from law and reference.
+    """
     assert value is not None
-    numbers, ratio = numbers_of(loop.controller), _gear_ratio(loop)
-    factor = value / numbers["gain"]
+    numbers, ratio = case.numbers, _gear_ratio(case.loops[0])
+    factor = value if of_torque else value / numbers["gain"]
     times = _say_times(factor)
     size, other = ("large", "small") if factor > 1 else ("small", "large")
+    unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by, _ROUGHLY)), "")
+    names = " or ".join(name for name in ("velocity_gain", "gain") if name in numbers)
+    torque = ("torque_scale", f"the torque is {times} too {size}", factor)
+    law = ("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)
+    reference = ("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)
+    found = [reference, torque, law] if unit else [torque, law, reference]
+    constant = getattr(case.controller, "gain", 1.0)
+    if constant != 1.0 and _is(factor, constant):
+        said = f"the torque constant ({constant:g}) is applied twice, or not at all"
+        found.insert(0, ("torque_constant", said, factor))
     if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
         actual = "load" if (factor > 1) is (ratio > 1) else "motor"
         side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
-        yield "gear_side", f'{side} (give the channel side = "{actual}", or see side of [controller])', factor
-    constant = getattr(loop.controller, "gain", 1.0)
-    if constant != 1.0 and _is(factor, constant):
-        yield "torque_constant", f"the torque constant ({constant:g}) is applied twice, or not at all", factor
-    torque = ("torque_scale", f"the torque is {times} too {size}", factor)
-    unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by, _ROUGHLY)), "")
-    reference = ("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)
-    names = " or ".join(name for name in ("velocity_gain", "gain") if name in numbers)
-    law = ("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)
-    yield from (reference, torque, law) if unit else (torque, law, reference)
-
-
-def _say_beside_injected(of_torque: bool, value: float | None, loop: ClosedLoop) -> Meanings:
-    """Yield the meanings that a signal in its own scale leaves: those of the torque, or of law and reference."""
+        side += f' (give the channel side = "{actual}", or see side of [controller])'
+        found.insert(0, ("gear_side", side, factor))
     others = ("law_gain", "reference_scale") if of_torque else ("torque_scale", "torque_constant")
-    if of_torque and value is not None:  # it is found as a factor, those of the law as its gain
-        value *= numbers_of(loop.controller)["gain"]
-    return (one for one in _say_factor(value, loop) if one[0] not in others)
+    beside = case.record.injected is not None
+    yield from (one for one in found if not (beside and one[0] in others))
 
 
 def _say_sign(*_: object) -> Meanings:
@@ -298,10 +299,10 @@ def _say_sign(*_: object) -> Meanings:
         yield f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)", None
 
 
-def _say_sample_time(value: float | None, loop: ClosedLoop) -> Meanings:
+def _say_sample_time(value: float | None, case: Case) -> Meanings:
     assert value is not None
     yield "sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value
-    if "velocity_gain" in numbers_of(loop.controller):
+    if "velocity_gain" in case.numbers:
         # u = g (Kv e - v): with all velocities f times as large it is the law with Kv f times as large, and g f times
         # as small. Only filters and delays tell the two apart, hardly.
         yield "law_gain", "position gain and torque (or velocity gain) are both off by that factor", None
@@ -325,18 +326,19 @@ def _of_variant(variant: Variant) -> Change:
     return Change(variant.fault.name, lambda case: [case.under(*laws)], say)
 
 
-def _say_number(name: str, clause: str, value: float | None, loop: ClosedLoop) -> Meanings:
+def _say_number(name: str, clause: str, value: float | None, case: Case) -> Meanings:
     """Yield one mistake, its clause with the number and the declared one as {shown} and {declared}, with units."""
 
     def show(value: float) -> str:
         if name.endswith(("delay", "filter")):
             return f"{milliseconds(value)} ms"
-        unit = unit_of_number(loop.controller, name, POSITION_UNIT[loop.joint.kind], loop.joint.force_unit)
+        joint = case.loops[0].joint
+        unit = unit_of_number(case.controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
         return f"{number(value, 3) if value else 0} {unit}".rstrip()
 
     if value is None and "{shown}" in clause:
         clause = f"the declared {name_number(name)} is not there"
-    declared = numbers_of(loop.controller).get(name, 0.0)
+    declared = case.numbers.get(name, 0.0)
     numbers = {"shown": show(value or 0.0), "declared": show(declared)} if "{shown}" in clause else {}
     yield name, clause.format(name=f"the {name_number(name)}", **numbers), value
 
@@ -349,9 +351,8 @@ CHANGES = (
     Change("torque_sign", _invert_torque, _say_sign),
     _row("swapped_channels", _swap_channels, "torque and reference are swapped"),
     Change("sample_time", _try_sample_times, _say_sample_time),
-    Change("torque_scale", _try_torque_scales, partial(_say_beside_injected, True)),
-    Change("law_gain", partial(_try_factors, False), _say_factor),
-    Change("law_gain", partial(_try_factors, True), partial(_say_beside_injected, False)),
+    Change("torque_scale", _try_torque_scales, partial(_say_factor, True)),
+    Change("law_gain", _try_factors, partial(_say_factor, False)),
     _row("position_gain", partial(_try_number, "position_gain", _GAINS)),
     _row("derivative_gain", partial(_try_number, "derivative_gain", _GAINS)),
     _row("swapped_gains", _swap_gains, "position gain and velocity (or derivative) gain are swapped"),

@@ -1,6 +1,6 @@
 """Search for the cause of a misfit between a record and the declared drive.
 
-Sensitivities show small deviations of one number (`check_loop`). For a large one, as a torque that is ten times too
+Sensitivities show small deviations of one number (`search`). For a large one, as a torque that is ten times too
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
@@ -16,6 +16,7 @@ as that number.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import time
@@ -31,9 +32,10 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.changes import Case, Cause, Change, is_small, list_changes
-from jointid.diagnostics.faults import FaultTest, Measure
+from jointid.diagnostics.faults import FaultTest
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import find_broken_part, find_plain_cause, find_standstill, find_steps
+from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import WINDOW, windows_of
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
@@ -44,7 +46,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
 from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
-from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
+from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults
@@ -113,8 +115,11 @@ class Causes:
 
     @property
     def is_clear(self) -> bool:
-        """True if a cause leaves far less than the drive as declared, or shows in the samples."""
-        first = self.explanations[:1]
+        """True if a cause leaves far less than the drive as declared, or shows in the samples.
+
+        Another law of the drive is tested with its exact times before it is stated.
+        """
+        first = [one for one in self.explanations[:1] if one.name not in OTHER_LAWS]
         return self.plain is not None or any(one.left <= _CLEARLY * min(self.declared_error, 1.0) for one in first)
 
     @property
@@ -209,7 +214,9 @@ def explain_misfit(
 
 def _is_gross(one: FaultTest, period: float) -> bool:
     """Return whether a fault is too large for a sensitivity to be a guide."""
-    if one.fault.measure is Measure.TIME:
+    if one.name in OTHER_LAWS:  # its size is a share of what another law changes
+        return False
+    if one.fault.measure == "ms":
         return abs(one.size) > _MUCH_LATER * period
     return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
 
@@ -307,7 +314,7 @@ def find_causes(
         problem, reference.values, memory
     )  # fmt: skip
     told = [
-        [Cause(name, words, value, fit.error) for name, words, value in fit.change.say(fit.number, loop)]
+        [Cause(name, words, value, fit.error) for name, words, value in fit.change.say(fit.number, declared)]
         for fit in fits
         if fit.change is not None
     ]
@@ -492,11 +499,10 @@ def _list_rigid_starts(one: Tried) -> Iterator[Fit]:
     """Yield starts by the inverted controller, and by a motor that follows the reference exactly, at some delays."""
     posed = (_pose(one[1], loop, low=True) for loop in one[1].loops)
     for problem in (problem for problem in posed if problem is not None):
-        for make in (inversion_start, regular_start):
-            try:
-                values = make(problem)
-            except JointidError:
-                continue
+        starts = list[dict[str, float]]()
+        with contextlib.suppress(JointidError):
+            starts = rigid_starts(problem, ignore_progress)
+        for values in starts:
             values["inertia"] = abs(values["inertia"])
             values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
             yield from _delayed(one, problem, values)

@@ -51,9 +51,11 @@ _OF_PAIRS = (
 )
 """Of two joints: the code, whether positions and torques are exchanged, and the words."""
 
-_SIGN = "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels, or in record.channels"
 _OF_JOINTS: tuple[tuple[str, int, int, Sequence[Sequence[float]], str], ...] = (
-    ("torque_sign", 0, 1, ((),), _SIGN),
+    (
+        "torque_sign", 0, 1, ((),),
+        "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels, or in record.channels",
+    ),
     ("log_gain", 0, 1, _GEARS, "the logged torque of {joint} is {value} times what moves it: check its unit"),
     (
         "position_sign", 1, 0, ((),),

@@ -31,7 +31,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, Measure, OtherLaw
+from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
@@ -65,16 +65,12 @@ PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sam
 MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions")
 PERIOD = Fault("period", "period of the controller")
 INTERPOLATIONS: dict[Interpolation, Fault] = {
-    way: Fault(
-        _CODES[way], f"reference {done} between its samples", one_sided=True, least=_OF_ROBOT,
-        says=f'the reference is {done} between its samples: declare interpolation = "{way}"',
-    )
+    way: Fault(_CODES[way], f"reference {done} between its samples", f'declare interpolation = "{way}"')
     for way, done in _DONE.items()
-}  # fmt: skip
+}
 AVERAGED = Fault(
-    "averaged_reference", "reference averaged by the drive", one_sided=True,
-    says="the drive averages the reference over some {size}, or it is late by half of that: declare reference_average, "
-    "or reference_delay",
+    "averaged_reference", "reference averaged by the drive",
+    "declare it as reference_average, or half of it as reference_delay",
 )  # fmt: skip
 LATE = REFERENCE_DELAY
 WHOLE = tuple(_CODES.values())
@@ -390,9 +386,9 @@ def list_reference_laws(
             if (run := other.run_of(numbers, keep=False)) is None:
                 continue
             moved = other.by_joint(decimate_each(other.log, list(other.predict(run).T))) - predicted
-            shown, size = fault, 1.0
+            shown, size = replace(fault, one_sided=True, least=_OF_ROBOT), 1.0
             if fault is AVERAGED:
-                shown, size = replace(AVERAGED, measure=Measure.TIME), _SCREENED * log
+                shown, size = replace(fault, one_sided=True, measure="ms"), _SCREENED * log
             for k in (k for k, own in enumerate(each) if fault in own):
                 found[k].append(FaultSignature(shown, moved[k] / size))
     return found

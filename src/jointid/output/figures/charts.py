@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import BAND, ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, mark, panels, styled
+from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, mark, panels, styled
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Transmission
