@@ -18,11 +18,7 @@ from tests.joint_files import faults
 
 R = abs(TURNED_SCREW.motor_per_load)
 
-CONTROLLER = """
-[controller]
-law = "cascade"
-position_gain = 25.0
-"""
+CONTROLLER = '[controller]\nlaw = "cascade"\nposition_gain = 25.0\n'
 MOTOR = """[joint]
 kind = "revolute"
 [record]
@@ -34,22 +30,10 @@ motor_position = { column = "turns [rev]" }
 [parameters]
 inertia = { upper = 2.5e-4 }
 """
-SCREW = """[joint]
-kind = "prismatic"
-[transmission]
-lead = "10 mm"
-sign = -1
-side = "SIDE"
-[record]
-file = "run.csv"
-[record.channels]
-torque = { column = "tau [mN m]" }
-reference = { column = "x [mm]", side = "load" }
-motor_position = { column = "turns [rev]" }
-load_position = { column = "x [mm]" }
-[parameters]
-inertia = { upper = 2.5e-4 }
-"""
+ON_LOAD = 'column = "x [mm]", side = "load" }\nload_position = { column = "x [mm]" }'
+SCREW = '[transmission]\nlead = "10 mm"\nsign = -1\nside = "SIDE"\n' + MOTOR.replace("revolute", "prismatic").replace(
+    'column = "turns [rev]" }', ON_LOAD, 1
+)
 ON_THE_MOTOR = MOTOR + CONTROLLER + "velocity_gain = 0.02\nlimit = 3.0\n"
 GEARED = SCREW + CONTROLLER + "velocity_gain = 0.02\nlimit = 3.0\n"
 BY_THE_LOAD = (

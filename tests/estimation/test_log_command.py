@@ -5,26 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.cli import main
 from tests.estimation.test_log import rigid, stored
+from tests.rigid_axis import JOINT, run
 
-JOINT_FILE = """
-[joint]
-kind = "prismatic"
-
-[record]
-file = "day.csv"
-sample_time = 0.001
-
-[record.channels]
-torque = { column = "torque" }
-reference = { column = "reference" }
-
-[controller]
-law = "cascade"
-position_gain = 100.0
-velocity_gain = 2000.0
-"""
+DAY = JOINT.replace('"run.npy"', '"day.csv"\nsample_time = 0.001')
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +16,8 @@ def joint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("day")
     stored(folder / "day.csv", rigid(80.0))
     path = folder / "joint.toml"
-    path.write_text(JOINT_FILE, encoding="utf-8")
+    path.write_text(DAY, encoding="utf-8")
     return path
-
-
-def run(*words: object) -> int:
-    """Run the program and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 @pytest.mark.slow

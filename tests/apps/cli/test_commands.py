@@ -13,12 +13,11 @@ import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.apps.cli.demo import FIRST_DAY, _write_robot
 from jointid.config import File, load
-from jointid.controller_id.learned_controller import LearnedController
 from jointid.output.report import tune_to_limit
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
-from tests.rigid_axis import JOINT, run, write_axis
+from tests.rigid_axis import JOINT, TRUTH, run, write_axis
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -86,29 +85,13 @@ def test_identify_validate_simulate_on_the_real_axis(
 
 def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: Path) -> None:
     """The record begins 2 ms after its file, at its first refresh; what is written begins with itself."""
-    text = """[joint]
-kind = "revolute"
-[record]
-file = "trace.csv"
-[record.channels]
-torque = { column = "i", sample_time = 0.004 }
-reference = { column = "r", sample_time = 0.004 }
-[controller]
-law = "cascade"
-position_gain = 10.0
-velocity_gain = 2.0
-position_period = 0.016
-position_offset = 0.006
-[parameters]
-inertia = { start = 0.05 }
-viscous = { start = 0.2 }
-coulomb = { start = 0.3 }
-offset = { start = 0.1 }
-"""
-    slow = ji.excitation.trapezoids((1.0, 2.0), 10.0, 2.0, 4e-3, duration=16.0)
+    text = JOINT.replace("run.npy", "trace.csv").replace(" }", ", sample_time = 0.004 }").replace("100.0", "10.0")
+    text += "position_period = 0.016\nposition_offset = 0.006\n[parameters]\n"
+    text += "".join(f"{name} = {{ start = {value} }}\n" for name, value in TRUTH.items())
+    slow = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.2, 4e-3, duration=16.0)
     samples = 4 * slow.size
     rows = np.maximum((np.arange(samples) - 2) // 4, 0)
-    columns = {"t": np.arange(samples) * 1e-3, "r": slow[rows], "i": np.sin(0.3 * rows)}
+    columns = {"t": np.arange(samples) * 1e-3, "reference": slow[rows], "torque": np.sin(0.3 * rows)}
     write_table(tmp_path / "trace.csv", Table(columns))
     joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
     joint.write_text(text, encoding="utf-8")
@@ -117,24 +100,7 @@ offset = { start = 0.1 }
     assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
     found = json.loads(out.read_text(encoding="utf-8"))
     assert found["fit"]["relative_error"] <= 1e-6
-    assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
-
-
-@pytest.fixture
-def learned(monkeypatch: pytest.MonkeyPatch) -> ji.controller.Cascade:
-    """The controller that is found here, at once: a velocity loop at 4 ms, a position loop at every fourth of them."""
-    controller = ji.controller.Cascade(
-        position_gain=40.0, velocity_gain=2.0, period=4e-3, position_period=16e-3, position_offset=12e-3
-    )
-    nothing = np.zeros(0)
-
-    def learn_controller(record: ji.Record, **_: object) -> LearnedController:
-        return LearnedController(
-            controller, "P-P", (), nothing, (), None, {}, 0.0, 0.0, 0.0, 0.0, nothing, "N m", "rad", record.name, None,
-        )  # fmt: skip
-
-    monkeypatch.setattr(jointid, "learn_controller", learn_controller, raising=False)
-    return controller
+    assert abs(found["parameters"]["inertia"]["value"] / TRUTH["inertia"] - 1) <= 1e-6
 
 
 @pytest.mark.parametrize(

@@ -149,29 +149,9 @@ MODEL = """<mujoco><option gravity="0 0 -9.81"/><worldbody>
 <body><joint name="base" axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia="0.8 0.8 0.8"/>
 <body><joint name="wrist" axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></body>
 </worldbody></mujoco>"""
-ROBOT = """
-[robot]
-model = "arm.xml"
-[record]
-file = "log.csv"
-sample_time = 0.001
-[record.channels]
-torque = { column = "tau{axis}" }
-reference = { column = "r{axis}" }
-motor_position = { column = "q{axis}" }
-[[joints]]
-name = "base"
-[joints.controller]
-law = "cascade"
-position_gain = 20.0
-velocity_gain = 12.0
-[[joints]]
-name = "wrist"
-[joints.controller]
-law = "cascade"
-position_gain = 20.0
-velocity_gain = 12.0
-"""
+CONTROLLER = '[joints.controller]\nlaw = "cascade"\nposition_gain = 20.0\nvelocity_gain = 12.0\n'
+ROBOT = HEAD.replace("one.csv", "log.csv").replace("0.002", "0.001") + 'reference = { column = "r{axis}" }\n'
+ROBOT += "".join(f'[[joints]]\nname = "{name}"\n{CONTROLLER}' for name in ("base", "wrist"))
 
 
 @pytest.fixture(scope="module")
