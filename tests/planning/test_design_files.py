@@ -14,17 +14,8 @@ from jointid.config import load, loads
 from jointid.output.test_layout import lay_out
 from jointid.records.formats import read_table
 from tests.rigid_axis import run
-from tests.robots_plants import six
+from tests.robots_plants import six, two
 
-ARM = """<robot name="arm"><link name="base"/>
-<link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="4"/>
-<inertia ixx="0.02" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="lower"><inertial><origin xyz="0.15 0 0"/><mass value="2"/>
-<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="s" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-<limit lower="-3" upper="3" effort="200" velocity="5"/></joint>
-<joint name="e" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
-<limit lower="-3" upper="3" effort="200" velocity="5"/></joint></robot>"""
 JOINT = """
 [[joints]]
 name = "{name}"
@@ -34,14 +25,14 @@ limits = {{ lower = -0.9, upper = 0.9, speed = 1.5, acceleration = 5.0 }}
 """
 ROBOT = """
 [robot]
-model = "arm.urdf"
+model = "arm.xml"
 [record]
 file = "log.csv"
 time = "t"
 [record.channels]
 torque = { column = "i{axis}", unit = "A", timing = "sampled" }
 motor_position = { column = "q{axis}", unit = "deg" }
-""" + "".join(JOINT.format(name=name, ratio=ratio) for name, ratio in (("s", 100.0), ("e", 50.0)))
+""" + "".join(JOINT.format(name=name, ratio=ratio) for name, ratio in (("joint1", 100.0), ("joint2", 50.0)))
 FRICTION = np.array([6.0, 2.5])  # N m of load, that the file does not state
 NOISE = np.array([0.05, 0.03])
 
@@ -60,7 +51,8 @@ def played(robot: ji.robots.Robot, q: np.ndarray, seed: int) -> np.ndarray:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a robot file, its model and its record."""
     folder = tmp_path_factory.mktemp("arm")
-    (folder / "arm.urdf").write_text(ARM, encoding="utf-8")
+    joints = tuple(replace(one, rotor_inertia=0.0, viscous=0.0, coulomb=0.0) for one in two().robot.joints)
+    (folder / "arm.xml").write_text(ji.export(replace(two().robot, joints=joints), "mjcf").text, encoding="utf-8")
     (folder / "robot.toml").write_text(ROBOT, encoding="utf-8")
     robot: ji.robots.Robot = load(folder / "robot.toml").robot
     t = np.arange(6000) * 1e-3
@@ -77,9 +69,9 @@ def test_a_robot_is_planned_from_the_record_of_its_file_and_played_in_its_units(
     assert run("design", folder / "robot.toml", "-q", "--search-time", "0.5", "--out", out, "--json", answer) == 0
     told = json.loads(answer.read_text(encoding="utf-8"))
     columns = read_table(out / "test.csv").columns
-    assert list(columns) == ["t", "s.reference", "e.reference"]
+    assert list(columns) == ["t", "joint1.reference", "joint2.reference"]
     ratios = np.array([100.0, 50.0])
-    q = np.radians(np.column_stack([columns["s.reference"], columns["e.reference"]])) / ratios
+    q = np.radians(np.column_stack([columns["joint1.reference"], columns["joint2.reference"]])) / ratios
     assert 0.5 < np.abs(q).max() < 0.9, "degrees of the motor"
     robot: ji.robots.Robot = load(folder / "robot.toml").robot
     peaks = np.abs(played(robot, q, 2)).max(axis=0)
