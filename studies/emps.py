@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import jointid as ji
-from jointid.models.friction import AsymmetricFriction, AsymmetricStribeckFriction, SymmetricFriction
+from jointid.models.friction import Friction
 
 RECORDS = ("DATA_EMPS", "DATA_EMPS_PULSES")
 JOINT = Path(__file__).parent.parent / "examples" / "emps" / "joint.toml"
@@ -27,7 +27,7 @@ METHODS: dict[str, tuple[ji.DIDIM | ji.IDIM, ji.Filtering]] = {
     "simulated motion, 40 Hz, delay of the force identified": (ji.DIDIM(free=("delay",)), ji.Filtering()),
 }
 RAW = "the same, raw force, every sample"
-FRICTIONS = (SymmetricFriction(), AsymmetricFriction(), AsymmetricStribeckFriction())
+FRICTIONS = (Friction(), Friction("asymmetric"), Friction("asymmetric-stribeck"))
 
 
 def residuals(folder: Path) -> Iterator[tuple[str, str, tuple[float | None, ...]]]:

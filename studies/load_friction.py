@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import jointid as ji
-from jointid.models.friction import SymmetricFriction
+from jointid.models.friction import Friction
 from tests.load_friction import LAWS, hanging_joint, lifting_arm
 
 _FAULT = "load_dependent_friction"
@@ -20,7 +20,7 @@ def judge(seed: int, system: str) -> dict[str, float | bool]:
         found = ji.identify(record, loop, ji.DIDIM(), checks=False)
         stderr = {name: found.params[name].stderr or np.inf for name in numbers}
         z = {name: (found.values[name] - value) / stderr[name] for name, value in numbers.items()}
-        plain = replace(loop, joint=replace(loop.joint, friction=SymmetricFriction()))
+        plain = replace(loop, joint=replace(loop.joint, friction=Friction()))
         named = _FAULT in str(ji.identify(record, plain, ji.DIDIM()).to_dict())
     else:
         arm = lifting_arm(seed)

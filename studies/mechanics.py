@@ -18,8 +18,8 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.models.friction import find_friction
-from jointid.models.springs import ElasticLoad, LinearSpring, find_spring
+from jointid.models.friction import Friction
+from jointid.models.springs import Spring
 from jointid.simulation.loop_input import AxisInput, prepare
 from studies.healthy import Drive, drive
 
@@ -172,7 +172,7 @@ class Spoiled:
         motor, where it is accelerated, as one does whose spring is as soft as both: by `1/K12 + share^2/K23`.
         """
         first, third = self.axis.truth["stiffness"], self.truth.get("third_inertia", 0.0)
-        if not third or spring == ElasticLoad.name:
+        if not third or spring == "elastic-load":
             return first
         share = third / (third + self.truth["load_inertia"])
         return 1 / (1 / first + share**2 / self.truth["third_stiffness"])
@@ -293,7 +293,7 @@ class Said:
 
 
 def judge(
-    seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpring.name, friction: str = "symmetric"
+    seed: int, fault: str, longest: float = 12.0, spring: str = "linear", friction: str = "symmetric"
 ) -> Said | None:
     """Identify a drive with a fault, by a model with that spring and friction; None where there is none."""
     made = spoiled(seed, fault, longest)
@@ -301,7 +301,7 @@ def judge(
         return None
     loop = made.axis.loop
     assert isinstance(loop.joint, ji.FlexibleJoint)
-    loop = replace(loop, joint=replace(loop.joint, spring=find_spring(spring), friction=find_friction(friction)))
+    loop = replace(loop, joint=replace(loop.joint, spring=Spring(spring), friction=Friction(friction)))
     try:
         found = ji.identify(made.record, loop)
     except JointidError:

@@ -15,7 +15,7 @@ from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate, simulated_record
 
-LOADED = FRICTIONS["load-dependent"]()
+LOADED = FRICTIONS["load-dependent"]
 LAWS = PD(position_gain=900.0, derivative_gain=60.0), PD(position_gain=400.0, derivative_gain=20.0)
 _NOISE = 0.3  # N m
 _SIZES = {"viscous": (2.0, 0.8), "coulomb": (3.0, 1.2), "offset": (0.1, -0.05), "rotor_inertia": (0.4, 0.15)}

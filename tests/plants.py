@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.models.controllers import Cascade
-from jointid.models.friction import FRICTIONS, StribeckFriction
+from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.position_forces import PositionHarmonics
-from jointid.models.springs import SPRINGS, Backlash, Spring
+from jointid.models.springs import SPRINGS, Spring
 from jointid.records.record import Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
@@ -136,7 +136,7 @@ def gapped_axis(samples: int = 4000) -> tuple[Case, Record]:
     case = prismatic(1)
     cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in case.clean.items()}
     clean = case.clean.with_channels(cut)
-    loop = with_spring(case.loop, Backlash())
+    loop = with_spring(case.loop, Spring("backlash"))
     run = simulate(case.loop, prepare(case.loop, clean), case.truth)
     assert run.load_position is not None
     truth = case.truth | {"gap": 0.6 * float(np.max(np.abs(run.motor_position - run.load_position)))}
@@ -201,7 +201,7 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
     if law == "ripple":
         other = replace(joint, ripple=PositionHarmonics(0.1 * travel))
     else:
-        other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())
+        other = replace(joint, friction=FRICTIONS[law]) if law in FRICTIONS else replace(joint, spring=SPRINGS[law])
     return replace(case.loop, joint=other), case.truth | more
 
 
@@ -217,7 +217,7 @@ def slow(case: Case, shares: dict[str, float]) -> tuple[ClosedLoop, dict[str, fl
     for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
         values[f"{prefix}stribeck_force"] = shares["stribeck_force"] * values[f"{prefix}coulomb"]
         values[f"{prefix}stribeck_speed"] = shares["stribeck_speed"] * float(np.max(np.abs(own.motor_velocity)))
-    return replace(case.loop, joint=replace(joint, friction=StribeckFriction())), values
+    return replace(case.loop, joint=replace(joint, friction=Friction("stribeck"))), values
 
 
 def rigid(case: Case) -> Case:

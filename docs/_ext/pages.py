@@ -92,7 +92,7 @@ def _imports(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def find_homes() -> dict[str, str]:
-    """Return the module of every public name: `Record`, or `friction.StribeckFriction` of a namespace."""
+    """Return the module of every public name: `Record`, or `friction.Friction` of a namespace."""
     package = Path(jointid.__file__).parent
     homes = {}
     for name, module in _imports(package / "__init__.pyi"):

@@ -32,7 +32,7 @@ ENCODER_STEP = 5e-8  # m
 def main() -> None:
     """Simulate both records and write them."""
     file = ji.load(Path(__file__).with_name("joint.toml"))
-    loop = replace(file.loop, joint=ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction()))
+    loop = replace(file.loop, joint=ji.RigidJoint("prismatic", friction=ji.friction.Friction("asymmetric")))
     reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=24.0)
     added = ji.excitation.pulses(reference.size, SAMPLE_TIME, height=178.0, width=0.02, every=0.4, seed=0)  # N
     ripple = RIPPLE * np.sin(2 * np.pi * reference / PITCH)

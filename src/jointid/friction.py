@@ -1,19 +1,5 @@
-"""Friction laws of a motor or a load: `ji.RigidJoint("revolute", ji.friction.StribeckFriction())`."""
+"""Friction laws of a motor or a load: `ji.RigidJoint("revolute", ji.friction.Friction("stribeck"))`."""
 
-from jointid.models.friction import (
-    AsymmetricFriction,
-    AsymmetricLoadDependentFriction,
-    AsymmetricStribeckFriction,
-    DriftingFriction,
-    LoadDependentFriction,
-    PreslidingFriction,
-    StribeckFriction,
-    SymmetricFriction,
-    WoundLoadDependentFriction,
-)
+from jointid.models.friction import Friction
 
-__all__ = [
-    "AsymmetricFriction", "AsymmetricLoadDependentFriction", "AsymmetricStribeckFriction", "DriftingFriction",
-    "LoadDependentFriction", "PreslidingFriction", "StribeckFriction", "SymmetricFriction",
-    "WoundLoadDependentFriction",
-]  # fmt: skip
+__all__ = ["Friction"]

@@ -1,17 +1,6 @@
-"""Springs between motor and load, `FlexibleJoint("revolute", spring=Backlash())`, and the counterbalance of a load."""
+"""Springs between motor and load, `ji.spring.Spring("backlash")`, and the counterbalance of a load."""
 
 from jointid.models.position_forces import Counterbalance
-from jointid.models.springs import (
-    Backlash,
-    CubicSpring,
-    ElasticLoad,
-    HystereticSpring,
-    LinearSpring,
-    ThreePieceSpring,
-    TwoPieceSpring,
-)
+from jointid.models.springs import Spring
 
-__all__ = [
-    "Backlash", "Counterbalance", "CubicSpring", "ElasticLoad", "HystereticSpring", "LinearSpring",
-    "ThreePieceSpring", "TwoPieceSpring",
-]  # fmt: skip
+__all__ = ["Counterbalance", "Spring"]

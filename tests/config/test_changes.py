@@ -78,7 +78,7 @@ def test_keys_are_set_before_the_file_is_checked() -> None:
     assert changed.filtering == ji.Filtering(cutoff=60.0, decimation=6)
     whole = ['method={name="didim", frequency=20.0}']  # in place of the whole table
     assert loads(text, changes=whole).method == ji.DIDIM(frequency=20.0)
-    assert loads(SMALLEST, changes=["joint.friction=asymmetric"]).joint.friction == ji.friction.AsymmetricFriction()
+    assert loads(SMALLEST, changes=["joint.friction=asymmetric"]).joint.friction == ji.friction.Friction("asymmetric")
     with pytest.raises(ji.JointFileError):
         loads(text, changes=["method.estimator=ols"])
 

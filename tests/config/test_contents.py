@@ -18,7 +18,7 @@ from tests.joint_files import BOTH_ENCODERS, CASCADE, CHANNELS, FLEXIBLE, JOINT,
 def test_every_default() -> None:
     axis = Axis(
         name=None,
-        joint=ji.RigidJoint("prismatic", ji.friction.SymmetricFriction()),
+        joint=ji.RigidJoint("prismatic", ji.friction.Friction()),
         columns={"torque": ji.Column("i"), "reference": ji.Column("r"), "motor_position": ji.Column("q")},
         controller=ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0),
     )
@@ -63,7 +63,7 @@ def test_all_of_a_file() -> None:
         """,
         folder="here",
     )
-    joint = ji.FlexibleJoint("revolute", ji.friction.AsymmetricFriction(), "A")
+    joint = ji.FlexibleJoint("revolute", ji.friction.Friction("asymmetric"), "A")
     known = {parameter.name: parameter for parameter in joint.parameters}
     axis = Axis(
         name="axis 3",

@@ -229,8 +229,8 @@ parameters.hysteresis_torque = 1.0
 def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) -> None:
     file = loads(TEXT.replace("viscous = 3.0\n", LAWS), folder)
     first = file.robot.joints[0]
-    assert first.friction == FRICTIONS["presliding"]() and first.viscous == 3.0
-    assert first.spring == ji.robots.JointSpring(1e4, law=SPRINGS["hysteretic"]())
+    assert first.friction == FRICTIONS["presliding"] and first.viscous == 3.0
+    assert first.spring == ji.robots.JointSpring(1e4, law=SPRINGS["hysteretic"])
     assert first.numbers == {
         "motor_presliding_distance": 1e-3, "load_presliding_distance": 2e-3, "hysteresis_stiffness": 300.0,
         "hysteresis_torque": 1.0,

@@ -12,7 +12,7 @@ from jointid.diagnostics.changes import Case
 from jointid.diagnostics.explain import list_cases
 from jointid.diagnostics.model_free import compare_law, excludes
 from jointid.models.controllers import Cascade
-from jointid.models.friction import PreslidingFriction, StribeckFriction, SymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
@@ -35,8 +35,8 @@ def logged(
 
 @pytest.mark.slow
 def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() -> None:
-    record = logged(RigidJoint("prismatic", PreslidingFriction()), WOUND, seconds=8.0)
-    loop = ClosedLoop(RigidJoint("prismatic", StribeckFriction()), LAW)  # a wrong law of friction
+    record = logged(RigidJoint("prismatic", Friction("presliding")), WOUND, seconds=8.0)
+    loop = ClosedLoop(RigidJoint("prismatic", Friction("stribeck")), LAW)  # a wrong law of friction
     faults = ji.diagnose(record, ji.identify(record, loop, checks=False)).axes[0].faults
     names = {fault.name for one in faults.findings for fault in (one.test.fault, *one.test.alike)}
     assert not {"velocity_gain", "position_gain", "delay", "period", "log_gain", "log_delay"} & names
@@ -46,7 +46,7 @@ def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() 
     ("law", "gain"), [(replace(LAW, velocity_gain=4080.0), 1.0), (replace(LAW, position_gain=100.2), 1.0), (LAW, 1.02)]
 )
 def test_a_fault_that_the_motor_position_shows_is_not_excluded(law: Cascade, gain: float) -> None:
-    loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
+    loop = ClosedLoop(RigidJoint("prismatic", Friction()), LAW)
     record = logged(loop.joint, PLAIN, law, gain)
     followed = compare_law(record, loop)
     assert followed.holds  # within the 3 % that it may be off
@@ -56,7 +56,7 @@ def test_a_fault_that_the_motor_position_shows_is_not_excluded(law: Cascade, gai
 
 
 def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
-    loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
+    loop = ClosedLoop(RigidJoint("prismatic", Friction()), LAW)
     record = logged(loop.joint, PLAIN)
     assert excludes(record, loop, LAW, late=5e-4)
     late = np.interp(record.torque.time - 2e-4, record.torque.time, record.torque.values)
@@ -65,8 +65,8 @@ def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
 
 
 def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
-    record = logged(RigidJoint("prismatic", SymmetricFriction()), PLAIN)
-    loop = ClosedLoop(RigidJoint("prismatic", SymmetricFriction()), LAW)
+    record = logged(RigidJoint("prismatic", Friction()), PLAIN)
+    loop = ClosedLoop(RigidJoint("prismatic", Friction()), LAW)
 
     def names(record: Record) -> set[str]:
         found = list_cases(Case(record, (loop,), ji.Filtering().resolve(1e-3, "rigid")))

@@ -12,7 +12,7 @@ from jointid.diagnostics.validation import validate
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -20,7 +20,7 @@ from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
-ASYMMETRIC = ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), CONTROLLER)
+ASYMMETRIC = ClosedLoop(RigidJoint("prismatic", friction=Friction("asymmetric")), CONTROLLER)
 
 
 def rounded(estimate: Estimate, digits: dict[str, int]) -> dict[str, float]:

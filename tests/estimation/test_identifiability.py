@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.uncertainty.covariance import white
 from jointid.uncertainty.identifiability import identifiability, sums_of
@@ -120,7 +120,7 @@ def test_a_motion_in_one_direction_determines_no_coulomb_friction() -> None:
 
 def test_the_sums_of_every_joint() -> None:
     """Sums are of both sides, direction by direction; a rigid joint has one side."""
-    joint = FlexibleJoint("prismatic", friction=AsymmetricFriction())
+    joint = FlexibleJoint("prismatic", friction=Friction("asymmetric"))
     units = {p.name: joint.unit(p) for p in joint.parameters}
     formulas = [c.formula for c in sums_of(joint.parameters, units)]
     assert formulas == ["ZZ1 + ZZ2", "Fv1+ + Fv2+", "Fc1+ + Fc2+", "Fv1- + Fv2-", "Fc1- + Fc2-"]

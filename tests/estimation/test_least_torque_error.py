@@ -35,7 +35,7 @@ def test_a_direction_that_is_never_taken_is_refused() -> None:
     period = 1e-3
     speeds = np.interp(np.arange(4000) * period, [0.0, 0.5, 1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 2.0, 0.5, 3.0, 1.0])
     law = Cascade(position_gain=30.0, velocity_gain=20.0, integral_gain=100.0, period=period)
-    loop = ji.ClosedLoop(ji.RigidJoint(kind="revolute", friction=ji.friction.AsymmetricFriction()), law)
+    loop = ji.ClosedLoop(ji.RigidJoint(kind="revolute", friction=ji.friction.Friction("asymmetric")), law)
     ways = {f"{name}_{way}": v for name, v in (("viscous", 0.2), ("coulomb", 2.0)) for way in ("forwards", "backwards")}
     truth = {"inertia": 0.1, **ways, "offset": 0.0}
     noise = 0.02 * np.random.default_rng(0).standard_normal(speeds.size)

@@ -13,7 +13,7 @@ from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import LOAD_DEPENDENT_FRICTION
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade
-from jointid.models.friction import FRICTIONS, SymmetricFriction
+from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -25,7 +25,7 @@ from tests.load_friction import lifting_arm
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "friction_per_torque": 0.1, "offset": 1.5}
 ADDED = 10.0  # kg
 LOOP = ClosedLoop(
-    RigidJoint("prismatic", FRICTIONS["load-dependent"]()), Cascade(position_gain=60.0, velocity_gain=500.0)
+    RigidJoint("prismatic", FRICTIONS["load-dependent"]), Cascade(position_gain=60.0, velocity_gain=500.0)
 )
 
 
@@ -70,7 +70,7 @@ def test_two_payloads_tell_the_share_of_every_axis(by: Literal["torque", "motor_
 
 def test_its_signature_is_of_the_torque_that_acts_and_not_of_the_logged_one() -> None:
     t, truth = np.arange(2000) * 1e-3, TRUTH | {"friction_per_torque": 0.0}
-    plain = replace(LOOP, joint=replace(LOOP.joint, friction=SymmetricFriction()))
+    plain = replace(LOOP, joint=replace(LOOP.joint, friction=Friction()))
     reference, injected = 0.1 * np.sin(6.0 * t) * np.clip(2 * t, 0.0, 1.0) ** 2, 200.0 * np.sin(44.0 * t)
     record = simulated_record(plain, reference, truth, sample_time=1e-3, injected=injected, in_torque=False)
     made, own = (torque_problem(record, one, Filtering(), one.joint.parameters) for one in (plain, LOOP))

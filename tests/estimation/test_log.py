@@ -21,7 +21,7 @@ from jointid.estimation.problems.log_windows import (
 )
 from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.records.chunks import Log
@@ -189,7 +189,7 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
 
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
-    loop = ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), LOOP.controller)
+    loop = ClosedLoop(RigidJoint("prismatic", friction=Friction("asymmetric")), LOOP.controller)
     lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
     both = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 10)
     out = lap[: np.argmax(lap) + 1]

@@ -10,7 +10,7 @@ import pytest
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.excitation import pulses, trapezoids
@@ -78,7 +78,7 @@ def test_didim_recovers_asymmetric_friction_on_a_rotary_pd_loop() -> None:
         "inertia": 0.02, "viscous_forwards": 0.05, "coulomb_forwards": 0.3, "viscous_backwards": 0.08,
         "coulomb_backwards": 0.2,
     }  # fmt: skip
-    loop = ClosedLoop(RigidJoint("revolute", AsymmetricFriction()), PD(position_gain=60.0, derivative_gain=1.6))
+    loop = ClosedLoop(RigidJoint("revolute", Friction("asymmetric")), PD(position_gain=60.0, derivative_gain=1.6))
     motion = trapezoids((2.0, 5.0, 9.0), 60.0, 4.0, T, rest=0.1)
     made = simulated_record(loop, motion, truth | {"offset": 0.0}, sample_time=T).without("motor_position")
     estimate = identify(made, loop)

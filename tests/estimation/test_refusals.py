@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.paper.twin import twin
 from jointid.simulation.drive_side import DriveSide
@@ -18,7 +18,7 @@ from tests.estimation.test_recovery import LOOP, MOVING, TRUTH, T, simulated_rec
 
 RECORD = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
 RIGID, FLEXIBLE = ji.RigidJoint("prismatic"), ji.FlexibleJoint("prismatic")
-ASYMMETRIC = ji.RigidJoint("prismatic", friction=AsymmetricFriction())
+ASYMMETRIC = ji.RigidJoint("prismatic", friction=Friction("asymmetric"))
 AXIS, ARM = twin(noise="none"), arm(2)
 INERTIA = RIGID.parameters[0]
 
@@ -73,7 +73,7 @@ def resting() -> None:
         (lambda: PositionHarmonics(0.1, harmonics=0), ji.MethodError),
         (lambda: ji.RigidJoint("prismatic", gravity=Gravity("link")), ji.MethodError),
         (
-            lambda: ji.RigidJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant")),
+            lambda: ji.RigidJoint("prismatic", friction=Friction("asymmetric"), gravity=Gravity("constant")),
             ji.MethodError,
         ),
         (lambda: Gravity("arm"), ji.MethodError),  # type: ignore[arg-type]

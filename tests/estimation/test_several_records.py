@@ -14,7 +14,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.identify_several import fill_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
@@ -207,7 +207,7 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     loop = (
         RIGID
         if friction == "symmetric"
-        else ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), CONTROLLER)
+        else ClosedLoop(RigidJoint("prismatic", friction=Friction("asymmetric")), CONTROLLER)
     )
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
     found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)

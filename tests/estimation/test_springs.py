@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.springs import Backlash, Spring, ThreePieceSpring
+from jointid.models.springs import Spring
 from studies.mechanics import Spoiled, spoiled
 from tests.estimates import identify
 from tests.plants import gapped_axis, with_spring
@@ -61,7 +61,7 @@ def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("fault", "spring", "seed"), [("backlash", Backlash(), 0), ("spring in pieces", ThreePieceSpring(), 0)]
+    ("fault", "spring", "seed"), [("backlash", Spring("backlash"), 0), ("spring in pieces", Spring("three-piece"), 0)]
 )
 def test_recovers_the_spring_of_another_simulator(fault: str, spring: Spring, seed: int) -> None:
     made = spoiled(seed, fault, 8.0)
@@ -80,7 +80,7 @@ def of_pieces(made: Spoiled, spring: Spring) -> dict[str, float]:
     """The parameters of the spring that a drive of the study has."""
     truth = made.truth
     K = truth["stiffness"]
-    if isinstance(spring, Backlash):
+    if spring.name == "backlash":
         return {"stiffness": K, "gap": 2 * truth["gap"]}
     second, torque = K + truth["more"], K * truth["bend"]
     then = torque + second * (truth["next_bend"] - truth["bend"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.diagnostics.validation import validate
-from jointid.models.friction import FRICTIONS, StribeckFriction
+from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.loop_input import prepare
@@ -54,7 +54,7 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
 @pytest.mark.parametrize("friction", list(EMPS_RESIDUAL))
 def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps: Record, emps_pulses: Record) -> None:
     """The 7.7 N that the check of the loop finds near standstill are a law, which holds on the other record, too."""
-    loop = ClosedLoop(RigidJoint("prismatic", friction=FRICTIONS[friction]()), CONTROLLER)
+    loop = ClosedLoop(RigidJoint("prismatic", friction=FRICTIONS[friction]), CONTROLLER)
     estimate = identify(emps.without("motor_position"), loop)
     fitted, kept = EMPS_RESIDUAL[friction]
     assert round(100 * estimate.fit.filtered_error, 2) == pytest.approx(fitted, abs=0.02)
@@ -75,7 +75,7 @@ def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:
 def test_the_lines_are_near_the_exponential() -> None:
     values = {"viscous": 0.0, "coulomb": 1.0, "stribeck_force": 1.0, "stribeck_speed": 2.0}
     speeds = np.linspace(1e-9, 8.0, 4001)
-    found = StribeckFriction().force(values, speeds)
+    found = Friction("stribeck").force(values, speeds)
     assert np.abs(found - 1.0 - np.exp(-((speeds / 2.0) ** 2))).max() < 0.005
-    still, back, forth = StribeckFriction().force(values, np.array([0.0, -1.0, 1.0]))
+    still, back, forth = Friction("stribeck").force(values, np.array([0.0, -1.0, 1.0]))
     assert (still, back) == (0.0, -forth)

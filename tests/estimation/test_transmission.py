@@ -15,7 +15,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, on_other_side
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Channel, Record
@@ -43,7 +43,7 @@ RIGID_ASYMMETRIC = {
 
 
 def joint_of(model: str, gear: Transmission | None, friction: str = "symmetric") -> Joint:
-    law = SymmetricFriction() if friction == "symmetric" else AsymmetricFriction()
+    law = Friction() if friction == "symmetric" else Friction("asymmetric")
     made = RigidJoint if model == "rigid" else FlexibleJoint
     return made("revolute" if gear is None else gear.kind, law, None, gear)
 

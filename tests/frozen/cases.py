@@ -153,14 +153,19 @@ MORE: dict[str, Callable[[SimpleNamespace], float]] = {
     "hysteresis_torque": lambda one: 0.2 * one.force, "swinging_share": lambda one: 0.3,
     "swinging_stiffness": lambda one: 1.5 * one.stiffness, "swinging_damping": lambda one: 1e-3 * one.stiffness,
 }  # fmt: skip
-FRICTIONS = [n for n in ji.friction.__all__ if n != "SymmetricFriction"]
-SPRINGS = [n for n in ji.spring.__all__ if n not in ("LinearSpring", "Counterbalance")]
+LAWS: dict[str, Callable[[str], Any]] = {"friction": ji.friction.Friction, "spring": ji.spring.Spring}
+# Each law has its place in this order, from which its case is drawn.
+FRICTIONS = (
+    "asymmetric", "asymmetric-load-dependent", "asymmetric-stribeck", "drifting", "load-dependent", "presliding",
+    "stribeck", "presliding-load-dependent",
+)  # fmt: skip
+SPRINGS = "backlash", "cubic", "elastic-load", "hysteretic", "three-piece", "two-piece"
 
 
 def other_law(part: str, name: str, kind: str, seed: int, known: bool = False) -> ji.Estimate:
     """Identify a joint whose friction or spring has another law than declared, or (`known`) as it is."""
     one = draw(200 + seed, kind)
-    one.joint = replace(one.model, **{part: getattr(getattr(ji, part), name)()})
+    one.joint = replace(one.model, **{part: LAWS[part](name)})
     for parameter in one.joint.parameters:
         base = parameter.name.removesuffix("_forwards").removesuffix("_backwards")
         factor = next((f for end, f in MORE.items() if parameter.name.endswith(end)), None)

@@ -24,10 +24,10 @@ from jointid.models.controllers import (
     StateSpaceController,
     invert,
 )
-from jointid.models.friction import find_friction
+from jointid.models.friction import Friction
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
-from jointid.models.springs import find_spring
+from jointid.models.springs import Spring
 from tests.models.robots.trees import chain
 
 T = 1e-3
@@ -76,8 +76,8 @@ REFUSED: dict[str, Callable[[], object]] = {
     "matrices of other sizes": lambda: StateSpaceController(A=np.eye(2), B={"position": [1.0]}, C=[1.0, 0.0], D={}),
     "a law that sees the position later": lambda: turned_round({"reference": 5.0}),
     "a law with an unstable inverse": lambda: turned_round({"position": -1.0}),
-    "an unknown friction": lambda: find_friction("dahl"),
-    "an unknown spring": lambda: find_spring("quintic"),
+    "an unknown friction": lambda: Friction("dahl"),
+    "an unknown spring": lambda: Spring("quintic"),
     "a joint that neither slides nor turns": lambda: RigidJoint("rotary"),  # type: ignore[arg-type]
     "a parameter that a model has not": lambda: adjust_parameters(
         RigidJoint("prismatic").parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)}

@@ -12,7 +12,7 @@ from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
 from jointid.models.position_forces import PositionHarmonics
-from jointid.models.springs import ElasticLoad, find_spring
+from jointid.models.springs import Spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.joints import _holding_torque
 from jointid.simulation.drive_side import PARTS, DriveSide, prescribe, run_drive_side
@@ -37,7 +37,7 @@ def test_a_ripple_on_the_load_is_one_of_the_whole_where_the_spring_does_not_give
 @pytest.mark.parametrize("spring", [None, "cubic", "elastic-load"])
 def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> None:
     joint = FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load"))
-    joint = joint if spring is None else replace(joint, spring=find_spring(spring))
+    joint = joint if spring is None else replace(joint, spring=Spring(spring))
     values = TABLE_2 | SWINGS | {"cubic_stiffness": 0.0, "load_harmonic_1_cosine": 80.0, "load_harmonic_1_sine": 0.0}
     start = joint.start(values, 0.0, 0.0)
     assert start[0] - start[2] == pytest.approx(80.0 / TABLE_2["stiffness"])
@@ -65,7 +65,7 @@ def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:
 
 
 def test_modes_and_response_of_an_elastic_load_are_those_of_three_masses() -> None:
-    joint, values = FlexibleJoint("prismatic", spring=ElasticLoad()), TABLE_2 | SWINGS
+    joint, values = FlexibleJoint("prismatic", spring=Spring("elastic-load")), TABLE_2 | SWINGS
     A = linear_joints(joint, [values]).A[0]
     undamped = linear_joints(joint, [values | dict.fromkeys(
         ("motor_viscous", "load_viscous", "damping", "swinging_damping"), 0.0
@@ -82,7 +82,7 @@ def test_modes_and_response_of_an_elastic_load_are_those_of_three_masses() -> No
 
 
 def test_an_elastic_load_begins_its_search_as_stiff_as_the_linear_spring() -> None:
-    starts = list(ElasticLoad().starts(TABLE_2, 1e-4))
+    starts = list(Spring("elastic-load").starts(TABLE_2, 1e-4))
     assert len(starts) == 4
     for start in starts:
         both = 1 / start["stiffness"] + start["swinging_share"] ** 2 / start["swinging_stiffness"]

@@ -6,7 +6,7 @@ import pytest
 
 from jointid.common.transmission import Transmission
 from jointid.estimation.result.parts import cross
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
 from tests.geared import TURNED_SCREW
@@ -40,7 +40,7 @@ def test_both_ways_lead_back() -> None:
     """Over every parameter that a joint has, whatever the direction."""
     back = Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
     ripple = PositionHarmonics(0.01, 2)
-    for joint in (RigidJoint("prismatic", AsymmetricFriction()), FlexibleJoint("prismatic", AsymmetricFriction())):
+    for joint in (RigidJoint("prismatic", Friction("asymmetric")), FlexibleJoint("prismatic", Friction("asymmetric"))):
         for p in (*joint.parameters, *ripple.parameters):
             name, unit, factor = cross(TURNED_SCREW, p.name, joint.unit(p), "N")
             assert cross(back, name, unit, "N m") == (p.name, joint.unit(p), pytest.approx(1 / factor))

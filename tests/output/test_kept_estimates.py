@@ -19,7 +19,7 @@ from jointid.output.json import read_report
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
-JOINT = ji.RigidJoint("revolute", friction=ji.friction.AsymmetricFriction(), gravity=ji.Gravity("link"))
+JOINT = ji.RigidJoint("revolute", friction=ji.friction.Friction("asymmetric"), gravity=ji.Gravity("link"))
 VALUES = {
     "inertia": 0.8, "viscous_forwards": 1.1, "viscous_backwards": 1.4, "coulomb_forwards": 2.0,
     "coulomb_backwards": 1.7, "offset": 0.0, "gravity_cos": 4.0, "gravity_sin": -1.0,

@@ -119,7 +119,7 @@ def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest
 )
 def test_of_friction_of_a_rigid_joint(law: str) -> None:
     case = prismatic(1)
-    loop = ClosedLoop(RigidJoint("prismatic", FRICTIONS[law]()), with_numbers(case.loop.controller, {"delay": 1.5e-4}))
+    loop = ClosedLoop(RigidJoint("prismatic", FRICTIONS[law]), with_numbers(case.loop.controller, {"delay": 1.5e-4}))
     sides = {name.removeprefix("motor_"): value for name, value in case.truth.items()}
     sides |= {"stribeck_force": 0.4 * sides["coulomb"], "stribeck_speed": 0.01, "presliding_distance": 1e-3}
     names = [p.name for p in loop.joint.parameters]
@@ -198,7 +198,7 @@ def test_of_controllers(name: str) -> None:
     """From a start in motion, across reversals, sticking, delays and limits; of a limit that it acts."""
     case = CONTROLLERS[name]
     joint: Any = FlexibleJoint("prismatic") if "stiffness" in case.values else RigidJoint("prismatic")
-    joint = replace(joint, friction=FRICTIONS["asymmetric"]()) if case.values is WAYS else joint
+    joint = replace(joint, friction=FRICTIONS["asymmetric"]) if case.values is WAYS else joint
     record, torque = (slower(), 15.0) if case.of_two_rates else (driven(), None)
     begin = Initial(1e-4, 0.005, torque) if case.of_two_rates else Initial(1e-3, 0.02)
     names = (*case.values, "initial_position", "initial_velocity", *case.names)
@@ -230,7 +230,7 @@ def test_of_a_delay_in_an_averaged_measured_torque(delay: float) -> None:
 
 
 def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> None:
-    joint = FlexibleJoint("prismatic", FRICTIONS["asymmetric"]())
+    joint = FlexibleJoint("prismatic", FRICTIONS["asymmetric"])
     loop = ClosedLoop(joint, Cascade(position_gain=100.0, velocity_gain=7e3))
     experiment = prepare(loop, driven())
     names = ["velocity_gain", *WAYS, "initial_position", "delay", "position_gain", "initial_velocity", "gain"]

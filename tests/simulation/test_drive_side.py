@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import TABLE_2
 from jointid.simulation.drive_side import (
@@ -60,7 +60,7 @@ def test_a_load_that_sticks_stands_still_and_stores_its_deflection() -> None:
 
 @pytest.mark.parametrize("pause", [False, True])
 def test_derivatives_are_those_of_differences(pause: bool) -> None:
-    joint = FlexibleJoint("prismatic", friction=AsymmetricFriction()) if not pause else JOINT
+    joint = FlexibleJoint("prismatic", friction=Friction("asymmetric")) if not pause else JOINT
     values = dict(TABLE_2)
     if not pause:
         for side in ("motor", "load"):

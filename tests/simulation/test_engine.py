@@ -25,9 +25,9 @@ _STEP = 3e-6
 
 def _nothing_more(case: Case, friction: str = "drifting", spring: str = "cubic") -> tuple[ClosedLoop, dict[str, float]]:
     """The drive with smooth laws that add nothing to what it is."""
-    joint = replace(case.loop.joint, friction=FRICTIONS[friction]())
+    joint = replace(case.loop.joint, friction=FRICTIONS[friction])
     if isinstance(joint, FlexibleJoint):
-        joint = replace(joint, spring=SPRINGS[spring]())
+        joint = replace(joint, spring=SPRINGS[spring])
     more = {p.name: 0.0 for p in joint.parameters if p.name not in case.truth}
     return replace(case.loop, joint=joint), case.truth | more
 
@@ -60,7 +60,7 @@ def test_friction_that_winds_up_over_next_to_nothing_is_coulombs(make: Callable[
     """However stiff it then is; what it differs by is the motion of a mass that it holds, as the root of its length."""
     case = make(1)
     exact = simulate(case.loop, prepare(case.loop, case.clean), case.truth)
-    loop = replace(case.loop, joint=replace(case.loop.joint, friction=FRICTIONS["presliding"]()))
+    loop = replace(case.loop, joint=replace(case.loop.joint, friction=FRICTIONS["presliding"]))
     for share, within in ((1e-6, 5e-2), (1e-9, 2e-3), (1e-12, 5e-5)):
         length = share * float(np.ptp(exact.motor_position))
         values = case.truth | {"motor_presliding_distance": length, "load_presliding_distance": length}
@@ -90,7 +90,7 @@ def test_a_load_that_begins_to_swing_in_motion_has_the_derivative_of_differences
 
 def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -> None:
     law, values = (
-        FRICTIONS["load-dependent"](),
+        FRICTIONS["load-dependent"],
         {"load_viscous": 0.0, "load_coulomb": 2.0, "load_friction_per_torque": 0.2},
     )
     for velocity, load in ((1.0, 50.0), (-1.0, 50.0), (1.0, -50.0), (-1.0, 0.5)):
@@ -102,7 +102,7 @@ def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -
 def test_what_has_not_wound_up_does_not_drag_at_the_first_sample(velocity: float) -> None:
     case = prismatic(1)
     joint = case.loop.joint
-    loop = replace(case.loop, joint=replace(joint, friction=FRICTIONS["presliding"]()))
+    loop = replace(case.loop, joint=replace(joint, friction=FRICTIONS["presliding"]))
     values = case.truth | {"motor_presliding_distance": 1e-4, "load_presliding_distance": 1e-4}
     experiment = prepare(loop, case.clean)
     found = simulate(loop, experiment, values, Initial(velocity=velocity))

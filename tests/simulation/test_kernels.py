@@ -98,7 +98,7 @@ def test_a_stop_at_the_end_of_a_period_ends_no_simulation() -> None:
 def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:
     """A constant push below Fc moves it by s ln(1 / (1 - push / Fc)), where the wound-up friction carries the push."""
     values = {"inertia": 1.0, "viscous": 2000.0, "coulomb": 10.0, "presliding_distance": 1e-3, "offset": -6.0}
-    joint = RigidJoint("prismatic", FRICTIONS["presliding"]())
+    joint = RigidJoint("prismatic", FRICTIONS["presliding"])
     _, q, _, _ = free(joint, values, np.zeros(5000), np.zeros(2), way="steps")
     assert q[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)
 

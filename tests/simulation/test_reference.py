@@ -69,7 +69,7 @@ def test_joints_of_straight_lines_are_exact(seed: int, way: str) -> None:
     """Rigid and flexible, of friction that differs by the direction; they stick, slide and turn round."""
     case = (prismatic, rotary)[seed % 2](seed)
     rng, record = np.random.default_rng(seed), window(case.clean)
-    for joint in (replace(case.loop.joint, friction=FRICTIONS["asymmetric"]()), RigidJoint(case.loop.joint.kind)):
+    for joint in (replace(case.loop.joint, friction=FRICTIONS["asymmetric"]), RigidJoint(case.loop.joint.kind)):
         sums = case.loop.joint.rigid_sums(case.truth)
         known = case.truth | sums
         values = {p.name: known.get(p.name, known.get(p.name.rpartition("_")[0], 0.0)) for p in joint.parameters}

@@ -9,7 +9,7 @@ from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-from jointid.models.springs import SPRINGS, ElasticLoad
+from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import RobotLoop, prepare
@@ -43,9 +43,9 @@ BETWEEN = {
     "torque_2": 6.0, "cubic_stiffness": 4e6, "hysteresis_stiffness": 300.0, "hysteresis_torque": 1.0, "offset": 0.2,
 }  # fmt: skip
 
-RIGID = [RigidJoint("revolute", law()) for law in FRICTIONS.values()]
-FLEXIBLE = [FlexibleJoint("revolute", law()) for law in FRICTIONS.values()]
-SPRUNG = [FlexibleJoint("revolute", spring=law()) for law in SPRINGS.values() if law is not ElasticLoad]
+RIGID = [RigidJoint("revolute", law) for law in FRICTIONS.values()]
+FLEXIBLE = [FlexibleJoint("revolute", law) for law in FRICTIONS.values()]
+SPRUNG = [FlexibleJoint("revolute", spring=law) for law in SPRINGS.values() if law.name != "elastic-load"]
 JOINTS = pytest.mark.parametrize(
     "joint",
     [*RIGID, *FLEXIBLE, *SPRUNG[1:]],

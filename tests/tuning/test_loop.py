@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SampledLaw, scale
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import (
     LinearJoints,
@@ -81,7 +81,7 @@ def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
 
 def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
     ways = {"viscous_forwards": 50.0, "viscous_backwards": 4000.0, "coulomb_forwards": 20.0, "coulomb_backwards": 20.0}
-    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=Friction("asymmetric"))
     law = Cascade(position_gain=50.0, velocity_gain=2e4).law(PERIOD)
     both = joint_set(joint, [{"inertia": 100.0, "offset": 0.0} | ways], law).margins(law)
     each = [

@@ -16,7 +16,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
-from jointid.models.friction import AsymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
@@ -157,7 +157,7 @@ def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
 
 
 def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
-    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=Friction("asymmetric"))
     values = {"inertia": 100.0, "viscous_forwards": 100.0, "viscous_backwards": 200.0, "offset": 0.0}
     values |= {"coulomb_forwards": 30.0, "coulomb_backwards": 20.0}
     loop = ClosedLoop(joint, Cascade(position_gain=20.0, velocity_gain=2000.0))

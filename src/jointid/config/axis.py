@@ -17,10 +17,10 @@ from jointid.config.source import Source
 from jointid.config.tables import Values, make_method
 from jointid.estimation.methods.registry import Method, methods
 from jointid.models.controllers import Controller
-from jointid.models.friction import find_friction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.limits import AxisLimits
-from jointid.models.springs import find_spring
+from jointid.models.springs import Spring
 from jointid.records.checks import check_record
 from jointid.records.clock import Cut
 from jointid.records.columns import Column, known_units
@@ -199,10 +199,10 @@ def _build_joint(own: Values, kind: Kind, gear: Transmission | None, unit: str |
     weight, place = own["gravity"], own["at"]("joint")
     if weight is not None and gear is not None:
         weight = replace(weight, angle=weight.angle * gear.torque("load"))
-    moving, friction = kind if gear is None else gear.kind, find_friction(own["friction"])
+    moving, friction = kind if gear is None else gear.kind, Friction(own["friction"])
     forces = (moving, friction, unit, gear, weight, own["ripple"])
     if own["model"] == "flexible":
-        made: Joint = _make(place, FlexibleJoint, *forces, find_spring(own["spring"] or "linear"))
+        made: Joint = _make(place, FlexibleJoint, *forces, Spring(own["spring"] or "linear"))
     elif own["spring"] not in (None, "linear"):
         rest = f' is "{own["spring"]}", but a rigid joint has no spring; set joint.model = "flexible".'
         raise JointFileError(fault_at((*place, "spring"), rest))

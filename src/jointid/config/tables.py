@@ -19,11 +19,11 @@ from jointid.config.declaration import Place, Reader, Table, fault_at, key, keys
 from jointid.config.source import Run, Source
 from jointid.estimation.methods.registry import CALLED, Method, MethodName, method_of, methods
 from jointid.models.controllers import FILTERS, LAWS, Controller
-from jointid.models.friction import FRICTIONS, find_friction
+from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.limits import AxisLimits
 from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
-from jointid.models.springs import SPRINGS, find_spring
+from jointid.models.springs import SPRINGS, Spring
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.formats import TextOptions
@@ -139,8 +139,8 @@ _OF_JOINT = (
     key("kind", Kind, "how the joint moves: m and N, or rad and N m")
     | key("model", Literal["rigid", "flexible"],
           "one inertia, or two joined by a spring; without it rigid, of a robot flexible where there is a spring")
-    | key("friction", str, "the friction's law", "symmetric", accept=find_friction, choices=tuple(FRICTIONS))
-    | key("spring", str, "the spring's law, of a flexible joint", accept=find_spring, choices=tuple(SPRINGS))
+    | key("friction", str, "the friction's law", "symmetric", accept=Friction, choices=tuple(FRICTIONS))
+    | key("spring", str, "the spring's law, of a flexible joint", accept=Spring, choices=tuple(SPRINGS))
     | key("name", str, "what reports call the joint")
     | key("torque_constant", float,
           "of the motor or its amplifier, on the motor's side: takes a torque in A or V, and the output of a "

@@ -18,7 +18,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
-from jointid.models.friction import StribeckFriction
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
@@ -319,7 +318,7 @@ class AxisFaults:
         if fault.remedy or not laws:
             return fault.remedy and "; " + fault.remedy.format(shape=number(shape, 3))
         said = f"; to identify it, declare the joint with {fault.table} = {' or '.join(laws)}"
-        by_hand = not self.of_loop and StribeckFriction.name in fault.laws
+        by_hand = not self.of_loop and "stribeck" in fault.laws
         return f"{said} and stribeck_speed = {number(shape, 2)}" if by_hand else said
 
     def _state(self, finding: Finding) -> str:

@@ -33,9 +33,9 @@ from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL, adjust_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.springs import fit_rigid
-from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
+from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
-from jointid.models.springs import SPRINGS, LinearSpring, Spring
+from jointid.models.springs import SPRINGS, Spring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -52,7 +52,7 @@ _FEWEST = 8 * PARTS  # rows of a record that can be cut
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
-_SIMPLE: Mapping[str, Spring | Friction] = {"spring": LinearSpring(), "friction": SymmetricFriction()}
+_SIMPLE: Mapping[str, Spring | Friction] = {"spring": Spring(), "friction": Friction()}
 """The law that is always identified, and by whose mode the others are."""
 
 
@@ -250,13 +250,11 @@ def compare_laws(
     """Identify a joint with every law of its spring or friction.
 
     Raises:
-        MethodError: the joint has no such law, gravity follows the position, or the simplest law is not identified.
+        MethodError: the joint has no such law, or the simplest law is not identified.
     """
     joint, settings, given = loop.joint, didim or DIDIM(), dict(parameters or {})
     if kind == "spring" and joint.model == "rigid":
         raise MethodError('A rigid joint has no spring: declare it with model = "flexible" to compare springs.')
-    if joint.gravity is not None and joint.gravity.varies:
-        raise MethodError(f"A {kind} in pieces is not simulated beside gravity that follows the position; fix that.")
     settings.require_settings_of(joint.model)
     check_record(record)
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
@@ -288,7 +286,7 @@ def compare_laws(
 
     made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
     laws: list[Spring | Friction | None] = [None] if kind == "spring" else []
-    laws += sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
+    laws += sorted(made, key=lambda one: len(_parameters(joint, one)))
     bar = follow(laws, progress, f"comparing {kind}s", len(laws), "laws")
     return LawComparison(
         kind, record.name, rank([judge_law(law) for law in bar]), getattr(joint, kind).name, joint.transmission

@@ -53,7 +53,9 @@ from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
-from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.springs import SPRINGS
 from jointid.records.record import Record
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
@@ -158,9 +160,9 @@ def _list_suspected(found: Tested, laws: Sequence[LawTest], more: Sequence[Fault
 def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     """Return the names of springs and frictions that can replace those of a joint; linear frictions where asked for."""
     even = joint.friction.offset_identifiable
-    laws = [law for law in frictions_beside(joint) if (linear or not law.linear) and law != joint.friction]
-    springs = springs_beside(joint) if isinstance(joint, FlexibleJoint) else ()
-    return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
+    laws = [law for law in FRICTIONS.values() if (linear or not law.linear) and law != joint.friction]
+    springs = SPRINGS if isinstance(joint, FlexibleJoint) else ()
+    return (*(law.name for law in laws if even or not law.offset_identifiable), *springs)
 
 
 def compute_signatures(

@@ -18,19 +18,9 @@ from jointid.diagnostics.faults import Fault, FaultSignature, name_number
 from jointid.diagnostics.score import fit_whitener
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.result.verdict import Reason
-from jointid.models.friction import (
-    PARTS,
-    AsymmetricFriction,
-    AsymmetricStribeckFriction,
-    DriftingFriction,
-    Friction,
-    LoadDependentFriction,
-    PreslidingFriction,
-    StribeckFriction,
-    SymmetricFriction,
-)
-from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
-from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, Spring, ThreePieceSpring, TwoPieceSpring
+from jointid.models.friction import PARTS, Friction
+from jointid.models.joints import FlexibleJoint
+from jointid.models.springs import Spring, swinging_part
 from jointid.records.signals.filtering import lowpass_below_noise
 
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
@@ -172,8 +162,9 @@ def _follow_other(name: str, seen: Seen) -> Columns:
 
 def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield a friction that is larger, or smaller, by ``S exp(-(v / vs)^2)``, for some vs."""
-    if seen.loop is not None and isinstance(seen.loop[0].joint.friction, StribeckFriction | PreslidingFriction):
-        return  # its own law has that
+    own = "" if seen.loop is None else seen.loop[0].joint.friction.name
+    if "stribeck" in own or "presliding" in own:
+        return
     fastest = float(np.max(np.abs(seen.velocity), initial=0.0)) or 1.0
     for speed in (share * fastest for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
         column = seen.force(-np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
@@ -211,7 +202,7 @@ def _under_load(seen: Seen) -> Columns:
     """Yield a friction that grows with the torque through the gear."""
     if seen.has_linear_friction:
         yield None, seen.force(-np.abs(seen.through) * np.sign(seen.velocity))
-    law = LoadDependentFriction()
+    law = Friction("load-dependent")
     if _can_have(law, seen):
         yield _OF_LOAD, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=law)
 
@@ -219,7 +210,7 @@ def _under_load(seen: Seen) -> Columns:
 def _can_have(law: Friction, seen: Seen) -> bool:
     """Test whether another law can replace the symmetric friction of a flexible joint."""
     joint = seen.loop[0].joint if seen.loop is not None and seen.is_flexible else None
-    return joint is not None and joint.friction == SymmetricFriction() and law in frictions_beside(joint)
+    return joint is not None and joint.friction == Friction()
 
 
 def _over_time(seen: Seen) -> Columns:
@@ -228,7 +219,7 @@ def _over_time(seen: Seen) -> Columns:
     if seen.loop is None:
         yield VISCOUS, seen.force(gone * seen.velocity)
         yield COULOMB, seen.force(gone * np.sign(seen.velocity))
-    law, duration = DriftingFriction(), seen.sample_time * seen.velocity.size
+    law, duration = Friction("drifting"), seen.sample_time * seen.velocity.size
     sides = ("motor_", "load_") if _can_have(law, seen) else ()
     still = {f"{side}{part}_drift": 0.0 for side in sides for part in PARTS}
     for part, shape in zip(PARTS if sides else (), (VISCOUS, COULOMB), strict=False):
@@ -251,21 +242,21 @@ def _bends(seen: Seen) -> Columns:
         yield None, np.gradient(np.gradient(smooth, seen.sample_time), seen.sample_time)
 
 
-def _other_spring(*laws: type[Spring]) -> Callable[[Seen], Columns]:
+def _other_spring(*laws: str) -> Callable[[Seen], Columns]:
     """Return a function that yields springs of other laws for a flexible joint's linear one, at their starts."""
 
     def vary(seen: Seen) -> Columns:
         joint, values = None if seen.loop is None else seen.loop[0].joint, seen.values
         if not isinstance(joint, FlexibleJoint) or not joint.spring.linear or seen.windup == 0.0:
             return
-        for law in (one for one in springs_beside(joint) if isinstance(one, laws)):
-            if isinstance(law, ElasticLoad):
+        for law in map(Spring, laws):
+            if law.name == "elastic-load":
                 first = joint.frequencies(values)["free_free"]
                 for times in _MODES:
-                    yield times * first, seen.vary(law.start(values, _SHARE, times), _SHARE, spring=law)
+                    yield times * first, seen.vary(swinging_part(values, _SHARE, times), _SHARE, spring=law)
                 continue
             for start in law.starts(values, seen.windup):
-                if isinstance(law, Backlash):
+                if law.name == "backlash":
                     yield 0.5 * start["gap"], seen.vary(start, start["gap"], spring=law)
                 else:  # stiffer at the largest wind-up than near none
                     torque = law.torque({**values, **start}, np.array([seen.windup]), np.zeros(1))
@@ -319,11 +310,11 @@ COGGING = _mechanical(
 STRIBECK = Fault(
     "stribeck", "friction that rises towards standstill", columns=partial(_at_low_speed, 1.0), one_sided=True,
     kin="low-speed friction", measure="torque", table="friction",
-    laws=(StribeckFriction.name, AsymmetricStribeckFriction.name),
+    laws=("stribeck", "asymmetric-stribeck"),
 )  # fmt: skip
 PRESLIDING = replace(
     STRIBECK, name="presliding", title="friction that falls towards standstill", columns=partial(_at_low_speed, -1.0),
-    laws=(PreslidingFriction.name, *STRIBECK.laws),
+    laws=("presliding", *STRIBECK.laws),
 )  # fmt: skip
 UNEVEN_FRICTION = _mechanical(
     "uneven_friction", "friction that differs along the travel", columns=_along_travel, measure="torque",
@@ -331,32 +322,32 @@ UNEVEN_FRICTION = _mechanical(
 )  # fmt: skip
 WINDING_FRICTION = _friction(
     "winding_friction", "friction that winds up behind each reversal", columns=_winds_up, mechanical=True,
-    one_sided=True, kin="low-speed friction", laws=(PreslidingFriction.name,),
+    one_sided=True, kin="low-speed friction", laws=("presliding",),
 )  # fmt: skip
 LOAD_DEPENDENT_FRICTION = _friction(
     "load_dependent_friction", "friction that grows with the load's torque", mechanical=True, one_sided=True,
-    columns=_under_load, measure="%", laws=(LoadDependentFriction.name,),
+    columns=_under_load, measure="%", laws=("load-dependent",),
 )  # fmt: skip
 CHANGING_FRICTION = _friction(
     "changing_friction", "friction that changes over the record", columns=_over_time, mechanical=True,
-    laws=(DriftingFriction.name,),
+    laws=("drifting",),
 )  # fmt: skip
 ASYMMETRIC_FRICTION = _friction(
     "asymmetric_friction", "friction that differs by direction", columns=_by_direction, mechanical=True,
-    laws=(AsymmetricFriction.name,),
+    laws=("asymmetric",),
 )  # fmt: skip
 CUBIC_SPRING = _spring(
     "cubic_spring", "spring that is not linear, stiffer at the largest torque than near none", measure="%",
-    columns=_other_spring(CubicSpring, ThreePieceSpring),
-    laws=(ThreePieceSpring.name, CubicSpring.name, TwoPieceSpring.name),
+    columns=_other_spring("three-piece", "cubic"),
+    laws=("three-piece", "cubic", "two-piece"),
 )  # fmt: skip
 BACKLASH = _spring(
-    "backlash", "backlash of the transmission", measure="position", columns=_other_spring(Backlash), one_sided=True,
-    laws=(Backlash.name,),
+    "backlash", "backlash of the transmission", measure="position", columns=_other_spring("backlash"), one_sided=True,
+    laws=("backlash",),
 )  # fmt: skip
 SECOND_MODE = _mechanical(
-    "second_mode", "load of which a part swings on a spring of its own", columns=_other_spring(ElasticLoad),
-    measure="%", one_sided=True, reason=Reason.LOAD_NOT_RIGID, table="spring", laws=(ElasticLoad.name,),
+    "second_mode", "load of which a part swings on a spring of its own", columns=_other_spring("elastic-load"),
+    measure="%", one_sided=True, reason=Reason.LOAD_NOT_RIGID, table="spring", laws=("elastic-load",),
 )  # fmt: skip
 COMPLIANCE = _mechanical(
     "compliance", "gear that bends", columns=_bends, reason=Reason.LOAD_NOT_RIGID,

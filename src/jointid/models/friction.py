@@ -1,10 +1,7 @@
 """Friction laws: lines over the velocity, with own coefficients in each direction, and terms beside them.
 
-Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being linear in its parameters lets a regression estimate them
-(`Friction.columns`). At standstill the Coulomb force is a set: any force within its bounds keeps the mass at rest.
-
-A law is a row: whether its lines differ by the direction (`two_ways`), and the `terms` that it has beside them. To add
-one, write its class below, and its name in `FRICTIONS`.
+Being linear in the parameters of its lines lets a regression estimate them (`Friction.columns`). At standstill the
+Coulomb force is a set: any force within its bounds keeps the mass at rest. To add a term, write its row in `_TERMS`.
 """
 
 from __future__ import annotations
@@ -12,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise, product
-from typing import ClassVar, Literal, NamedTuple, TypeAlias
+from itertools import compress, pairwise, product
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -114,77 +111,113 @@ class Term(NamedTuple):
     of_load: bool = False
 
 
-_STRIBECK = Term(
-    "the change of friction towards standstill", "what it is above low speed",
-    (
-        ("stribeck_force", "FS", Quantity.FORCE, -math.inf, math.inf),
-        ("stribeck_speed", "vS", Quantity.VELOCITY, _LEAST, math.inf),
+_TERMS: Mapping[str, Term] = {
+    "stribeck": Term(
+        "the change of friction towards standstill", "what it is above low speed",
+        (
+            ("stribeck_force", "FS", Quantity.FORCE, -math.inf, math.inf),
+            ("stribeck_speed", "vS", Quantity.VELOCITY, _LEAST, math.inf),
+        ),
+        lambda size: [(sign * _CHANGE * size.coulomb, share * size.speed) for share in _SPEEDS for sign in (1.0, -1.0)],
     ),
-    lambda size: [(sign * _CHANGE * size.coulomb, share * size.speed) for share in _SPEEDS for sign in (1.0, -1.0)],
-)  # fmt: skip
-_WINDING = Term(
-    "the displacement over which friction winds up", "the Coulomb force that it winds up to",
-    (("presliding_distance", "s", Quantity.POSITION, _LEAST, math.inf),),
-    lambda size: [(share * size.travel,) for share in _DISTANCES],
-)  # fmt: skip
-_PER_TORQUE = Term(
-    "the friction that grows with the gear's torque", "what it is without one",
-    (("friction_per_torque", "mu", Quantity.RATIO, 0.0, _MOST),), lambda size: [(_LOSS,)], True,
-)  # fmt: skip
-_DRIFT = Term(
-    "the change of friction with time", "what it is at the first sample",
-    (
-        ("viscous_drift", "dFv", Quantity.VISCOUS_DRIFT, -math.inf, math.inf),
-        ("coulomb_drift", "dFc", Quantity.FORCE_DRIFT, -math.inf, math.inf),
+    "presliding": Term(
+        "the displacement over which friction winds up", "the Coulomb force that it winds up to",
+        (("presliding_distance", "s", Quantity.POSITION, _LEAST, math.inf),),
+        lambda size: [(share * size.travel,) for share in _DISTANCES],
     ),
-    lambda size: [(-_WARMED * size.viscous / size.duration, -_WARMED * size.coulomb / size.duration)],
-)  # fmt: skip
+    "drifting": Term(
+        "the change of friction with time", "what it is at the first sample",
+        (
+            ("viscous_drift", "dFv", Quantity.VISCOUS_DRIFT, -math.inf, math.inf),
+            ("coulomb_drift", "dFc", Quantity.FORCE_DRIFT, -math.inf, math.inf),
+        ),
+        lambda size: [(-_WARMED * size.viscous / size.duration, -_WARMED * size.coulomb / size.duration)],
+    ),
+    "load-dependent": Term(
+        "the friction that grows with the gear's torque", "what it is without one",
+        (("friction_per_torque", "mu", Quantity.RATIO, 0.0, _MOST),), lambda size: [(_LOSS,)], True,
+    ),
+}  # fmt: skip
+BESIDE = tuple(name for term in _TERMS.values() for name, *_ in term.parameters)
+"""The numbers that a law may have beside its lines, by their names without a side's prefix."""
+_WORDS = [tuple(compress(("asymmetric", *_TERMS), some)) for some in product((False, True), repeat=1 + len(_TERMS))]
+_LAWS: Mapping[str, tuple[Term, ...]] = {
+    "-".join(words) or "symmetric": tuple(_TERMS[word] for word in words if word in _TERMS) for words in _WORDS
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """A friction law; frozen, so that a joint can be a key.
+    """A friction law by its name, in which words are joined: "asymmetric-stribeck". Frozen, so a joint can be a key.
 
-    Attributes:
-        name: in the joint file, the JSON answers and on the command line.
-        label: on the web page.
-        two_ways: whether its lines are others backwards.
-        terms: what it has beside its lines.
-        contrast: name of the law that it is compared with, and whose lines it has where it `adds` anything to lines.
-        coefficients: the parameters of its lines, in their order.
-        adds: what it has beside its lines, in words; "" of lines alone. instead: what its lines are, where only lines
-            are written.
-        stepped: whether a simulation has more than lines over the speed.
-        follows_time: whether it changes with the time since the first sample, which each window of a long log would
-            begin anew.
+    The friction ``Fv v + Fc sign(v)`` is "symmetric", (1) and (2) of the paper. The words are:
+
+    - "asymmetric": ``Fv+ v + Fc+`` forwards, ``Fv- v - Fc-`` backwards. A constant offset adds to Fc+ and subtracts
+      from Fc- alike, so it cannot be identified beside this law.
+    - "stribeck": ``Fc + FS exp(-(v / vS)^2)`` takes Fc's place. Positive FS is Stribeck's rise (H. Olsson et al.,
+      Friction models and friction compensation, European Journal of Control 4, 1998), negative FS a friction that is
+      smaller towards standstill, as before a contact slides. At rest it holds up to Fc + FS. The exponential is taken
+      by straight lines, within 0.5 % of FS.
+    - "presliding": the Coulomb force F winds up over a displacement after each reversal, ``dF/dx = (Fc / s) (1 - F
+      sign(v) / Fc)`` (P. R. Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976): a spring of
+      ``2 Fc / s`` right behind a reversal, half of that where it is not wound up, and Coulomb's force a few ``s``
+      further. Nothing sticks: a joint that stands under a load creeps until that spring carries it.
+    - "drifting": ``(Fv + dFv t) v + (Fc + dFc t) sign(v)``, as oil grows warm. The time counts from the first sample. A
+      change that goes on for much longer than a record is nearly steady in it.
+    - "load-dependent": ``Fc + mu |T|`` takes Fc's place. Of a flexible joint T is the torque of spring and damper, and
+      the friction is the load's. Of a rigid one T is the motor's torque, since no motion tells its rotor from what the
+      gear drives. A gear that drives passes on ``1 - mu`` of the torque, one that brakes takes ``1 + mu`` of it (P.
+      Hamon, M. Gautier and P. Garrec: Dynamic identification of robots with a dry friction model depending on load and
+      velocity, IROS 2010). Valid where the share is well below 1.
+
+    Raises:
+        MethodError: there is no such law.
     """
 
-    in_json = "name"
-    name: ClassVar[str]
-    label: ClassVar[str]
-    two_ways: ClassVar[bool] = False
-    terms: ClassVar[tuple[Term, ...]] = ()
-    contrast: ClassVar[str]
-    coefficients: ClassVar[tuple[Coefficient, ...]]
-    adds: ClassVar[str]
-    instead: ClassVar[str]
-    stepped: ClassVar[bool]
-    follows_time: ClassVar[bool]
+    name: str = "symmetric"
 
-    def __init_subclass__(cls) -> None:
-        terms = cls.terms
-        cls.contrast = "asymmetric" if cls.two_ways == bool(terms) else "symmetric"
-        cls.coefficients = _TWO_WAYS if cls.two_ways else _ONE_WAY
-        cls.adds, cls.instead = ", and ".join(term.adds for term in terms), ", ".join(term.instead for term in terms)
-        cls.stepped = any(term is not _STRIBECK for term in terms)
-        cls.follows_time = _DRIFT in terms
+    def __post_init__(self) -> None:
+        if self.name not in _LAWS:
+            raise MethodError(f'Friction "{self.name}" is not known; use {", ".join(FRICTIONS)}.')
+
+    @property
+    def two_ways(self) -> bool:
+        """True if its lines are others backwards."""
+        return self.name.startswith("asymmetric")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What it has beside its lines."""
+        return _LAWS[self.name]
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]:
+        """The parameters of its lines, in their order."""
+        return _TWO_WAYS if self.two_ways else _ONE_WAY
+
+    @property
+    def adds(self) -> str:
+        """What it has beside its lines, in words; "" of lines alone."""
+        return ", and ".join(term.adds for term in self.terms)
+
+    @property
+    def instead(self) -> str:
+        """What its lines are, in words, where only lines are written."""
+        return ", ".join(term.instead for term in self.terms)
+
+    @property
+    def stepped(self) -> bool:
+        """True if a simulation has more than lines over the speed."""
+        return any(term is not _TERMS["stribeck"] for term in self.terms)
+
+    @property
+    def follows_time(self) -> bool:
+        """True if it changes with the time since the first sample, which a window of a long log would begin anew."""
+        return _TERMS["drifting"] in self.terms
 
     @property
     def offset_identifiable(self) -> bool:
-        """True if an offset is identifiable beside this law.
-
-        A constant force adds to Fc+ and subtracts from Fc- alike: beside two Coulomb parameters it is not.
-        """
+        """True if an offset is identifiable beside this law: not beside two Coulomb forces, to which it adds."""
         return not self.two_ways
 
     @property
@@ -195,7 +228,7 @@ class Friction:
     @property
     def lines(self) -> Friction:
         """The law of one line in each direction that this one is, or adds to."""
-        return FRICTIONS[self.contrast]() if self.terms else self
+        return Friction("asymmetric" if self.two_ways else "symmetric")
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return the law's parameters, with `prefix` before the names and `index` after the symbols."""
@@ -239,7 +272,7 @@ class Friction:
         """
         viscous, viscous_back, coulomb, coulomb_back = whole = self.directions(values, prefix)
         found = []
-        if _STRIBECK in self.terms:
+        if _TERMS["stribeck"] in self.terms:
             change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
             speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
             for (low, more), (high, less) in pairwise(KNOTS):
@@ -286,135 +319,11 @@ class Friction:
         return [term for term in self.terms if not (term.of_load and prefix == "motor_")]
 
 
-BESIDE = tuple(name for term in (_STRIBECK, _WINDING, _DRIFT, _PER_TORQUE) for name, *_ in term.parameters)
-"""The numbers that a law may have beside its lines, by their names without a side's prefix."""
-
-
-@dataclass(frozen=True, slots=True)
-class SymmetricFriction(Friction):
-    """Viscous and Coulomb friction, the same in both directions: ``Fv v + Fc sign(v)``, (1) and (2) of the paper."""
-
-    name = "symmetric"
-    label = "the same in both directions"
-
-
-@dataclass(frozen=True, slots=True)
-class AsymmetricFriction(Friction):
-    """Viscous and Coulomb friction, different in the two directions.
-
-    A constant offset adds to Fc+ and subtracts from Fc- alike, so it cannot be identified beside this law.
-    """
-
-    name = "asymmetric"
-    label = "different in the two directions"
-    two_ways = True
-
-
-@dataclass(frozen=True, slots=True)
-class StribeckFriction(Friction):
-    """Symmetric friction that is another towards standstill: ``(Fc + FS exp(-(v / vS)^2)) sign(v) + Fv v``.
-
-    Positive FS is Stribeck's rise (H. Olsson et al., Friction models and friction compensation, European Journal of
-    Control 4, 1998), negative FS a friction that is smaller there, as before a contact slides. At rest it holds up to
-    Fc + FS. The exponential is taken by straight lines, within 0.5 % of FS.
-    """
-
-    name = "stribeck"
-    label = "the same, another at low speed"
-    terms = (_STRIBECK,)
-
-
-@dataclass(frozen=True, slots=True)
-class AsymmetricStribeckFriction(StribeckFriction):
-    """Viscous and Coulomb friction that differ between the directions, and alike are others towards standstill."""
-
-    name = "asymmetric-stribeck"
-    label = "different, another at low speed"
-    two_ways = True
-
-
-@dataclass(frozen=True, slots=True)
-class PreslidingFriction(Friction):
-    """Symmetric friction whose Coulomb force winds up over a displacement after each reversal, as P. R. Dahl's.
-
-    ``dF/dx = (Fc / s) (1 - F sign(v) / Fc)``, Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976:
-    a spring of ``2 Fc / s`` right behind a reversal, half of that where it is not wound up, and Coulomb's force a few
-    ``s`` further. Nothing sticks: a joint that stands under a load creeps until that spring carries it.
-    """
-
-    name = "presliding"
-    label = "the same, wound up at reversals"
-    terms: ClassVar[tuple[Term, ...]] = (_WINDING,)
-
-
-@dataclass(frozen=True, slots=True)
-class LoadDependentFriction(Friction):
-    """Symmetric friction that grows with the torque through the gear: ``(Fc + mu |T|) sign(v) + Fv v``.
-
-    Of a flexible joint T is the torque of spring and damper, and the friction is the load's, ``Fc2 + mu |T12|``. Of a
-    rigid one T is the motor's torque, since no motion tells its rotor from what the gear drives. A gear that drives
-    passes on ``1 - mu`` of the torque, one that brakes takes ``1 + mu`` of it (P. Hamon, M. Gautier and P. Garrec:
-    Dynamic identification of robots with a dry friction model depending on load and velocity, IROS 2010). Valid where
-    the share is well below 1.
-    """
-
-    name = "load-dependent"
-    label = "the same, more under load"
-    terms = (_PER_TORQUE,)
-
-
-@dataclass(frozen=True, slots=True)
-class AsymmetricLoadDependentFriction(LoadDependentFriction):
-    """Friction that differs between the directions, and in both grows alike with the torque through the gear."""
-
-    name = "asymmetric-load-dependent"
-    label = "different, more under load"
-    two_ways = True
-
-
-@dataclass(frozen=True, slots=True)
-class WoundLoadDependentFriction(PreslidingFriction):
-    """Friction of both kinds: ``(Fc + mu |T|) z``, where z winds up over a displacement.
-
-    The efficiency of a gear in P. R. Dahl's form: what is lost of the torque builds up behind a reversal as friction
-    does. Of such an efficiency that differs by the direction of power the difference, ``mu' T z^2``, is a torque in
-    proportion to the gear's wherever the load slides: as a load of other inertia and friction, from which no torque
-    tells it.
-    """
-
-    name = "presliding-load-dependent"
-    label = "wound up, more under load"
-    terms = (_WINDING, _PER_TORQUE)
-
-
-@dataclass(frozen=True, slots=True)
-class DriftingFriction(Friction):
-    """Symmetric friction that changes steadily with time, as oil grows warm: ``(Fv + dFv t) v + (Fc + dFc t) sign(v)``.
-
-    The time counts from the first sample. A change that goes on for much longer than a record is nearly steady in it.
-    """
-
-    name = "drifting"
-    label = "the same, changing with time"
-    terms = (_DRIFT,)
-
-
-FRICTIONS: Mapping[str, type[Friction]] = {
-    law.name: law
-    for law in (
-        SymmetricFriction, AsymmetricFriction, StribeckFriction, AsymmetricStribeckFriction, PreslidingFriction,
-        LoadDependentFriction, AsymmetricLoadDependentFriction, WoundLoadDependentFriction, DriftingFriction,
+FRICTIONS: Mapping[str, Friction] = {
+    name: Friction(name)
+    for name in (
+        "symmetric", "asymmetric", "stribeck", "asymmetric-stribeck", "presliding", "load-dependent",
+        "asymmetric-load-dependent", "presliding-load-dependent", "drifting",
     )
 }  # fmt: skip
-"""Every friction law by its name in the joint file."""
-
-
-def find_friction(name: str) -> Friction:
-    """Return the friction law of that name.
-
-    Raises:
-        MethodError: the law is not known.
-    """
-    if name not in FRICTIONS:
-        raise MethodError(f'Friction "{name}" is not known; use {", ".join(FRICTIONS)}.')
-    return FRICTIONS[name]()
+"""The friction laws that joint files declare and comparisons try, by their names."""

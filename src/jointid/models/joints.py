@@ -29,9 +29,9 @@ from jointid.common.parameters import ADDED, POSITION_UNIT, TORQUE_UNIT, Paramet
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.models.controllers import Controller
-from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
+from jointid.models.friction import Friction
 from jointid.models.position_forces import Gravity, Motion, PositionHarmonics
-from jointid.models.springs import SPRINGS, LinearSpring, Spring
+from jointid.models.springs import Spring
 
 MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
@@ -49,7 +49,7 @@ class _JointBase:
     """Name of the model, as files say it."""
 
     kind: Kind
-    friction: Friction = field(default_factory=SymmetricFriction)
+    friction: Friction = field(default_factory=Friction)
     torque_unit: str | None = None
     transmission: Transmission | None = None
     gravity: Gravity | None = None
@@ -68,15 +68,6 @@ class _JointBase:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
         if self.ripple is not None:
             self.ripple.require(self.model)
-        varies = self.gravity is not None and self.gravity.varies
-        in_pieces = any(not (law.linear or law.stepped) for law in self.laws)
-        if (in_pieces and (self.stepped or varies)) or (varies and not all(law.linear for law in self.laws[1:])):
-            names = [law.name for law in self.laws if not law.linear]
-            names += ["ripple"] * (self.ripple is not None) + ["gravity that follows the position"] * varies
-            raise MethodError(
-                f"The laws {', '.join(names)} are not simulated beside each other; leave one of them out, or use "
-                "symmetric friction and a linear spring."
-            )
 
     @property
     def laws(self) -> tuple[Friction | Spring, ...]:
@@ -234,14 +225,11 @@ class FlexibleJoint(_JointBase):
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
         ripple: see `RigidJoint`; on the side whose position it follows.
         spring: the law of the spring, linear unless said.
-
-    Raises:
-        MethodError: laws in pieces beside smooth ones, or beside gravity or a ripple, are not simulated.
     """
 
     model = "flexible"
 
-    spring: Spring = field(default_factory=LinearSpring)
+    spring: Spring = field(default_factory=Spring)
 
     @property
     def laws(self) -> tuple[Friction | Spring, ...]:
@@ -352,24 +340,6 @@ class FlexibleJoint(_JointBase):
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint
-
-
-def frictions_beside(joint: Joint) -> tuple[Friction, ...]:
-    """Return the friction laws that can be simulated in this joint."""
-    return tuple(law() for law in FRICTIONS.values() if _may_have(joint, friction=law()))
-
-
-def springs_beside(joint: FlexibleJoint) -> tuple[Spring, ...]:
-    """Return the springs that can be simulated in this joint."""
-    return tuple(law() for law in SPRINGS.values() if _may_have(joint, spring=law()))
-
-
-def _may_have(joint: Joint, **law: Friction | Spring) -> bool:
-    try:
-        replace(joint, **law)  # type: ignore[arg-type]
-    except MethodError:  # they are not simulated beside each other
-        return False
-    return True
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ While neither velocity changes its sign Coulomb friction is a constant, and what
     ZZ1 a1  + Fv1 v1  - K12 (q12 - q1) - F12 (v12 - v1) = tau
     ZZ2 a12 + Fv2 v12 + K12 (q12 - q1) + F12 (v12 - v1) + rate q12 = 0
 
-A rigid joint has the first line alone, without the spring; of an elastic load (`springs.ElasticLoad`) a part of ZZ2 is
+A rigid joint has the first line alone, without the spring; of an elastic load (`springs.Spring`) a part of ZZ2 is
 a third mass. `rate` is of a spring that carries the load
 (`models.position_forces`), which stands on the motor's line where the joint is rigid; a weight that turns is not
 linear.
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.springs import LinearSpring
+from jointid.models.springs import Spring
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
@@ -215,7 +215,7 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
     made = []
     for values in candidates:
         c = joint.coefficients(values)
-        spring = joint.spring if isinstance(joint, FlexibleJoint) else LinearSpring()
+        spring = joint.spring if isinstance(joint, FlexibleJoint) else Spring()
         beside = spring.beside(values)
         swings = [beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping")]
         rate = 0.0 if joint.gravity is None else joint.gravity.coefficients(values)[3]

@@ -20,7 +20,7 @@ from jointid.config import File
 from jointid.estimation.methods.registry import METHODS
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import dumps, finite, plain, write
-from jointid.models.friction import FRICTIONS
+from jointid.models.friction import Friction
 from jointid.models.joints import Joint
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def read_choices(path: str | Path) -> dict[str, str]:
         settings = answer["settings"]
         if "joints" in settings["system"]:
             return {"method": {name: name for name in METHODS}[settings["method"]]}
-        return {"friction": FRICTIONS[settings["system"]["friction"]["name"]].name}
+        return {"friction": Friction(settings["system"]["friction"]["name"]).name}
 
 
 def read_report(path: str | os.PathLike[str]) -> Json:

@@ -16,7 +16,7 @@ from jointid.common.errors import MethodError
 from jointid.models.friction import Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.robot import Tree
-from jointid.models.springs import LinearSpring, Spring
+from jointid.models.springs import Spring
 from jointid.simulation.kernels.tables import (
     BEGIN,
     COULOMB,
@@ -156,7 +156,7 @@ class JointNumbers:
         springs = [lower_spring(joint.spring, values)]
         if swings:
             masses.append(np.array([[share * drive[1], *np.zeros(HIGH - 1), math.inf]]))
-            springs.append(lower_spring(LinearSpring(), {"stiffness": stiffness, "damping": damping}))
+            springs.append(lower_spring(Spring(), {"stiffness": stiffness, "damping": damping}))
         pairs, carriers = [(0, 1), (1, 2)][: len(springs)], [-1, 0, 1][: len(masses)]
         plant = assemble(masses, springs, places, pairs, [0], carriers)
         if self.heavy:

@@ -14,7 +14,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter
 from jointid.models.friction import BESIDE, Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
-from jointid.models.springs import LinearSpring, Spring
+from jointid.models.springs import Spring
 from jointid.simulation.kernels.tables import HIGH, IntArray, Plant
 from jointid.simulation.plant import (
     IMAGINARY,
@@ -323,7 +323,7 @@ class NumberPlace:
 def stribeck_share(masses: FloatArray, speeds: FloatArray) -> FloatArray:
     """Return the share of its rise that a friction has at a speed, as masses and speeds broadcast.
 
-    As of one joint, by straight lines (`models.friction.StribeckFriction`).
+    As of one joint, by straight lines (`models.friction`).
     """
     below = masses[..., MassNumbers.SPEED]
     return np.where(below > 0.0, low_speed_share(speeds / np.where(below > 0.0, below, 1.0)), 0.0)
@@ -343,7 +343,7 @@ def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
         if numbers.flexible[i]:
             stiffness, damping = map(float, numbers.springs[i, :2])
             viscous, coulomb = (float(link[column]) for column in (MassNumbers.VISCOUS, MassNumbers.COULOMB))
-            spring = JointSpring(stiffness, damping, viscous, coulomb, numbers.laws[i][1] or LinearSpring())
+            spring = JointSpring(stiffness, damping, viscous, coulomb, numbers.laws[i][1] or Spring())
         found = values_of_joint(numbers, i)
         stated = joint.numbers.keys() & {"stribeck_force", "motor_stribeck_force"}
         inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own[: MassNumbers.PRESLIDING])

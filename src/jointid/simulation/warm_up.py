@@ -12,7 +12,7 @@ from operator import call
 import numpy as np
 
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import PreslidingFriction
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate, simulate_sensitivities
@@ -66,7 +66,7 @@ def _at_rest(unit: str) -> Record:
 
 def main() -> None:
     """Compile all kernels, in two processes."""
-    joints = RigidJoint("prismatic"), FlexibleJoint("prismatic", friction=PreslidingFriction())
+    joints = RigidJoint("prismatic"), FlexibleJoint("prismatic", friction=Friction("presliding"))
     with ProcessPoolExecutor(2) as pool:
         tuple(pool.map(call, (compile_robot, *(partial(compile_joint, joint) for joint in joints))))
 

@@ -81,8 +81,8 @@ def with_laws(twin: Twin, laws: Mapping[str, tuple[str, str | None, dict[str, fl
     joints = []
     for joint in twin.robot.joints:
         friction, spring, numbers = laws[joint.name]
-        own = None if spring is None or joint.spring is None else replace(joint.spring, law=SPRINGS[spring]())
-        joints.append(replace(joint, friction=FRICTIONS[friction](), spring=own, numbers=numbers))
+        own = None if spring is None or joint.spring is None else replace(joint.spring, law=SPRINGS[spring])
+        joints.append(replace(joint, friction=FRICTIONS[friction], spring=own, numbers=numbers))
     return replace(twin.robot, joints=tuple(joints))
 
 
@@ -116,7 +116,7 @@ def test_two_axes_have_laws_of_their_own(laws: dict[str, tuple[str, str | None, 
 
 
 def test_a_law_is_found_from_a_start_and_beside_a_fixed_number() -> None:
-    robot = robot_of(RigidJoint("revolute", FRICTIONS["stribeck"]()))
+    robot = robot_of(RigidJoint("revolute", FRICTIONS["stribeck"]))
     loop = RobotLoop(robot, (LAW,))
     records = noisy(loop, (moved(),))
     speed = Parameter("stribeck_speed", "vS", Quantity.VELOCITY)
@@ -133,7 +133,7 @@ def test_a_law_is_found_from_a_start_and_beside_a_fixed_number() -> None:
 
 
 def test_the_parameters_of_laws_have_the_declarations_of_a_joint() -> None:
-    joint = FlexibleJoint("revolute", FRICTIONS["presliding-load-dependent"](), spring=SPRINGS["hysteretic"]())
+    joint = FlexibleJoint("revolute", FRICTIONS["presliding-load-dependent"], spring=SPRINGS["hysteretic"])
     found = {p.name: p for p in robot_parameters(robot_of(joint)).parameters}
     linear = {p.name for p in joint.linear.parameters}
     for p in joint.parameters:
@@ -143,15 +143,15 @@ def test_the_parameters_of_laws_have_the_declarations_of_a_joint() -> None:
 
 
 def test_idim_takes_an_axis_with_any_spring_for_rigid() -> None:
-    robot = robot_of(FlexibleJoint("revolute", FRICTIONS["asymmetric"]()))
-    stiff = replace(robot.joints[0].spring or JointSpring(1.0), stiffness=1e4, law=SPRINGS["two-piece"]())
+    robot = robot_of(FlexibleJoint("revolute", FRICTIONS["asymmetric"]))
+    stiff = replace(robot.joints[0].spring or JointSpring(1.0), stiffness=1e4, law=SPRINGS["two-piece"])
     joint = replace(
         robot.joints[0], spring=stiff, numbers={**robot.joints[0].numbers, "stiffness_2": 2e4, "torque_1": 3.0}
     )
     robot = replace(robot, joints=(joint,))
     records = noisy(RobotLoop(robot, (LAW,)), (moved(multisine=0.0),), 0.001)
     found = identify(records, robot, IDIM(), checks=False)
-    values = values_of(FlexibleJoint("revolute", FRICTIONS["asymmetric"]()))
+    values = values_of(FlexibleJoint("revolute", FRICTIONS["asymmetric"]))
     rows = {row.symbol: row.value for row in found.params.rows}
     for symbol, side in (("Fv1+", "viscous_forwards"), ("Fv1-", "viscous_backwards")):
         assert rows[symbol] == pytest.approx(values[f"motor_{side}"] + values[f"load_{side}"], rel=0.1)

@@ -103,7 +103,7 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
         "inertia": 95.0, "viscous_forwards": 200.0, "coulomb_forwards": 20.0, "viscous_backwards": 190.0,
         "coulomb_backwards": 22.0, "offset": 0.0,
     }  # fmt: skip
-    joint = ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction())
+    joint = ji.RigidJoint("prismatic", friction=ji.friction.Friction("asymmetric"))
     model(joint, values).save(tmp_path / "out.json")
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
@@ -140,7 +140,7 @@ def test_mistakes_are_refused(folder: Path, words: tuple[object, ...]) -> None:
 def test_to_the_other_side_and_back_nothing_changes() -> None:
     gear = ji.Transmission(load="revolute", ratio=100.0, sign=-1)
     joint = ji.FlexibleJoint(
-        "revolute", ji.friction.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear
+        "revolute", ji.friction.Friction("asymmetric"), gravity=ji.Gravity("link"), transmission=gear
     )
     values = {p.name: 1.0 + i for i, p in enumerate(joint.parameters)}
     here = JointModel.of(model(joint, values), "axis")

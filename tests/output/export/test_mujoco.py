@@ -11,7 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.springs import Backlash, Spring, ThreePieceSpring
+from jointid.models.springs import Spring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW
 from tests.output.export.models import PIECES, apart, model, servo, simulated
@@ -71,18 +71,18 @@ def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
     assert fine < 0.0015  # measured: 0.0010
 
 
-@pytest.mark.parametrize("spring", [Backlash(), ThreePieceSpring()], ids=lambda spring: spring.name)
+@pytest.mark.parametrize("spring", [Spring("backlash"), Spring("three-piece")], ids=lambda spring: spring.name)
 def test_a_spring_in_pieces_is_tendons_beside_each_other(spring: Spring) -> None:
     joint, law = ji.FlexibleJoint("prismatic", spring=spring), CONTROLLERS["L19"]
     ours = simulated(joint, law, REFERENCE, PIECES)
     linear = apart(simulated(ji.FlexibleJoint("prismatic"), law, REFERENCE, PIECES), ours)
     assert apart(mjcf_torque(joint, PIECES, law, REFERENCE, timestep=5e-5), ours) < 0.2 * linear
     lost = ji.export(model(joint, PIECES), "mjcf").lost
-    assert any("nothing damps" in one for one in lost) == (spring == Backlash())
+    assert any("nothing damps" in one for one in lost) == (spring == Spring("backlash"))
 
 
 def test_a_spring_that_becomes_softer_is_none_of_mujoco_s() -> None:
-    joint = ji.FlexibleJoint("prismatic", spring=ThreePieceSpring())
+    joint = ji.FlexibleJoint("prismatic", spring=Spring("three-piece"))
     with pytest.raises(ji.MethodError):
         ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "mjcf")
 
@@ -122,7 +122,7 @@ def test_a_link_weighs_what_it_does(ratio: float, sign: int) -> None:
 
 
 def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
-    joint, law = ji.RigidJoint("prismatic", friction=ji.friction.AsymmetricFriction()), CONTROLLERS["L19"]
+    joint, law = ji.RigidJoint("prismatic", friction=ji.friction.Friction("asymmetric")), CONTROLLERS["L19"]
     values = {
         "inertia": 95.0, "viscous_forwards": 200.0, "viscous_backwards": 200.0, "coulomb_forwards": 24.0,
         "coulomb_backwards": 15.0, "offset": 0.0,

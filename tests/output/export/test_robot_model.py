@@ -12,7 +12,7 @@ from jointid.common.errors import MethodError
 from jointid.config.robot_model import read_robot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot
-from jointid.models.springs import Backlash, LinearSpring, Spring
+from jointid.models.springs import Spring
 from jointid.output.export import export
 from tests.estimation.robots.twin import arm
 from tests.models.robots.trees import by_mujoco, random_robot
@@ -68,7 +68,7 @@ def test_what_is_refused() -> None:
             export(model, language, **settings)
 
 
-@pytest.mark.parametrize("law", [LinearSpring(), Backlash()], ids=lambda law: law.name)
+@pytest.mark.parametrize("law", [Spring(), Spring("backlash")], ids=lambda law: law.name)
 def test_a_robot_with_a_spring_moves_in_mujoco_as_ours_does(law: Spring) -> None:
     robot = arm(2)
     gap = {} if law.linear else {"gap": 0.02}

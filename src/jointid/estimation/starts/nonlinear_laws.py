@@ -22,7 +22,7 @@ from jointid.estimation.descent import ROUGH, History, Solved
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
-from jointid.models.springs import LinearSpring
+from jointid.models.springs import Spring
 from jointid.simulation.simulate import Simulation
 
 
@@ -30,7 +30,7 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem of the same joint with a linear spring; itself where it has one."""
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
-    return problem if joint.spring.linear else _with_joint(problem, replace(joint, spring=LinearSpring()))
+    return problem if joint.spring.linear else _with_joint(problem, replace(joint, spring=Spring()))
 
 
 def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:

@@ -23,16 +23,10 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.units import Kind
-from jointid.models.friction import (
-    AsymmetricFriction,
-    AsymmetricStribeckFriction,
-    Friction,
-    StribeckFriction,
-    SymmetricFriction,
-)
+from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.robots.inertial import SYMBOLS
-from jointid.models.springs import ElasticLoad, LinearSpring, Spring
+from jointid.models.springs import Spring
 
 _UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
 
@@ -107,11 +101,11 @@ class JointSpring:
     damping: float = setting(0.0, "parallel to the spring", unit="N m s/rad or N s/m", at_least=0)
     viscous: float = setting(0.0, "viscous friction of the link's side", unit="N m s/rad or N s/m", at_least=0)
     coulomb: float = setting(0.0, "Coulomb friction of the link's side", unit="N m or N", at_least=0)
-    law: Spring = field(default_factory=LinearSpring)
+    law: Spring = field(default_factory=Spring)
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if isinstance(self.law, ElasticLoad):
+        if self.law.name == "elastic-load":
             raise MethodError(
                 "A part of a link that swings is a link of its own in a robot; expected another spring than "
                 f'"{self.law.name}": add a link with a spring to the model.'
@@ -175,8 +169,8 @@ class RobotJoint:
         if self.friction is not None:
             return self.friction
         if self.stribeck_speed is not None:
-            return AsymmetricStribeckFriction() if self.asymmetric else StribeckFriction()
-        return AsymmetricFriction() if self.asymmetric else SymmetricFriction()
+            return Friction("asymmetric-stribeck") if self.asymmetric else Friction("stribeck")
+        return Friction("asymmetric") if self.asymmetric else Friction()
 
     @property
     def model(self) -> RigidJoint | FlexibleJoint:
@@ -189,7 +183,7 @@ class RobotJoint:
     def linear(self) -> RobotJoint:
         """The joint with a linear spring, and the lines of its friction alone."""
         friction = None if self.friction is None else self.friction.lines
-        spring = None if self.spring is None else replace(self.spring, law=LinearSpring())
+        spring = None if self.spring is None else replace(self.spring, law=Spring())
         names = {p.name for p in self.model.linear.parameters}
         return replace(
             self, friction=friction, spring=spring, stribeck_force=0.0, stribeck_speed=None,

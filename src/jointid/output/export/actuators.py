@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TypeAlias
 
-from jointid.models.friction import StribeckFriction
+from jointid.models.friction import Friction
 from jointid.output.export.bodies import Body, Model, require_timestep, robot_bodies
 from jointid.output.export.joint_model import number
 from jointid.output.export.pd_law import PDLaw, in_steps
 
 _TIMESTEP = 5e-3  # s, of the physics
+_RISING = Friction("stribeck")
 _NO_LAW = PDLaw(
     0.0, 0.0, 1.0, math.inf, 0.0, 0.0,
     ("the gains: no law of position and velocity is declared, and the actuator takes torques",),
@@ -61,7 +62,7 @@ def mjlab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[str]]
         keys |= {"delay_min_lag": steps, "delay_max_lag": steps} if steps else {}
         return "IdealPdActuatorCfg" if law.share else "BuiltinPositionActuatorCfg", keys
 
-    rise = f"{StribeckFriction.adds}; {StribeckFriction.instead} is written"
+    rise = f"{_RISING.adds}; {_RISING.instead} is written"
     return _write(model, timestep, configure, "mjlab.actuator", rise, keyed=False)
 
 
@@ -93,7 +94,7 @@ def _write(
     bodies = robot_bodies(robot)
     if alone is not None:
         bodies = [replace(bodies[0], armature=alone.masses["motor"].inertia)]
-        rises = alone.joint.friction == StribeckFriction() and not alone.flexible
+        rises = alone.joint.friction == _RISING and not alone.flexible
         force = alone.values["stribeck_force"] if rises else 0.0
     for body, law in zip(bodies, model.laws or (None,) * len(robot), strict=True):
         known = law or _NO_LAW

@@ -27,7 +27,7 @@ from jointid.estimation.robots.consistent import MISFIT, consistent_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-from jointid.models.springs import LinearSpring
+from jointid.models.springs import Spring
 from jointid.output.export.joint_model import JointModel, comments, number
 from jointid.output.export.pd_law import PDLaw
 
@@ -107,7 +107,7 @@ def _robot_of_joint(model: JointModel, name: str, *, rigid: bool) -> Robot:
     masses, joint, values = model.masses, model.joint, model.values
     *motor, (carried, viscous, coulomb, _, _) = masses.values()
     if isinstance(joint, FlexibleJoint) and not rigid:
-        law = LinearSpring() if joint.spring.stepped else joint.spring
+        law = Spring() if joint.spring.stepped else joint.spring
         spring = JointSpring(values["stiffness"], values["damping"], viscous, coulomb, law)
         beside = {p.name: values[p.name] for p in law.parameters if p.name not in ("stiffness", "damping")}
         own, *_ = motor
