@@ -25,7 +25,7 @@ def run_law(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
     state = law.known_memory(inputs) + law.memory(POSITION, float(position[0]), slope)
     integral = law.integral()
     state = state if integral is None else state + integral * numbers.get(INTEGRAL, 0.0)
-    shown = log.to_log(run(law, inputs, state).output[:, np.newaxis], rate)[:, 0] + log.added
+    shown = log.to_log(run(law, inputs, state)[:, np.newaxis], rate)[:, 0] + log.added
     late = structure.late
     return np.concatenate([np.repeat(shown[:1], late), shown[: shown.size - late]]) - log.added
 

@@ -6,7 +6,8 @@ import pytest
 
 from jointid.common.units import UnitError, normalise_unit, parse_quantity
 from jointid.config import controller_text, dumps, edit, loads, replace_table
-from jointid.models.controllers import Cascade, DigitalFilter, FirstOrder, SecondOrder
+from jointid.models.controllers import Cascade, FirstOrder, SecondOrder
+from jointid.models.controllers.filters import DigitalFilter
 from jointid.models.limits import AxisLimits
 from jointid.records.columns import Column, known_units
 from tests.joint_files import JOINT, SMALLEST, faults, told

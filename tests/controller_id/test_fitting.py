@@ -19,7 +19,8 @@ from jointid.controller_id.structures import (
     list_frames,
     list_laws,
 )
-from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, run
+from jointid.models.controllers import PD, POSITION, Cascade, FirstOrder, run
+from jointid.models.controllers.sampled import INPUTS
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Timing
 from jointid.simulation.excitation import trapezoids
@@ -106,7 +107,7 @@ def test_what_a_law_faster_than_the_log_sees_of_the_log_s_error() -> None:
     inputs = np.zeros((size * rate, INPUTS))
     at = np.minimum(np.arange(size * rate) / rate, size - 1.0)
     inputs[:, POSITION] = CubicSpline(np.arange(size), error)(at)
-    seen = run(law, inputs, np.zeros(law.order)).output[::rate]
+    seen = run(law, inputs, np.zeros(law.order))[::rate]
     expected: np.ndarray = np.abs(np.fft.rfft(seen))
     found = position_response(law.feedback, T, size, rate)
     assert np.allclose(found[5:], expected[5:], rtol=0.02, atol=0.01 * expected.max())

@@ -19,17 +19,8 @@ from jointid.diagnostics.variants import (
     list_feedback_laws,
 )
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import (
-    INPUTS,
-    PD,
-    PID,
-    POSITION,
-    REFERENCE,
-    Cascade,
-    FirstOrder,
-    respond,
-    with_present_sample,
-)
+from jointid.models.controllers import PD, PID, POSITION, REFERENCE, Cascade, FirstOrder, respond, with_present_sample
+from jointid.models.controllers.sampled import INPUTS
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from tests.estimates import faults_of, identify

@@ -68,12 +68,11 @@ def test_an_offset_is_identifiable_unless_the_law_spans_it(law: Friction) -> Non
 @EVERY_LAW
 def test_its_bands_follow_each_other_without_a_step(law: Friction) -> None:
     bands = law.bands(values_of(law))
-    assert bands[-1].high == np.inf
-    assert bands[-1].directions == law.directions(values_of(law))
-    for one, other in pairwise(bands):
-        assert one.high < other.high
+    assert bands[-1] == (np.inf, law.directions(values_of(law)))
+    for (high, one), (higher, other) in pairwise(bands):
+        assert high < higher
         for viscous, coulomb in ((0, 2), (1, 3)):
-            here, there = (b.directions[viscous] * one.high + b.directions[coulomb] for b in (one, other))
+            here, there = (lines[viscous] * high + lines[coulomb] for lines in (one, other))
             assert here == pytest.approx(there, rel=1e-12)
 
 

@@ -12,18 +12,10 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import adjust_parameters
-from jointid.models.controllers import (
-    INPUTS,
-    PD,
-    Cascade,
-    DigitalFilter,
-    FirstOrder,
-    MovingAverage,
-    Notch,
-    SecondOrder,
-    StateSpaceController,
-    invert,
-)
+from jointid.models.controllers import PD, Cascade, FirstOrder, Notch, SecondOrder, invert
+from jointid.models.controllers.filters import DigitalFilter, MovingAverage
+from jointid.models.controllers.laws import StateSpaceController
+from jointid.models.controllers.sampled import INPUTS
 from jointid.models.friction import Friction
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint

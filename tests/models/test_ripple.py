@@ -39,8 +39,9 @@ def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> 
     joint = FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load"))
     joint = joint if spring is None else replace(joint, spring=Spring(spring))
     values = TABLE_2 | SWINGS | {"cubic_stiffness": 0.0, "load_harmonic_1_cosine": 80.0, "load_harmonic_1_sine": 0.0}
-    start = joint.start(values, 0.0, 0.0)
-    assert start[0] - start[2] == pytest.approx(80.0 / TABLE_2["stiffness"])
+    hung = joint.hang(values, 0.0, 0.0)
+    force = 80.0 * np.cos(2 * np.pi / RIPPLE.period * hung)
+    assert -hung == pytest.approx(force / TABLE_2["stiffness"])
 
 
 def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
@@ -50,7 +51,7 @@ def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
     motion = prescribe(q[:, np.newaxis], 1e-3, PARTS)
     run = run_drive_side(motion, JointNumbers(RigidJoint("prismatic", ripple=RIPPLE), RIGID | WAVED))
     plain = run_drive_side(motion, JointNumbers(RigidJoint("prismatic"), RIGID))
-    columns = RIPPLE.columns_at(run.motion.position[:, 0])
+    columns = RIPPLE.columns(run.motion.position[:, 0])
     np.testing.assert_allclose((run.torque - plain.torque)[:, 0], columns @ list(WAVED.values()), atol=1e-9)
     np.testing.assert_allclose(run.columns(names)[0][1], columns)
     with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):

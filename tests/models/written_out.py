@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.signal import bilinear, lfilter
 
-from jointid.models.controllers import PD, PID, Cascade, DigitalFilter, FirstOrder, MovingAverage, Notch, SecondOrder
+from jointid.models.controllers import PD, PID, Cascade, FirstOrder, Notch, SecondOrder
+from jointid.models.controllers.filters import DigitalFilter, MovingAverage
 
 SETTLED = 4000  # periods of uniform motion before the first period: all filters here have forgotten by then
 Array = np.ndarray[Any, np.dtype[np.float64]]

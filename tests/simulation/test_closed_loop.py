@@ -10,7 +10,8 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
-from jointid.models.controllers import PD, Cascade, StateSpaceController, shift_start
+from jointid.models.controllers import PD, Cascade, shift_start
+from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.derivatives import simulate_sensitivities

@@ -9,18 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointid.models.controllers import (
-    PID,
-    Cascade,
-    DigitalFilter,
-    FirstOrder,
-    Notch,
-    SecondOrder,
-    StateSpaceController,
-    number,
-    numbers_of,
-    with_numbers,
-)
+from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, numbers_of, with_numbers
+from jointid.models.controllers.filters import DigitalFilter
+from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing

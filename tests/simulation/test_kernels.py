@@ -38,11 +38,11 @@ def free(
     if way == "reference":
         return 0, *simulate(plant, None, np.zeros((0, 10)), loop, before, none, place, speed, np.sign(speed))[1:]
     if way == "steps":
-        found = integrate(
+        status, _, _, tape, counts = integrate(
             plant, None, np.zeros((0, 10)), loop, before, np.array([math.inf]), none, place, speed, np.sign(speed),
             keep=True,
         )  # fmt: skip
-        return found.status, *motion_of(found.tape, n, torque.size)[:2], int(found.counts[0])
+        return status, *motion_of(tape, n, torque.size)[:2], int(counts[0])
     states, counts = np.zeros((torque.size, 4)), np.zeros(4, dtype=np.int64)
     tape, modes = np.zeros((0, TAPE)), np.zeros(torque.size, dtype=np.int16)
     trace = Trace(np.zeros(torque.size), np.zeros((0, 1)), states, modes, tape, counts)

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.models.controllers import Cascade, FirstOrder, Notch, SampledLaw, scale
+from jointid.models.controllers import Cascade, FirstOrder, Notch, SampledLaw
+from jointid.models.controllers.sampled import scale
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import (

@@ -15,7 +15,8 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
-from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
+from jointid.models.controllers import PD, PID, Cascade
+from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import dumps, to_dict

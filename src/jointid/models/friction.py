@@ -70,13 +70,6 @@ _TWO_WAYS = tuple(
 )
 
 
-class Band(NamedTuple):
-    """A range of speed, up to `high`, with one line of friction in each direction."""
-
-    high: float
-    directions: Directions
-
-
 class MotionSize(NamedTuple):
     """Size of the motion in a record, for starting values of a friction law.
 
@@ -265,13 +258,13 @@ class Friction:
         own = [name for term in self._terms_of(prefix) for name, *_ in term.parameters]
         return dict.fromkeys(BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
 
-    def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
-        """Return the law by the speed, the slowest band first, without a gap; the last has no end.
+    def bands(self, values: Mapping[str, float], prefix: str = "") -> list[tuple[float, Directions]]:
+        """Return the law in bands of the speed, the slowest first: the end of each, the last without, and its lines.
 
         A change towards standstill has a band between each two of the points of its exponential.
         """
         viscous, viscous_back, coulomb, coulomb_back = whole = self.directions(values, prefix)
-        found = []
+        found: list[tuple[float, Directions]] = []
         if _TERMS["stribeck"] in self.terms:
             change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
             speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
@@ -279,25 +272,20 @@ class Friction:
                 slope = (less - more) / (high - low)
                 steeper, higher = change * slope / speed, change * (more - slope * low)
                 line = viscous + steeper, viscous_back + steeper, coulomb + higher, coulomb_back + higher
-                found.append(Band(high * speed, line))
-        return (*found, Band(math.inf, whole))
-
-    def force(self, values: Mapping[str, float], velocity: FloatArray, prefix: str = "") -> FloatArray:
-        """Return the friction of steady motion at velocities, of any shape; 0 at rest."""
-        bands = self.bands(values, prefix)
-        at = np.searchsorted([band.high for band in bands[:-1]], np.abs(velocity))
-        viscous, viscous_back, coulomb, coulomb_back = np.array([band.directions for band in bands]).T[:, at]
-        forwards = velocity > 0
-        held = np.sign(velocity) * np.where(forwards, coulomb, coulomb_back)
-        return np.asarray(np.where(forwards, viscous, viscous_back) * velocity + held)
+                found.append((high * speed, line))
+        return [*found, (math.inf, whole)]
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
         """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest.
 
         One that grows with the torque T is in balance with it: ``T = load + F + mu |T| sign(v)``.
         """
-        own = float(self.force(values, np.array(velocity), prefix))
-        share = self.beside(values, prefix)["friction_per_torque"] * math.copysign(float(velocity != 0.0), velocity)
+        if velocity == 0.0:
+            return 0.0
+        bands, way = self.bands(values, prefix), math.copysign(1.0, velocity)
+        lines = next((lines for high, lines in bands if abs(velocity) <= high), bands[-1][1])
+        viscous, coulomb = lines[::2] if way > 0.0 else lines[1::2]
+        own, share = viscous * velocity + way * coulomb, way * self.beside(values, prefix)["friction_per_torque"]
         return own if share == 0.0 else (load + own) / (1.0 - share * math.copysign(1.0, load + own)) - load
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:

@@ -26,7 +26,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import ADDED, POSITION_UNIT, TORQUE_UNIT, Parameter, Quantity, unit_of
-from jointid.common.transmission import Side, Transmission
+from jointid.common.transmission import Transmission
 from jointid.common.units import Kind
 from jointid.models.controllers import Controller
 from jointid.models.friction import Friction
@@ -37,6 +37,7 @@ MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
 
 _BY_DIDIM = 'simulate and identify the closed loop by the method "didim"'
+_SETTLING, _AT_REST = 200, 1e-13  # iterations that find where the load hangs, at most, and the last one's step
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
@@ -47,6 +48,8 @@ class _JointBase:
     in_json = "model"
     model: ClassVar[str]
     """Name of the model, as files say it."""
+    sides: ClassVar[tuple[str, ...]]
+    """Before the names of the parameters of each side."""
 
     kind: Kind
     friction: Friction = field(default_factory=Friction)
@@ -66,8 +69,8 @@ class _JointBase:
             )
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
-        if self.ripple is not None:
-            self.ripple.require(self.model)
+        if self.ripple is not None and self.ripple.side == "load" and len(self.sides) == 1:
+            raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
 
     @property
     def laws(self) -> tuple[Friction | Spring, ...]:
@@ -84,12 +87,6 @@ class _JointBase:
         """True if all its laws are lines, so that its simulation is exact."""
         varies = self.gravity is not None and self.gravity.varies
         return all(law.linear for law in self.laws) and self.ripple is None and not varies
-
-    def require_no_ripple(self, taker: str, instead: str, side: Side | None = None) -> None:
-        """Raise a `MethodError` if there is a ripple, on any side or on one; see `require_linear`."""
-        if self.ripple is not None and side in (None, self.ripple.side):
-            there = "" if side is None else f" on the {side}'s side"
-            raise MethodError(f"{taker} a joint without a ripple{there}; received one that has it: {instead}.")
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM, *, spring_alone: bool = False) -> None:
         """Raise a `MethodError` if a law is not linear.
@@ -115,36 +112,86 @@ class _JointBase:
         """Return the unit of a parameter of this joint."""
         return unit_of(parameter.quantity, self.kind, self.force_unit)
 
-    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return gravity's position-dependent coefficients, (5,), as the simulation takes them; None without any."""
-        if self.gravity is None or not self.gravity.varies:
-            return None
-        follows_load = float(self.model == "flexible")
-        return np.array([*self.gravity.coefficients(values)[1:], self.gravity.angle, follows_load])
+    @property
+    def _forces(self) -> list[tuple[int, Gravity | PositionHarmonics]]:
+        """Forces that follow a position, each with the side on which it acts: 0, the motor's, or -1."""
+        found: list[tuple[int, Gravity | PositionHarmonics]] = [] if self.gravity is None else [(-1, self.gravity)]
+        return found if self.ripple is None else [*found, (-1 if self.ripple.side == "load" else 0, self.ripple)]
 
     def places(self, values: Mapping[str, float]) -> FloatArray:
         """Return the forces that follow a position, gravity's and the ripple's, (forces, 5), for the simulation."""
-        gravity = self.gravity_coefficients(values)
-        weight = np.zeros((0, 5)) if gravity is None else gravity[np.newaxis]
-        return weight if self.ripple is None else np.concatenate([weight, self.ripple.places(values)])
+        rows = np.zeros((0, 5)) if self.ripple is None else self.ripple.places(values)
+        if self.gravity is None or not self.gravity.varies:
+            return rows
+        weight = [*self.gravity.coefficients(values)[1:], self.gravity.angle, float(len(self.sides) - 1)]
+        return np.vstack([weight, rows])
 
     @property
-    def _common_parameters(self) -> tuple[Parameter, ...]:
-        """The offset, fixed where another parameter is a constant, too, and those of gravity and ripple."""
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity, ripple.
+
+        The offset is fixed where another parameter is a constant, too.
+        """
         offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
         identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
-        weight, ripple = (() if one is None else one.parameters for one in (gravity, self.ripple))
-        return (offset if identifiable else offset.fix(0.0), *weight, *ripple)
+        spring: Spring | None = getattr(self, "spring", None)
+        motor, *load = (
+            (
+                Parameter(f"{side}inertia", f"ZZ{index}", Quantity.INERTIA, lower=_TINY),
+                *self.friction.parameters(side, index),
+            )
+            for side, index in zip(self.sides, ("",) if spring is None else ("1", "2"), strict=True)
+        )
+        return (
+            *motor,
+            *(() if spring is None else spring.parameters),
+            *(p for one in load for p in one),
+            offset if identifiable else offset.fix(0.0),
+            *(p for _, force in self._forces for p in force.parameters),
+        )
 
-    def _gravity_columns(self, position: FloatArray) -> FloatArray:
-        return np.zeros((position.size, 0)) if self.gravity is None else self.gravity.columns(position)
+    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
+        """Return the columns of (1), or of both rows of (2), shape (sides, samples, parameters).
 
-    def _ripple_columns(self, motor: FloatArray, load: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the columns of the ripple in the equations of motor and load, at their positions."""
-        if self.ripple is None:
-            return np.zeros((motor.size, 0)), np.zeros((motor.size, 0))
-        found = self.ripple.columns_at(load if self.ripple.side == "load" else motor)
-        return (0 * found, found) if self.ripple.side == "load" else (found, 0 * found)
+        The first row adds up to the motor's torque, the second to 0. (The paper prints velocities in columns 1 and 6
+        of (5), where (2) has accelerations.)
+
+        Args:
+            motor: its motion.
+            load: of a flexible joint. That of a rigid one moves with the motor, so it is not read.
+
+        Raises:
+            MethodError: there is no motion of the load, or a law is not linear in its parameters.
+        """
+        self.require_linear("A regression takes")
+        moving = [one for one in (motor, load)[: len(self.sides)] if one is not None]
+        if len(moving) < len(self.sides):
+            raise MethodError(
+                "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
+            )
+        at = {p.name: i for i, p in enumerate(self.parameters)}
+        found = np.zeros((len(moving), len(at), motor.velocity.size))  # each column is written in one piece
+        for rows, side, motion in zip(found, self.sides, moving, strict=True):
+            rows[at[f"{side}inertia"]] = motion.acceleration
+            first, friction = at[self.friction.parameters(side)[0].name], self.friction.columns(motion.velocity).T
+            rows[first : first + len(friction)] = friction
+        found[0, at["offset"]] = 1.0
+        if len(moving) > 1:
+            stretched, slips = (getattr(moving[1], of) - getattr(moving[0], of) for of in ("position", "velocity"))
+            found[:, at["stiffness"]], found[:, at["damping"]] = (-stretched, stretched), (-slips, slips)
+        for side_of, force in self._forces:
+            first, columns = at[force.parameters[0].name], force.columns(moving[side_of].position).T
+            found[side_of, first : first + len(columns)] = columns
+        return found.transpose(0, 2, 1)
+
+    def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
+        """Return where the load is, the motor at a position at rest or in steady motion; at the motor's if rigid.
+
+        At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing. A
+        load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
+        """
+        del values, velocity
+        return position
 
     def _gravity_constant(self, values: Mapping[str, float]) -> float:
         return 0.0 if self.gravity is None else self.gravity.coefficients(values)[0]
@@ -166,29 +213,7 @@ class RigidJoint(_JointBase):
     """
 
     model = "rigid"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Inertia, friction, offset, gravity, ripple."""
-        return (
-            Parameter("inertia", "ZZ", Quantity.INERTIA, lower=_TINY),
-            *self.friction.parameters("", ""),
-            *self._common_parameters,
-        )
-
-    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
-        """Return the columns of (1), in the order of `parameters`, shape (1, samples, parameters).
-
-        The load of a rigid joint moves with the motor, so its motion is not read.
-
-        Raises:
-            MethodError: the friction is not linear in its parameters.
-        """
-        self.require_linear("A regression takes")
-        friction, gravity = self.friction.columns(motor.velocity), self._gravity_columns(motor.position)
-        ripple, _ = self._ripple_columns(motor.position, motor.position)
-        rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T, *ripple.T]
-        return np.stack(rows).T[np.newaxis]  # each column is written in one piece
+    sides = ("",)
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive for the simulation (`simulation.kernels`): a motor, and a load without a spring."""
@@ -208,10 +233,6 @@ class RigidJoint(_JointBase):
             self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, self.ripple
         )  # fmt: skip
 
-    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
-        """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
-        return np.array([position, velocity, 0.0, 0.0])
-
 
 @dataclass(frozen=True, slots=True)
 class FlexibleJoint(_JointBase):
@@ -228,6 +249,7 @@ class FlexibleJoint(_JointBase):
     """
 
     model = "flexible"
+    sides = "motor_", "load_"
 
     spring: Spring = field(default_factory=Spring)
 
@@ -235,18 +257,6 @@ class FlexibleJoint(_JointBase):
     def laws(self) -> tuple[Friction | Spring, ...]:
         """The laws of friction and spring."""
         return self.friction, self.spring
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity, ripple."""
-        return (
-            Parameter("motor_inertia", "ZZ1", Quantity.INERTIA, lower=_TINY),
-            *self.friction.parameters("motor_", "1"),
-            *self.spring.parameters,
-            Parameter("load_inertia", "ZZ2", Quantity.INERTIA, lower=_TINY),
-            *self.friction.parameters("load_", "2"),
-            *self._common_parameters,
-        )
 
     @property
     def rigid(self) -> RigidJoint:
@@ -259,52 +269,24 @@ class FlexibleJoint(_JointBase):
         """The joint with a linear spring, the lines of its friction alone, and without a ripple."""
         return replace(self, spring=self.spring.lines, friction=self.friction.lines, ripple=None)
 
-    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
-        """Return the columns of both rows of (2), in the order of `parameters`, shape (2, samples, parameters).
-
-        The first row adds up to the motor's torque, the second to 0. (The paper prints velocities in columns 1 and 6
-        of (5), where (2) has accelerations.)
-
-        Raises:
-            MethodError: there is no motion of the load, or a law is not linear in its parameters.
-        """
-        self.require_linear("A regression takes")
-        if load is None:
-            raise MethodError(
-                "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
-            )
-        zeros, ones = np.zeros_like(motor.velocity), np.ones_like(motor.velocity)
-        deflection, slip = load.position - motor.position, load.velocity - motor.velocity
-        motor_friction, load_friction = (self.friction.columns(side.velocity) for side in (motor, load))
-        gravity, ripples = self._gravity_columns(load.position), self._ripple_columns(motor.position, load.position)
-        first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, 0 * load_friction, ones, 0 * gravity]
-        second = [zeros, 0 * motor_friction, deflection, slip, load.acceleration, load_friction, zeros, gravity]
-        both = zip((first, second), ripples, strict=True)
-        return np.stack([np.column_stack([*columns, ripple]) for columns, ripple in both])
-
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the coefficients of the drive, its spring linear, for the simulation (`simulation.kernels`)."""
         drive = [values[name] for name in ("motor_inertia", "load_inertia", "stiffness", "damping")]
         motor, load = (self.friction.directions(values, side) for side in ("motor_", "load_"))
         return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
 
-    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
-        """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
-
-        At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
-        """
-        load = self.friction.drag(values, velocity, self._gravity_constant(values), "load_")
-        deflection, stiffness = 0.0, values["stiffness"]
-        if self.ripple is not None:
-            here = np.array([position])
-            load += float(self._ripple_columns(here, here)[1][0] @ [values[p.name] for p in self.ripple.parameters])
-        if stiffness > 0.0 and self.gravity is not None:
-            deflection = self.gravity.static_deflection(values, stiffness, position, load)
-        elif stiffness > 0.0:
-            deflection = load / stiffness
-        if stiffness > 0.0 and not self.spring.linear:
-            deflection = self.spring.deflection(values, load + self._gravity_constant(values))
-        return np.array([position, velocity, position - deflection, velocity])
+    def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
+        """Return where the load hangs on its spring."""
+        found = position
+        for _ in range(_SETTLING):
+            here, weight = np.array([found]), 0.0
+            for side, force in self._forces:
+                weight += float(force.columns(here)[0] @ [values[p.name] for p in force.parameters]) if side else 0.0
+            load = weight + self.friction.drag(values, velocity, weight, "load_")
+            before, found = found, position - self.spring.deflection(values, load)
+            if abs(found - before) <= _AT_REST * (1.0 + abs(found)):
+                break
+        return found
 
     @staticmethod
     def frequencies(values: Mapping[str, float]) -> dict[str, float]:
@@ -331,12 +313,8 @@ class FlexibleJoint(_JointBase):
 
         The damping F12 acts between the masses and is no part of the friction sums.
         """
-        return {
-            "inertia": values["motor_inertia"] + values["load_inertia"],
-            "viscous": values["motor_viscous"] + values["load_viscous"],
-            "coulomb": values["motor_coulomb"] + values["load_coulomb"],
-            **{name: value for name, value in values.items() if acts_on_whole(name)},
-        }
+        sums = {name: values[f"motor_{name}"] + values[f"load_{name}"] for name in ("inertia", "viscous", "coulomb")}
+        return sums | {name: value for name, value in values.items() if acts_on_whole(name)}
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint

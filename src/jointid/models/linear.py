@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.springs import Spring
+from jointid.models.joints import Joint
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
@@ -39,34 +38,27 @@ OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_positio
 def drive_matrices(
     inertia: Sequence[float],
     viscous: Sequence[float],
-    stiffness: float = 0.0,
-    damping: float = 0.0,
+    stiffness: Sequence[float],
+    damping: Sequence[float],
     rate: float = 0.0,
-    swings: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> tuple[FloatArray, FloatArray]:
     """Return A, (states, states), and B, (states,), of ``x' = A x + B tau`` (the module's equation).
 
     Args:
-        inertia: of the motor, and of the load where there is a spring between them.
+        inertia: of the motor, of the load where there is a spring between them, and of what swings on that.
         viscous: friction of each.
-        stiffness: of the spring.
-        damping: of the spring.
+        stiffness: of the spring between each and the next.
+        damping: of that spring.
         rate: of a spring that carries the load.
-        swings: share of the load that swings on a spring of its own, that one's stiffness and damping.
     """
-    masses, drags, springs, dampers = list(inertia), list(viscous), [stiffness], [damping]
-    share, second, damped = swings
-    load = len(masses) - 1
-    if load and share != 0.0:
-        masses, drags = [masses[0], (1.0 - share) * masses[1], share * masses[1]], [*drags, 0.0]
-        springs, dampers = [stiffness, second], [damping, damped]
-    ties = np.diff(np.eye(len(masses)), axis=0)
-    K, D = (ties.T @ np.diag(one[: len(ties)]) @ ties for one in (springs, dampers))
+    count = len(inertia)
+    ties, load = np.diff(np.eye(count), axis=0), min(count - 1, 1)
+    K, D = (ties.T @ np.diag(one) @ ties for one in (stiffness, damping))
     K[load, load] += rate
-    A, B, by = np.zeros((2 * len(masses), 2 * len(masses))), np.zeros(2 * len(masses)), np.array(masses)[:, np.newaxis]
-    A[::2, 1::2] = np.eye(len(masses))
-    A[1::2, ::2], A[1::2, 1::2] = -K / by, -(D + np.diag(drags)) / by
-    B[1] = 1.0 / masses[0]
+    A, B, by = np.zeros((2 * count, 2 * count)), np.zeros(2 * count), np.array(inertia)[:, np.newaxis]
+    A[::2, 1::2] = np.eye(count)
+    A[1::2, ::2], A[1::2, 1::2] = -K / by, -(D + np.diag(viscous)) / by
+    B[1] = 1.0 / inertia[0]
     return A, B
 
 
@@ -85,18 +77,6 @@ def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArra
     both[..., :order, :order], both[..., :order, order] = A * seconds, B * seconds
     made = np.asarray(expm(both), dtype=np.float64)
     return made[..., :order, :order], made[..., :order, order]
-
-
-def state_response(A: FloatArray, B: ComplexArray, points: ComplexArray) -> ComplexArray:
-    """Return ``(p I - A)^-1 B``, (points, states): what a system's states answer at s or z.
-
-    Args:
-        A: (states, states).
-        B: (states,), or (points, states) where it depends on the point.
-        points: (points,), complex.
-    """
-    systems = points[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A
-    return np.asarray(np.linalg.solve(systems, np.broadcast_to(B, (points.size, len(A)))[..., np.newaxis])[..., 0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,17 +191,17 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         candidates: every parameter of it by name, one mapping for each joint.
     """
     ways = (0, 1) if joint.friction.two_ways else (0,)  # forwards, backwards
-    masses = 2 if isinstance(joint, FlexibleJoint) else 1
     made = []
     for values in candidates:
-        c = joint.coefficients(values)
-        spring = joint.spring if isinstance(joint, FlexibleJoint) else Spring()
-        beside = spring.beside(values)
-        swings = [beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping")]
+        share = values.get("swinging_share", 0.0)
+        inertia = [values[f"{side}inertia"] for side in joint.sides]
+        inertia[1:] = [part * one for one in inertia[1:] for part in ((1.0 - share, share) if share else (1.0,))]
+        springs = ("", "swinging_")[: len(inertia) - 1]
+        ties = [[values[f"{which}{of}"] for which in springs] for of in ("stiffness", "damping")]
         rate = 0.0 if joint.gravity is None else joint.gravity.coefficients(values)[3]
         for way in ways:
-            viscous = (c[4 + way], c[8 + way])[:masses]
-            made.append(drive_matrices((c[0], c[1])[:masses], viscous, c[2], c[3], rate, swings))
+            viscous = [joint.friction.directions(values, side)[way] for side in joint.sides]
+            made.append(drive_matrices(inertia, (*viscous, 0.0)[: len(inertia)], *ties, rate))
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
 
 
@@ -257,5 +237,6 @@ def frequency_response(
             f'"{output}" and {hertz}.'
         )
     made = linear_joints(joint, [values])
-    A, B = made.A[0], made.B[0]
-    return state_response(A, B, np.asarray(2j * math.pi * hertz))[:, OUTPUTS.index(output) % len(A)]
+    systems = 2j * math.pi * hertz[:, np.newaxis, np.newaxis] * np.eye(made.A.shape[1]) - made.A[0]
+    states = np.linalg.solve(systems, np.tile(made.B[0][:, np.newaxis], (hertz.size, 1, 1)))[..., 0]
+    return np.asarray(states[:, OUTPUTS.index(output) % states.shape[1]])

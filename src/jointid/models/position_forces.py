@@ -31,14 +31,13 @@ from jointid.models.friction import Friction
 
 Load: TypeAlias = Literal["constant", "link"]
 
-_TERMS: Mapping[str, tuple[str, Quantity]] = {
-    "constant": ("0", Quantity.FORCE),
-    "cos": ("X", Quantity.FORCE),
-    "sin": ("Y", Quantity.FORCE),
-    "rate": ("K", Quantity.FORCE_RATE),
-}
+_COUNTERBALANCE: Mapping[str, tuple[str, Quantity]] = {
+    "constant": ("b0", Quantity.FORCE), "cos": ("bX", Quantity.FORCE), "sin": ("bY", Quantity.FORCE),
+    "rate": ("bK", Quantity.FORCE_RATE),
+}  # fmt: skip
+_FUNCTIONS = tuple(_COUNTERBALANCE)
+"""Functions of the position that a force is made of: 1, cosine and sine of the link's angle, and the position."""
 _LOADS: Mapping[Load, Mapping[str, str]] = {"constant": {"constant": "gM"}, "link": {"cos": "gMX", "sin": "gMY"}}
-_STEPS = 8  # to where a load hangs: Newton squares the error in each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,15 +65,6 @@ class Counterbalance:
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-
-@dataclass(frozen=True, slots=True)
-class _Term:
-    """One parameter, and which of the functions of the position it is the factor of."""
-
-    parameter: Parameter
-    term: int
-    sign: float
 
 
 @add_settings_to_docstring
@@ -133,50 +123,33 @@ class Gravity:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Weight of the load, then the counterbalance's numbers other than 0, which are fixed."""
-        return tuple(one.parameter for one in self._terms)
+        load = (Parameter(f"gravity_{name}", symbol, Quantity.FORCE) for name, symbol in _LOADS[self.load].items())
+        known = (
+            Parameter(f"counterbalance_{name}", symbol, quantity).fix(given)
+            for name, (symbol, quantity) in _COUNTERBALANCE.items()
+            if (given := getattr(self.counterbalance, name)) != 0.0
+        )
+        return (*load, *known)
 
     def columns(self, position: FloatArray) -> FloatArray:
         """Return the regressor of the parameters, (samples, parameters), at positions (samples,)."""
         phase = self.angle * position
         functions = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase), position], axis=1)
-        return np.column_stack([one.sign * functions[:, one.term] for one in self._terms])
+        return np.column_stack([sign * functions[:, at] for _, at, sign in self._terms])
 
     def coefficients(self, values: Mapping[str, float]) -> tuple[float, float, float, float]:
         """Return the factors of 1, of the cosine and the sine of the link's angle, and of the position."""
-        total = [0.0] * len(_TERMS)
-        for one in self._terms:
-            total[one.term] += one.sign * values[one.parameter.name]
+        total = [0.0] * len(_FUNCTIONS)
+        for name, at, sign in self._terms:
+            total[at] += sign * values[name]
         constant, cos, sin, rate = total
         return constant, cos, sin, rate
 
-    def static_deflection(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
-        """Return the spring's static deflection under gravity and drag, the motor at `position`: by Newton's method.
-
-        A load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
-        """
-        constant, cos, sin, rate = self.coefficients(values)
-        found = (drag + constant) / stiffness
-        for _ in range(_STEPS):
-            load = position - found
-            x, y = math.cos(self.angle * load), math.sin(self.angle * load)
-            missing = drag + constant + cos * x + sin * y + rate * load - stiffness * found
-            slope = self.angle * (sin * x - cos * y) + rate
-            found += missing / max(stiffness + slope, 0.5 * stiffness)
-        return found
-
     @property
-    def _terms(self) -> tuple[_Term, ...]:
-        names = list(_TERMS)
-        load = [
-            _Term(Parameter(f"gravity_{name}", symbol, Quantity.FORCE), names.index(name), 1.0)
-            for name, symbol in _LOADS[self.load].items()
-        ]
-        known = [
-            _Term(Parameter(f"counterbalance_{name}", f"b{index}", quantity).fix(given), names.index(name), -1.0)
-            for name, (index, quantity) in _TERMS.items()
-            if (given := getattr(self.counterbalance, name)) != 0.0
-        ]
-        return (*load, *known)
+    def _terms(self) -> list[tuple[str, int, float]]:
+        """Each parameter's name, the function of which it is the factor, and the sign."""
+        split = ((p.name, p.name.partition("_")) for p in self.parameters)
+        return [(name, _FUNCTIONS.index(of), 1.0 if whose == "gravity" else -1.0) for name, (whose, _, of) in split]
 
 
 @add_settings_to_docstring
@@ -207,15 +180,10 @@ class PositionHarmonics:
             for word, letter in (("cosine", "a"), ("sine", "b"))
         )
 
-    def columns_at(self, position: FloatArray) -> FloatArray:
+    def columns(self, position: FloatArray) -> FloatArray:
         """Return cosine and sine of each harmonic at positions, (samples,): (samples, 2 harmonics)."""
         phases = np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
         return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
-
-    def require(self, model: str) -> None:
-        """Raise a `MethodError` if a joint of that model cannot be simulated with it."""
-        if model == "rigid" and self.side == "load":
-            raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
 
     def places(self, values: Mapping[str, float]) -> FloatArray:
         """Return it as forces that follow a position, (harmonics, 5), for the simulation in steps."""

@@ -288,7 +288,7 @@ def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: flo
     gravity, ripple, offset = loop.joint.gravity, loop.joint.ripple, values.get("offset", 0.0)
     here, forces = np.array([position]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
     forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
-    forces += [] if ripple is None else [(ripple.columns_at(here)[0], ripple.parameters)]
+    forces += [] if ripple is None else [(ripple.columns(here)[0], ripple.parameters)]
     return offset + sum(float(columns @ [values[p.name] for p in own]) for columns, own in forces)
 
 

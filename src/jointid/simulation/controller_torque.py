@@ -74,7 +74,7 @@ def law_outputs(position: Channel, axis: AxisInput) -> FloatArray:
     """
     law = axis.law
     inputs, start = _along(position, axis, axis.inputs)
-    output = run(law, inputs, start).output + axis.shown
+    output = run(law, inputs, start) + axis.shown
     integral, columns = law.integral(), [output]
     if integral is not None:
         columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])

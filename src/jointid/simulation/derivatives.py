@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
-from jointid.common.parallel import in_threads, threads
+from jointid.common.parallel import in_threads
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.models.controllers import run as run_law
-from jointid.models.controllers.sampled import LawRun
 from jointid.models.joints import Joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
+_AT_ONCE = 256  # samples of a regressor, which is much larger than what is taken of it
 _ROOM = Room()
 
 
@@ -158,9 +158,9 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
         path, speed = clock.own(j, position[:, j], own.periods), float(experiment.speeds[j])
         before, after = (_run_law(one, path, speed) for one in (own, other))
         late = (other.law.delay - own.law.delay) / own.law.period
-        acts = (1.0 - late) * after.output + late * np.append(after.output[0], after.output[:-1])
-        push[:] = clock.repeat(j, acts - before.output)
-        shown = (to_log(one, seen_torque(one, of.output)) for one, of in ((own, before), (other, after)))
+        acts = (1.0 - late) * after + late * np.append(after[0], after[:-1])
+        push[:] = clock.repeat(j, acts - before)
+        shown = (to_log(one, seen_torque(one, of)) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
     still = np.zeros((kept.start.places.size, count))
     states = np.zeros((len(experiment.axes), kept.start.states.shape[1], count))
@@ -171,8 +171,8 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
     return [_show(kept, j, command[j], ()) for j in range(len(experiment.axes))], direct
 
 
-def _run_law(axis: AxisInput, position: FloatArray, speed: float) -> LawRun:
-    """Return a law's run along a motor position, (periods,), that begins at a speed."""
+def _run_law(axis: AxisInput, position: FloatArray, speed: float) -> FloatArray:
+    """Return the torque of a law along a motor position, (periods,), that begins at a speed."""
     law, inputs = axis.law, axis.inputs.copy()
     inputs[:, POSITION] = position
     return run_law(law, inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed))
@@ -331,14 +331,14 @@ def columns_of(
         motion: of all masses.
         rows: of the masses.
     """
-    from jointid.models.robots.equations import regressor_columns
+    from jointid.models.robots.dynamics import regressor_of
 
     samples, n = len(motion.position), numbers.rotors.size
     carried = _find_carriers(tree.parents) if tree.joints.size == 0 else np.ones((n, n), dtype=np.bool_)
     felt = [np.array([c for c, p in enumerate(places) if _acts(p, int(row), numbers, carried)], int) for row in rows]
     ends = np.cumsum([own.size for own in felt])
     lines, of_links = np.empty((int(ends[-1]), samples)), []
-    position, velocity, acceleration = motion[:3]
+    position, velocity = motion[:2]
     for row, own, end in zip(rows, felt, ends, strict=True):
         for line, place in zip(range(int(end) - own.size, int(end)), (places[c] for c in own), strict=True):
             if place.of is NumberOf.LINK:
@@ -351,15 +351,17 @@ def columns_of(
                 stretch = moved[:, motor] - moved[:, place.row]
                 lines[line] = stretch if row == motor else -stretch
     if of_links:
-        q, v, a = (np.ascontiguousarray(values[:, :n]) for values in (position, velocity, acceleration))
-        whose, which, where = np.array(of_links, dtype=np.int64).T.copy()
-        spans = np.array_split(np.arange(samples), threads())
+        whose, which, where = np.array(of_links).T
+        joints = tree.joints if tree.joints.size else np.eye(n)
+        of_joints = [np.ascontiguousarray(values[:, :n] @ joints.T) for values in motion[:3]]
 
-        def fill(span: NDArray[np.intp]) -> None:
-            inside = slice(span[0], span[-1] + 1)
-            regressor_columns(tree, q[inside], v[inside], a[inside], whose, which, where, span[0], lines)
+        def fill(first: int) -> None:
+            inside = slice(first, first + _AT_ONCE)
+            Y = regressor_of(tree, *(one[inside] for one in of_joints))
+            Y = joints.T @ Y if tree.joints.size else Y
+            lines[where, inside] = Y[:, whose, which].T
 
-        in_threads(fill, [span for span in spans if span.size])
+        in_threads(fill, range(0, samples, _AT_ONCE))
     return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]
 
 

@@ -16,11 +16,12 @@ straight line through velocities takes from a curved motion (Euler and Maclaurin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
 from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Robot, Tree
@@ -38,10 +39,7 @@ from jointid.simulation.simulate import (
     motion_of,
     pass_on,
 )
-from jointid.simulation.start import Keys, Numbers, Steady, joint_state, slope_of_joint
-
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
+from jointid.simulation.start import Keys, Numbers, Steady, joint_slopes, joint_state
 
 PARTS = 4
 """Of a sample of a joint: with 2 a viscous friction of loads that stick errs by 2e-3 instead of 1e-3."""
@@ -68,7 +66,11 @@ class DriveSide:
 
     def __post_init__(self) -> None:
         self.joint.require_linear("The drive side takes")
-        self.joint.require_no_ripple("The drive side takes", 'identify by the method "didim"', "load")
+        if self.joint.ripple is not None and self.joint.ripple.side == "load":
+            raise MethodError(
+                "The drive side takes a joint without a ripple on the load's side; received one that has it: identify "
+                'by the method "didim".'
+            )
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -130,8 +132,10 @@ def prescribe(
         resting: (n,) which motors rest at the first sample: what is left of their velocity there is rounding, with
             which a link would slide.
     """
+    from scipy.interpolate import make_interp_spline
+
     home, step = position[0], sample_time / parts  # far from zero a spline would lose digits of its derivatives
-    spline = spline_of(position - home, sample_time)
+    spline = make_interp_spline(np.arange(len(position)) * sample_time, position - home, _DEGREE)
     edges = np.arange((len(position) - 1) * parts + 1) * step
     velocity, acceleration = (np.asarray(spline.derivative(order)(edges)) for order in (1, 2))
     joined = velocity - step**2 / 12.0 * np.asarray(spline.derivative(3)(edges))
@@ -141,18 +145,6 @@ def prescribe(
     return PrescribedMotion(
         tree, velocity[0], acceleration[0], step, np.asarray(spline(edges) + home), velocity, joined, direction
     )
-
-
-def spline_of(position: FloatArray, sample_time: float) -> BSpline:
-    """Interpolating spline through positions, (samples, ...), with accurate second derivative.
-
-    Args:
-        position: from home, smooth at the scale of a sample.
-        sample_time: seconds.
-    """
-    from scipy.interpolate import make_interp_spline
-
-    return make_interp_spline(np.arange(len(position)) * sample_time, position, _DEGREE)
 
 
 def _mean_direction(velocity: FloatArray) -> FloatArray:
@@ -211,11 +203,11 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
         held = np.diff(prescribed.joined, axis=0) / prescribed.step
         # One more part follows the last one, so that its end is on the tape, too.
         torques = HEAVY * np.vstack([held, held[-1:]]).T[:, np.newaxis]
-        found = integrate(
+        status, command, _, tape, _ = integrate(
             heavy.plant, prescribed.tree, heavy.inertials, pass_on(torques, prescribed.step), np.zeros(n),
             np.full(n, np.inf), np.zeros((n, 0)), places, speeds, np.sign(speeds), keep=True, steps=taken,
         )  # fmt: skip
-        outcome, tape, command = OUTCOMES[found.status], found.tape, found.command
+        outcome = OUTCOMES[status]
     nothing = np.zeros((parts, masses))
     motion, torque = MassMotion(nothing, nothing, nothing, nothing), nothing[:, :n]
     if outcome is Outcome.FINISHED:
@@ -266,11 +258,17 @@ def moves_links(key: Any, numbers: Numbers) -> bool:
     return not of_motor and key.of is not NumberOf.LOG and bool(np.any(numbers.flexible))
 
 
+def _steady(prescribed: PrescribedMotion, numbers: Numbers) -> Steady:
+    return Steady(
+        prescribed.tree, prescribed.speeds, prescribed.accelerations, numbers, prescribed.position[0]
+    )  # fmt: skip
+
+
 def _begin(prescribed: PrescribedMotion, numbers: Numbers) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the positions of steady motion, and positions and velocities of all masses at the first edge."""
     if prescribed.tree is not None:
-        steady = Steady(prescribed.tree, prescribed.speeds, prescribed.accelerations, numbers)
-        start, _ = steady.settle(prescribed.position[0])
+        steady = _steady(prescribed, numbers)
+        start, _ = steady.settle()
         places, speeds, n = start.copy(), steady.all_speeds, numbers.rotors.size
         speeds[numbers.rotors] = prescribed.joined[0]
         if numbers.beside.size:
@@ -291,18 +289,16 @@ def _slopes_at_start(run: DriveSideRun, keys: Keys, wide: int) -> tuple[FloatArr
     prescribed, numbers = run.prescribed, run.numbers
     dq, dv = np.zeros((2, numbers.count, wide))
     if prescribed.tree is not None:
-        steady = Steady(prescribed.tree, prescribed.speeds, prescribed.accelerations, numbers)
-        dq[:, : len(keys)], _ = steady.slopes(run.start, 0.0, keys)
+        dq[:, : len(keys)], _ = _steady(prescribed, numbers).slopes(run.start, keys)
         for c, place in enumerate(keys):
             if place.of is NumberOf.BESIDE:
                 (dv if place.column else dq)[place.row, c] = 1.0
         return dq, dv
     position, velocity = float(prescribed.position[0, 0]), float(prescribed.speeds[0])
+    dq[:, : len(keys)], dv[:, : len(keys)] = joint_slopes(numbers, keys, position, velocity, 1.0)
     for c, key in enumerate(keys):
         if key in LOAD_STATE:
             (dq, dv)[LOAD_STATE.index(str(key))][1:, c] = 1.0
-        else:
-            dq[:, c], dv[:, c] = slope_of_joint(numbers, position, velocity, 1.0, str(key))
     return dq, dv
 
 

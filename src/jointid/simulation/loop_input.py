@@ -161,7 +161,6 @@ class AxisInput:
         tap: where the torque is logged. timing: what a logged value is.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
         clock: of this controller alone.
-        shows: whether the logged torque contains anything beside the controller's output, see `shown`.
     """
 
     controller: Controller
@@ -180,10 +179,6 @@ class AxisInput:
     timing: Timing
     begin: float
     clock: Clock
-    shows: bool = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shows", bool(np.any(self.shown)))
 
     @classmethod
     def of(
@@ -475,7 +470,7 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
 
 def seen_torque(axis: AxisInput, command: FloatArray) -> FloatArray:
     """Torque at the log's tap, (periods,), of the controller's output."""
-    return command + axis.shown if axis.shows else command
+    return command + axis.shown
 
 
 def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:

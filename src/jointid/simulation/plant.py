@@ -50,7 +50,7 @@ def lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, An
     own = law.beside(values, prefix)
     length, *beside = (own[n] for n in ("presliding_distance", "viscous_drift", "coulomb_drift", "friction_per_torque"))
     winds = 1.0 / length if length != 0.0 else 0.0
-    return np.array([[inertia, offset, *b.directions, winds, *beside, b.high] for b in law.bands(values, prefix)])
+    return np.array([[inertia, offset, *lines, winds, *beside, high] for high, lines in law.bands(values, prefix)])
 
 
 def lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
@@ -205,6 +205,14 @@ class JointNumbers:
         """Return the parameters, and their values."""
         names = [p.name for p in self.joint.parameters]
         return names, np.array([self.values[name] for name in names], dtype=np.float64)
+
+    def neighbours(self, name: str, share: float) -> tuple[JointNumbers, JointNumbers, float] | None:
+        """Return the numbers with less and more of one, and the difference; None of what is no number of a joint."""
+        if name not in self.names:
+            return None
+        value = float(self.values[name])
+        step = share * (abs(value) or 1.0)
+        return self.with_value(name, value - step), self.with_value(name, value + step), 2.0 * step
 
     def with_value(self, name: str, value: Any) -> JointNumbers:
         """Return the numbers with another value of one parameter."""

@@ -128,6 +128,15 @@ class RobotNumbers:
         ]
         return places, np.array([place.read(self) for place in places])
 
+    def neighbours(self, place: NumberPlace, share: float) -> tuple[RobotNumbers, RobotNumbers, float] | None:
+        """Return the numbers with less and more of one, and the difference; None of what is no number of a robot."""
+        if place.is_of_record:
+            return None
+        value = place.read(self)
+        step = share * (abs(value) or 1.0)
+        low, high = (with_values(self, (place,), np.array([value + by])) for by in (-step, step))
+        return low, high, 2.0 * step
+
     def blocks(self, places: Sequence[Any]) -> Blocks:
         """Return the derivatives of the plant's numbers by parameters, by a complex step: rational functions."""
         spring, found = len(self.masses) - 1 + np.cumsum(self.flexible), list[tuple[int, int, FloatArray]]()

@@ -209,11 +209,11 @@ def run_loop(
     if numbers.straight:
         return _run_lines(experiment, numbers, start, far, keep, room or Room())
     plant = carried.plant
-    found = integrate(
+    status, *found = integrate(
         plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
         start.speeds, start.wound, keep=keep, steps=taken, room=room,
     )  # fmt: skip
-    return Run(experiment, numbers, plant, start, OUTCOMES[found.status], *found[1:])
+    return Run(experiment, numbers, plant, start, OUTCOMES[status], *found)
 
 
 def _run_lines(
@@ -251,22 +251,14 @@ def _run_lines(
     return Run(experiment, numbers, None, start, OUTCOMES[status], command, excess, tape, trace.counts, trace)
 
 
-class Integrated(NamedTuple):
-    """A run of `kernels.engine`: how it ended, then the attributes of `Run`."""
-
-    status: int
-    command: FloatArray
-    excess: FloatArray
-    tape: FloatArray
-    counts: IntArray
-
-
 def integrate(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
     z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, steps: int = 0,
     room: Room | None = None,
-) -> Integrated:  # fmt: skip
+) -> tuple[int, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
     """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
+
+    Returns how it ended, then command, excess, tape and counts as `Run` has them.
 
     The arguments are those of `kernels.engine.run`. Steps are those of the integrator in the longest part of a step of
     the clock; 0 lets each choose its length.
@@ -294,7 +286,7 @@ def integrate(
     for j, every in enumerate(loop.every):
         excess[j, -(-done // int(every)) :] = 0.0
     np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)  # divergence may overflow
-    return Integrated(status, command, excess, tape[: counts[1]], counts)
+    return int(status), command, excess, tape[: counts[1]], counts
 
 
 def pass_on(torques: FloatArray, step: float) -> SampledLoop:

@@ -9,8 +9,8 @@ puts them out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -27,7 +27,6 @@ from jointid.simulation.robot_numbers import (
     NumberPlace,
     RobotNumbers,
     stribeck_share,
-    with_values,
 )
 
 Numbers: TypeAlias = Any
@@ -41,9 +40,7 @@ _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not w
 _SETTLING = 200  # of the iterations that find where the robot begins
 _AT_REST = 1e-13  # of a position
 _NUDGE = 1e-3  # rad: a controller's stiffness is the slope over it, and its state, which is linear, too
-_SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
-_RELATIVE = 1e-5  # of a robot's number: differences of what balances at the first sample
-_SHIFT = 1e-7  # rad: differences of the load
+_SMALL = 1e-5  # of a number: differences of what balances at the first sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +85,10 @@ class Slopes(NamedTuple):
 def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = None) -> Start:
     """Return the first state; of a robot as its records say, of a joint as it is said."""
     if experiment.tree is not None:
-        steady = Steady(experiment.tree, experiment.speeds, experiment.accelerations, numbers)
-        places, torques = _balance(experiment, steady)
-        speeds = steady.all_speeds
+        steady, added = _steady(experiment, numbers), experiment.sampled.post[:, 0]
+        places, load = steady.settle()
+        speeds, holding = steady.all_speeds, load + steady.own_torques - added
+        torques = tuple(float(t) if i else None for t, i in zip(holding, _integrates(experiment), strict=True))
         return _with_states(experiment, places, speeds, np.sign(speeds), numbers.motors, torques)
     initial = initial or Initial()
     position = float(experiment.axis.inputs[0, REFERENCE]) if initial.position is None else initial.position
@@ -137,12 +135,29 @@ def joint_state(
 
     Presliding friction has not wound up at rest. What swings begins with the load.
     """
-    joint, values = numbers.joint, numbers.values
-    start = joint.start(values, position, velocity)
-    if joint.stepped and not sliding:
-        start[::2] = joint.start(values, position, 0.0)[::2]
-    side = 2 * np.minimum(np.arange(numbers.count), 1)
-    return start[side], start[side + 1]
+    joint, steady = numbers.joint, velocity if sliding or not numbers.joint.stepped else 0.0
+    places, speeds = np.full((2, numbers.count), [[joint.hang(numbers.values, position, steady)], [velocity]])
+    places[0] = position
+    return places, speeds
+
+
+def differences(numbers: Numbers, keys: Keys, of: Callable[[Numbers], FloatArray]) -> FloatArray:
+    """Return the derivatives of a function of the numbers, (..., keys); 0 by keys that are none of them."""
+    here = of(numbers)
+    found = np.zeros((*here.shape, len(keys)))
+    for c, key in enumerate(keys):
+        if (both := numbers.neighbours(key, _SMALL)) is not None:
+            found[..., c] = (of(both[1]) - of(both[0])) / both[2]
+    return found
+
+
+def joint_slopes(numbers: JointNumbers, names: Keys, position: float, velocity: float, sliding: float) -> FloatArray:
+    """Return the derivatives of positions and velocities of a joint's masses, (2, masses, names)."""
+
+    def state(other: JointNumbers) -> FloatArray:  # of a share of 0 the upper one swings
+        return np.array(joint_state(other, position, velocity, sliding))[:, : numbers.count]
+
+    return differences(numbers, names, state)
 
 
 def start_slopes(experiment: LoopInput, numbers: Numbers, start: Start, keys: Keys) -> Slopes:
@@ -155,37 +170,25 @@ def start_slopes(experiment: LoopInput, numbers: Numbers, start: Start, keys: Ke
 def _slopes_of_joint(axis: AxisInput, numbers: JointNumbers, start: Start, names: Sequence[str]) -> Slopes:
     """By differences; at rest on straight lines all but the motor's own state leaves it where it is."""
     position, velocity, sliding = float(start.places[0]), float(start.speeds[0]), float(start.wound[0])
-    still, width = np.zeros((numbers.count, len(names))), start.states.shape[1]
-    found = Slopes(still, still.copy(), np.zeros((1, width, len(names))))
-    (torque,), known = start.torques, numbers.names
+    straight, (torque,) = numbers.joint.straight, start.torques
+    moving = names if velocity != 0.0 or not straight else [""] * len(names)
+    places, speeds = joint_slopes(numbers, moving, position, velocity, sliding)
+    states = np.zeros((1, start.states.shape[1], len(names)))
     for j, name in enumerate(names):
-        if name in known and (velocity != 0.0 or not numbers.joint.straight):
-            found.places[:, j], found.speeds[:, j] = slope_of_joint(numbers, position, velocity, sliding, name)
-        elif name in INITIAL:
+        if name in INITIAL:
             by = np.array(INITIAL) == name
             if by[1] and velocity == 0.0:  # the drag of steady motion jumps there
-                found.speeds[:, j] = 1.0
+                speeds[:, j] = 1.0
             elif not by[2]:  # affine on one side of 0 where all laws are lines
-                step = (1.0 if numbers.joint.straight else _SMALL) * (by[0] + by[1] * 0.5 * velocity)
+                step = (1.0 if straight else _SMALL) * (by[0] + by[1] * 0.5 * velocity)
                 moved = joint_state(numbers, position + by[0] * step, velocity + by[1] * step, sliding)
                 here = joint_state(numbers, position, velocity, sliding)
-                found.places[:, j], found.speeds[:, j] = ((b - a) / step for a, b in zip(here, moved, strict=True))
+                places[:, j], speeds[:, j] = ((b - a) / step for a, b in zip(here, moved, strict=True))
             more = None if torque is None else torque + by[2]
             high, low = (first_state(axis, position + x * by[0], velocity + x * by[1], t)[0]
                          for x, t in ((1.0, more), (0.0, torque)))  # fmt: skip
-            found.states[0, :, j] = high - low
-    return found
-
-
-def slope_of_joint(
-    numbers: JointNumbers, position: float, velocity: float, sliding: float, name: str
-) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of positions and velocities of a joint's masses by a parameter."""
-    value = numbers.values[name]
-    step = _SMALL * (abs(value) or 1.0)
-    ends = (numbers.with_value(name, value + by) for by in (-step, step))  # of a share of 0 the upper one swings
-    low, high = (np.array(joint_state(one, position, velocity, sliding))[:, : numbers.count] for one in ends)
-    return (high[0] - low[0]) / (2 * step), (high[1] - low[1]) / (2 * step)
+            states[0, :, j] = high - low
+    return Slopes(places, speeds, states)
 
 
 # A robot
@@ -199,12 +202,18 @@ class Steady:
         tree: of the links.
         speeds, accelerations: (n,) of the shafts.
         numbers: of the robot.
+        free: (n,) where the motors stand without a torque.
+        pushed: (n,) the torques on the motors there.
+        soft: (n,) the torque that moves each by 1 from there, negative; minus infinity of one that does not give way.
     """
 
     tree: Tree | None
     speeds: FloatArray
     accelerations: FloatArray
     numbers: RobotNumbers
+    free: FloatArray
+    pushed: FloatArray | float = 0.0
+    soft: FloatArray | float = -math.inf
 
     @property
     def all_speeds(self) -> FloatArray:
@@ -254,67 +263,45 @@ class Steady:
                 found[i] = law.deflection(dict(zip(SPRING_NUMBERS, numbers.springs[i], strict=True)), float(torques[i]))
         return found
 
-    def settle(
-        self, motors: FloatArray, soft: FloatArray | float = -math.inf, beside: FloatArray | float = 0.0
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the positions of all masses, (masses,), and the load on each motor, (n,).
+    def places(self, load: FloatArray) -> FloatArray:
+        """Return the positions of all masses, (masses,), under loads on the motors, (n,)."""
+        motors, found = self.free + (load + self.own_torques - self.pushed) / self.soft, np.zeros(self.numbers.count)
+        found[: motors.size], found[self.numbers.rotors] = motors - self.deflections(load), motors
+        return found
 
-        Args:
-            motors: (n,) where the motors stand without a torque.
-            soft: (n,) the torque that moves each by 1 from there, negative; minus infinity of one that does not give
-                way.
-            beside: (n,) torque of each motor beside the load.
-        """
-        n, rotors = motors.size, self.numbers.rotors
-        free, load = motors, np.zeros(motors.size)
+    def settle(self) -> tuple[FloatArray, FloatArray]:
+        """Return the positions of all masses, (masses,), and the load on each motor, (n,)."""
+        motors, load = self.free, np.zeros(self.free.size)
         for _ in range(_SETTLING):
             load = self.load(motors - self.deflections(load))
-            after = free + (load + beside) / soft
-            moved = float(np.max(np.abs(after - motors)))
-            motors = after
-            if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
+            before, motors = motors, self.places(load)[self.numbers.rotors]
+            if float(np.max(np.abs(motors - before))) <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
                 break
-        places = np.zeros(len(self.numbers.masses))
-        places[:n], places[rotors] = motors - self.deflections(load), motors
-        return places, load
+        return self.places(load), load
 
-    def slopes(
-        self, start: FloatArray, soft: FloatArray | float, places: Sequence[NumberPlace]
-    ) -> tuple[FloatArray, FloatArray]:
+    def slopes(self, start: FloatArray, places: Sequence[NumberPlace]) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of the positions, (masses, parameters), and of the motors' torques, (n, parameters).
+
+        The load that is in balance moves with the numbers: ``dL = (1 - G_L)^-1 G_p`` where it is ``L = G(L, p)``.
 
         Args:
             start: (masses,) positions.
-            soft: (n,) how far a torque of 1 moves each motor; 0 of one that does not give way.
             places: of the parameters.
         """
-        numbers, n = self.numbers, self.speeds.size
-        links = start[:n]
-        load = self.load(links)
+        n = self.speeds.size
+        load = self.load(start[:n])
 
-        def balance(other: RobotNumbers) -> FloatArray:
-            there = Steady(self.tree, self.speeds, self.accelerations, other)
-            return np.stack([there.load(links), there.own_torques, there.deflections(load)])
+        def balance(steady: Steady, load: FloatArray) -> FloatArray:
+            where = steady.places(load)
+            return np.concatenate([steady.load(where[:n]), where, load + steady.own_torques])
 
-        turning = np.column_stack([(self.load(links + _SHIFT * unit) - load) / _SHIFT for unit in np.eye(n)])
-        step = _RELATIVE * np.maximum(np.abs(load), 1.0)
-        compliance = (self.deflections(load + step) - self.deflections(load - step)) / (2.0 * step)
-        moved = np.zeros((3, n, len(places)))
-        for c, place in enumerate(places):
-            if not place.is_of_record:
-                value = place.read(numbers)
-                by = _RELATIVE * max(abs(value), 0.1)
-                low, high = (balance(with_values(numbers, (place,), np.array([value + d]))) for d in (-by, by))
-                moved[:, :, c] = (high - low) / (2.0 * by)
-        direct, own, stretched = moved
-        yielding = np.broadcast_to(soft, n)
-        given = turning @ (yielding[:, np.newaxis] * own - stretched) + direct
-        torque = np.linalg.solve(np.eye(n) - turning * (yielding - compliance), given)
-        dq = np.zeros((start.size, len(places)))
-        of_motor = yielding[:, np.newaxis] * (torque + own)
-        dq[:n] = of_motor - compliance[:, np.newaxis] * torque - stretched
-        dq[numbers.rotors] = of_motor
-        return dq, torque + own
+        step = _SMALL * np.diag(np.maximum(np.abs(load), 1.0))
+        by_load = np.column_stack(
+            [(balance(self, load + one) - balance(self, load - one)) / (2.0 * np.max(one)) for one in step]
+        )
+        by_number = differences(self.numbers, places, lambda other: balance(replace(self, numbers=other), load))
+        moved = by_number + by_load @ np.linalg.solve(np.eye(n) - by_load[:n], by_number[:n])
+        return moved[n:-n], moved[-n:]
 
 
 def _controllers_at(experiment: LoopInput, places: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -332,37 +319,33 @@ def _integrates(experiment: LoopInput) -> Bools:
     return np.array([each.integral is not None for each in experiment.axes])
 
 
-def _balance(experiment: LoopInput, steady: Steady) -> tuple[FloatArray, tuple[float | None, ...]]:
-    """Return all positions at the first sample, and the torques that integrators hold.
+def _steady(experiment: LoopInput, numbers: RobotNumbers) -> Steady:
+    """Return the robot as its records begin.
 
     A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
     stretched by the load.
     """
     references = np.array([each.inputs[0, REFERENCE] for each in experiment.axes])
     at_reference, slope = _controllers_at(experiment, references)
-    added = experiment.sampled.post[:, 0]
-    integrates = _integrates(experiment)
-    soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
-    places, load = steady.settle(references, soft, steady.own_torques - at_reference - added)
-    holding = load + steady.own_torques - added
-    return places, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True))
+    soft = np.where(_integrates(experiment) | (slope >= 0.0), -np.inf, slope)
+    pushed = at_reference + experiment.sampled.post[:, 0]
+    return Steady(
+        experiment.tree, experiment.speeds, experiment.accelerations, numbers, references, pushed, soft
+    )  # fmt: skip
 
 
 def _slopes_of_robot(
     experiment: LoopInput, numbers: RobotNumbers, start: Start, places: Sequence[NumberPlace]
 ) -> Slopes:
     """Of ``load(q) + own = torque(qm)`` without an integral, with one qm the reference; ``K (qm - q) = load(q)``."""
-    steady = Steady(experiment.tree, experiment.speeds, experiment.accelerations, numbers)
-    motors, integrates = start.places[numbers.rotors], _integrates(experiment)
+    steady, motors, integrates = _steady(experiment, numbers), start.places[numbers.rotors], _integrates(experiment)
     # States of the controllers: at the start, further, with more torque.
     states = np.zeros((*start.states.shape, 3))
     for j, each in enumerate(experiment.axes):
         for i, (at, torque) in enumerate(((0.0, 0.0), (_NUDGE, 0.0), (0.0, 1.0))):
             state, _ = first_state(each, motors[j] + at, steady.speeds[j], torque if integrates[j] else None)
             states[j, : state.size, i] = state
-    steep = _controllers_at(experiment, motors)[1]
-    soft = np.where(integrates | (steep >= 0.0), 0.0, 1.0 / np.where(steep == 0.0, -1.0, steep))
-    dq, load = steady.slopes(start.places, soft, places)
+    dq, load = steady.slopes(start.places, places)
     by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
     dz = by_place[:, :, np.newaxis] * dq[numbers.rotors][:, np.newaxis]
     dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load, 0.0)[:, np.newaxis]

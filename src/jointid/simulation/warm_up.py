@@ -22,19 +22,14 @@ from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate
 
 
-def warm_up(*, derivatives: bool = True) -> None:
-    """Compile the simulation of a joint of straight lines, or load it from the cache.
-
-    Kernels of other laws are compiled by the first joint that has one.
+def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
+    """Compile the simulation of a joint with such laws, by default straight lines, or load it from the cache.
 
     Args:
+        joint: whose laws' kernels are compiled; those of others are by the first joint that has one.
         derivatives: also those of the derivatives.
     """
-    compile_joint(RigidJoint("prismatic"), derivatives=derivatives)
-
-
-def compile_joint(joint: Joint, *, derivatives: bool = True) -> None:
-    """Compile the simulation of a joint with such laws, and its derivatives."""
+    joint = joint or RigidJoint("prismatic")
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
     values = dict.fromkeys((p.name for p in joint.parameters), 1.0) | {"offset": 0.0}
@@ -68,7 +63,7 @@ def main() -> None:
     """Compile all kernels, in two processes."""
     joints = RigidJoint("prismatic"), FlexibleJoint("prismatic", friction=Friction("presliding"))
     with ProcessPoolExecutor(2) as pool:
-        tuple(pool.map(call, (compile_robot, *(partial(compile_joint, joint) for joint in joints))))
+        tuple(pool.map(call, (compile_robot, *(partial(warm_up, joint) for joint in joints))))
 
 
 if __name__ == "__main__":

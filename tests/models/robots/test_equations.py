@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.models.robots.dynamics import regressor_of
-from jointid.models.robots.equations import ROOM, equations_of_motion, linearised_equations, regressor_columns
+from jointid.models.robots.equations import ROOM, equations_of_motion, linearised_equations
 from tests.models.robots.trees import (
     as_mjcf,
     by_mujoco,
@@ -59,20 +58,3 @@ def test_one_pass_is_inverse_dynamics_and_mass_matrix_and_its_derivatives_are_th
         assert by_place[:, j] == pytest.approx((at[0] - at[1]) / 2e-6, abs=2e-8 * np.max(np.abs(whole)))
         at = [T.T @ torque_by_regressor(tree, inertials, T @ q, T @ (v + s), T @ a) for s in (step, -step)]
         assert by_speed[:, j] == pytest.approx((at[0] - at[1]) / 2e-6, abs=2e-8 * np.max(np.abs(whole)))
-
-
-def test_numbers_of_the_regressor_along_a_motion_are_its_own() -> None:
-    robot, random = random_robot(3, SIZE), np.random.default_rng(1)
-    q, v, a = random.normal(size=(3, 5, SIZE))
-    T = np.eye(SIZE) + random.uniform(-0.3, 0.3, (SIZE, SIZE))
-    rows, columns = (random.integers(0, top, 40) for top in (SIZE, 10 * SIZE))
-    for joints in (np.zeros((0, 0)), T):
-        found, by = np.empty((40, 5)), joints if joints.size else np.eye(SIZE)
-        regressor_columns(
-            robot.tree._replace(joints=joints), q[:2], v[:2], a[:2], rows, columns, np.arange(40), 0, found
-        )
-        regressor_columns(
-            robot.tree._replace(joints=joints), q[2:], v[2:], a[2:], rows, columns, np.arange(40), 2, found
-        )
-        whole = by.T @ regressor_of(robot.tree, *(np.ascontiguousarray(values @ by.T) for values in (q, v, a)))
-        assert found == pytest.approx(whole[:, rows, columns].T, abs=1e-12 * np.max(np.abs(whole)))

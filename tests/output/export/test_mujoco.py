@@ -57,7 +57,7 @@ def mjcf_torque(
     gear = 1.0 if joint.transmission is None else joint.transmission.motor_per_load
     plant = Plant(ji.export(told, "mjcf", timestep=timestep).text, float(reference[0]) / gear)
     if joint.model == "flexible":
-        plant.data.qpos[1] = joint.start(values, float(reference[0]), 0.0)[2] / gear  # where the load hangs
+        plant.data.qpos[1] = joint.hang(values, float(reference[0]), 0.0) / gear  # where the load hangs
     return servo(law, reference, 1e-3, lambda torque: gear * plant(torque))
 
 

@@ -8,46 +8,35 @@ from __future__ import annotations
 
 from jointid.models.controllers.filters import (
     FILTERS,
-    DigitalFilter,
     Filter,
     FirstOrder,
-    MovingAverage,
     Notch,
     SecondOrder,
-    as_filter,
 )
 from jointid.models.controllers.laws import (
     LAWS,
     PD,
     PID,
     Cascade,
-    StateSpaceController,
     shift_start,
     with_present_sample,
 )
 from jointid.models.controllers.sampled import (
-    CONSTANT,
     DIRECTION,
     INJECTED,
-    INPUTS,
-    LIMIT,
     POSITION,
     REFERENCE,
     REFERENCE_VELOCITY,
-    LawRun,
     SampledLaw,
     invert,
     law_inputs,
-    refer,
     respond,
     run,
-    scale,
 )
 from jointid.models.controllers.servo_base import (
     CONTROLLER_UNITS,
     LONGEST_DELAY,
     Controller,
-    DiagramController,
     Interpolation,
     ServoController,
     declared_unit,
@@ -58,11 +47,8 @@ from jointid.models.controllers.servo_base import (
 )
 
 __all__ = [
-    "CONSTANT", "CONTROLLER_UNITS", "DIRECTION", "FILTERS", "INJECTED", "INPUTS", "LAWS", "LIMIT", "LONGEST_DELAY",
-    "PD", "PID",
-    "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
-    "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
-    "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
-    "as_filter", "declared_unit", "invert", "law_inputs", "number", "numbers_of", "refer", "respond",
-    "run", "scale", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
+    "CONTROLLER_UNITS", "DIRECTION", "FILTERS", "INJECTED", "LAWS", "LONGEST_DELAY", "PD", "PID", "POSITION",
+    "REFERENCE", "REFERENCE_VELOCITY", "Cascade", "Controller", "Filter", "FirstOrder", "Interpolation", "Notch",
+    "SampledLaw", "SecondOrder", "ServoController", "declared_unit", "invert", "law_inputs", "number", "numbers_of",
+    "respond", "run", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
 ]  # fmt: skip

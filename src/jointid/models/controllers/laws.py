@@ -88,11 +88,6 @@ class Cascade(DiagramController):
         at_least=0,
     )
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """The reference, and its velocity if that is a channel."""
-        return ("reference", "reference_velocity") if self.reference_velocity == "channel" else ("reference",)
-
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
         period = self.period or sample_time
@@ -110,19 +105,8 @@ class Cascade(DiagramController):
         if self.velocity_limit < math.inf:
             command, _ = diagram.limit(command, self.velocity_limit)
         slip = command - self._velocity(diagram, position)
-        controlled = slip * self.velocity_gain
-        if self.integral_gain:
-            state, integral = diagram.state()
-            controlled = controlled + integral * (self.velocity_gain * self.integral_gain)
-        limit = self._torque(diagram, controlled)
-        if self.integral_gain:
-            into = slip * diagram.period
-            if self.limit < math.inf:
-                into = _with_anti_windup(
-                    diagram, into, limit, self.anti_windup, self.velocity_gain * self.integral_gain * self.gain
-                )
-            diagram.follow(state, integral + into)
-        return self._lower(diagram, limit)
+        integral = (slip, self.velocity_gain * self.integral_gain, self.anti_windup) if self.integral_gain else None
+        return self._lower(diagram, slip * self.velocity_gain, integral)
 
     def _feed_forward(self, diagram: Diagram) -> BlockSignal:
         if not self.velocity_feedforward:
@@ -150,16 +134,10 @@ class PD(DiagramController):
         "difference", "whether the reference's velocity is its difference, a channel of its own, or not used"
     )
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """The reference, and its velocity if that is a channel."""
-        return ("reference", "reference_velocity") if self.reference_velocity == "channel" else ("reference",)
-
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
         diagram = Diagram(self.period or sample_time)
-        _, controlled = self._draw_feedback(diagram)
-        return self._lower(diagram, self._torque(diagram, controlled))
+        return self._lower(diagram, self._draw_feedback(diagram)[1])
 
     def _draw_feedback(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
         """Position error and output without an integral."""
@@ -188,15 +166,8 @@ class PID(PD):
         """Return the state-space form."""
         diagram = Diagram(self.period or sample_time)
         error, controlled = self._draw_feedback(diagram)
-        if not self.integral_gain:
-            return self._lower(diagram, self._torque(diagram, controlled))
-        state, integral = diagram.state()
-        limit = self._torque(diagram, controlled + integral * self.integral_gain)
-        into = error * diagram.period
-        if self.limit < math.inf:
-            into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.integral_gain * self.gain)
-        diagram.follow(state, integral + into)
-        return self._lower(diagram, limit)
+        integral = (error, self.integral_gain, self.anti_windup) if self.integral_gain else None
+        return self._lower(diagram, controlled, integral)
 
 
 def shift_start(controller: Controller, seconds: float) -> Controller:
@@ -229,14 +200,6 @@ def with_present_sample(controller: Cascade | PID, period: float) -> Cascade | P
         velocity_gain=controller.velocity_gain * (1 + step),
         integral_gain=controller.integral_gain / (1 + step),
     )
-
-
-def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_windup: str, weight: float) -> BlockSignal:
-    """Integral increment per period with anti-windup; `weight` scales it to torque."""
-    if anti_windup == "hold":
-        return diagram.gate(into, limit)
-    # An integral of no weight has no share in what was cut off.
-    return into + diagram.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -294,34 +294,23 @@ def law_inputs(reference: FloatArray, velocity: FloatArray | None) -> FloatArray
     return inputs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LawRun:
-    """A run of a law, period by period.
-
-    Attributes:
-        raw: (periods, elements) before limits and gates. excess: (periods, elements) what these took away or added.
-        output: (periods,) the torque that acts.
-    """
-
-    raw: FloatArray
-    excess: FloatArray
-    output: FloatArray
-
-
-def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
-    """Run the law within its limits.
+def run(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None) -> FloatArray:
+    """Return the torque of a law within its limits, (periods,).
 
     Args:
         law: the law.
         inputs: (periods, INPUTS), once per period.
         state: (states,) at the first period (see `SampledLaw.memory`).
+        excess: (periods, elements), filled with what limits and gates take away or add.
     """
-    excess = np.zeros((len(inputs), law.limits.size))
-    raw = _respond(law, inputs, state, excess, True)
-    return LawRun(raw, excess, raw[:, law.output] + excess[:, law.output])
+    excess = np.zeros((len(inputs), law.limits.size)) if excess is None else excess
+    raw = respond(law, inputs, state, excess, free=True)
+    return np.asarray(raw[:, law.output] + excess[:, law.output])
 
 
-def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None) -> FloatArray:
+def respond(
+    law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None, *, free: bool = False
+) -> FloatArray:
     """Linear response of all elements before limits and gates, (periods, elements).
 
     Args:
@@ -329,12 +318,8 @@ def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Floa
         inputs: (periods, INPUTS); zero columns give the response to the others alone.
         state: (states,) at the first period.
         excess: (periods, elements) of limits and gates; none when None.
+        free: whether limits and gates act, and `excess` is filled.
     """
-    given = np.zeros((len(inputs), law.limits.size)) if excess is None else np.ascontiguousarray(excess)
-    return _respond(law, inputs, state, given, False)
-
-
-def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray, free: bool) -> FloatArray:
     from scipy.sparse import csr_array
 
     from jointid.models.controllers.recurrence import respond as recur
@@ -343,9 +328,10 @@ def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Flo
         [np.concatenate([law.C, law.D, law.E], axis=2), np.concatenate([law.A, law.B, law.F], axis=2)], axis=1
     )
     sparse, raw = csr_array(whole.reshape(-1, whole.shape[2])), np.empty((len(inputs), law.limits.size))
+    given = np.zeros(raw.shape) if excess is None else np.ascontiguousarray(excess)
     recur(
         sparse.indptr, sparse.indices, sparse.data, law.limits, law.gates, free, state.copy(),
-        np.ascontiguousarray(inputs), excess, raw,
+        np.ascontiguousarray(inputs), given, raw,
     )  # fmt: skip
     return raw
 

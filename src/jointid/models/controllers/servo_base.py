@@ -303,6 +303,12 @@ class DiagramController(ServoController):
             object.__setattr__(self, "velocity_filter", tuple(self.velocity_filter))
         check_settings(self)
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The reference, and its velocity if that is a channel."""
+        channel = getattr(self, "reference_velocity", "") == "channel"
+        return ("reference", "reference_velocity") if channel else ("reference",)
+
     def _velocity(self, diagram: Diagram, position: BlockSignal) -> BlockSignal:
         """Filtered backward difference, ``H(z) (1 - z^-1) / T``, in minimal states."""
         b, a = as_filter(self.velocity_filter).coefficients(diagram.period)
@@ -311,15 +317,29 @@ class DiagramController(ServoController):
     def _reference(self, diagram: Diagram) -> BlockSignal:
         return diagram.delay(diagram.input(REFERENCE), self.reference_delay)
 
-    def _torque(self, diagram: Diagram, controlled: BlockSignal) -> int:
-        """Draw the output stages; return the limit's element."""
-        torque = (controlled + self._feedforward(diagram)) * self.gain + diagram.input(INJECTED)
+    def _lower(
+        self, diagram: Diagram, controlled: BlockSignal, integral: tuple[BlockSignal, float, str] | None = None
+    ) -> SampledLaw:
+        """Draw what follows the law's signal, and build the law, referred to the joint.
+
+        Args:
+            diagram: of the law.
+            controlled: its output but for the integral.
+            integral: what is summed up, the gain of the sum, and what becomes of it at the limit.
+        """
+        summed, gain, anti_windup = integral or (BlockSignal({}), 0.0, "")
+        state, total = diagram.state() if integral else (0, summed)
+        torque = (controlled + total * gain + self._feedforward(diagram)) * self.gain + diagram.input(INJECTED)
         for one in self.torque_filters:
             torque = diagram.filter(torque, *one.coefficients(diagram.period))
-        return diagram.limit(torque, self.limit * self.gain, of_torque=True)[1]
-
-    def _lower(self, diagram: Diagram, limit: int) -> SampledLaw:
-        """Build the law with the element of `_torque` as output, referred to the joint."""
+        limit = diagram.limit(torque, self.limit * self.gain, of_torque=True)[1]
+        into = summed * diagram.period
+        if self.limit < math.inf and anti_windup == "hold":
+            into = diagram.gate(into, limit)
+        elif self.limit < math.inf and anti_windup == "track" and gain:  # one of no weight has no share in the excess
+            into = into + diagram.excess(limit) * (1.0 / (gain * self.gain))
+        if integral:
+            diagram.follow(state, total + into)
         return refer(diagram.law(output=limit, delay=self.delay), self.ratio)
 
     def _feedforward(self, diagram: Diagram) -> BlockSignal:

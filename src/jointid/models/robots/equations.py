@@ -34,11 +34,9 @@ from jointid.models.robots.dynamics import (
     FREE,
     JOINT,
     ORIGIN,
-    PARAMETERS,
     TURNING,
     VELOCITY,
     ZERO,
-    IntArray,
     Vector,
     add,
     cross,
@@ -47,7 +45,6 @@ from jointid.models.robots.dynamics import (
     inertia_times,
     move_outwards,
     put,
-    regressor,
     rotate,
     times,
 )
@@ -247,28 +244,3 @@ def linearised_equations(
         to_shafts(joints, M)
         to_shafts(joints, by_place)
         to_shafts(joints, by_speed)
-
-
-@compile_kernel
-def regressor_columns(
-    tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray,
-    rows: IntArray, columns: IntArray, at: IntArray, first: int, out: FloatArray,
-) -> None:  # fmt: skip
-    """Fill lines of `out` with some numbers of the regressor along a motion, (samples, n) each, from sample `first` on.
-
-    Rows, columns and `at`, (numbers,), are whose torque by which of the 10 n inertial parameters goes to which line.
-    """
-    parents, joints = tree.parents, tree.joints
-    n, coupled = parents.size, joints.shape[0] > 0
-    Y, turned = np.empty((n, PARAMETERS * n)), np.empty(n)
-    for t in range(len(q)):
-        if coupled:
-            place, speed, turn = of_joints(joints, q[t]), of_joints(joints, v[t]), of_joints(joints, a[t])
-            regressor(tree, place, speed, turn, Y)
-            for c in range(PARAMETERS * n):
-                assign(turned, of_joints(joints.T, Y[:, c]))
-                assign(Y[:, c], turned)
-        else:
-            regressor(tree, q[t], v[t], a[t], Y)
-        for k in range(at.size):
-            out[at[k], first + t] = Y[rows[k], columns[k]]

@@ -168,9 +168,8 @@ class RobotJoint:
         """The law of its friction."""
         if self.friction is not None:
             return self.friction
-        if self.stribeck_speed is not None:
-            return Friction("asymmetric-stribeck") if self.asymmetric else Friction("stribeck")
-        return Friction("asymmetric") if self.asymmetric else Friction()
+        words = ("asymmetric",) * self.asymmetric + ("stribeck",) * (self.stribeck_speed is not None)
+        return Friction("-".join(words) or "symmetric")
 
     @property
     def model(self) -> RigidJoint | FlexibleJoint:
@@ -230,11 +229,6 @@ class RobotJoint:
         if self.friction is not None:
             return self.friction.two_ways
         return self.viscous_backwards is not None or self.coulomb_backwards is not None
-
-    @property
-    def motor(self) -> dict[str, float]:
-        """Numbers of the motor's side, by the names of a rigid joint's parameters, and those of the spring."""
-        return {name.removeprefix("motor_"): value for name, value in self.values.items()}
 
 
 def _sides(prefix: str, viscous: float, back: float, coulomb: float, held: float) -> dict[str, float]:

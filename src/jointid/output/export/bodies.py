@@ -205,7 +205,7 @@ def losses_of_drives(robot: Robot, *, springs: bool) -> Iterator[str]:
         yield "the constant parts of the motors' torques"
     if uneven := [joint.name for joint in robot.joints if joint.asymmetric]:
         yield f"that the friction of {', '.join(uneven)} is another backwards; what is written is the mean"
-    if rising := [joint.name for joint in robot.joints if joint.motor.get("stribeck_force")]:
+    if rising := [joint.name for joint in robot.joints if joint.law.name.endswith("stribeck")]:
         yield f"what the friction of {', '.join(rising)} rises by towards standstill"
     smooth = [(joint.name, joint.law) for joint in robot.joints if joint.law.stepped]
     yield from (f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in smooth)

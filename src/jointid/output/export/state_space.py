@@ -44,8 +44,8 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
         model.joint.require_linear("A state space takes", spring_alone=True)
     masses, values, (_, _, _, rate) = model.masses.values(), model.values, model.weight
     A, b = drive_matrices(
-        [mass.inertia for mass in masses], [mass.viscous for mass in masses], values.get("stiffness", 0.0),
-        values.get("damping", 0.0), rate,
+        [mass.inertia for mass in masses], [mass.viscous for mass in masses],
+        *([values.get(name, 0.0)] * (len(masses) - 1) for name in ("stiffness", "damping")), rate,
     )  # fmt: skip
     order, B, waiting = len(A), b[:, np.newaxis], 0
     if period is not None:
