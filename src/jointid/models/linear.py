@@ -36,24 +36,19 @@ OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_positio
 
 
 def drive_matrices(
-    inertia: Sequence[float],
-    viscous: Sequence[float],
-    stiffness: Sequence[float],
-    damping: Sequence[float],
-    rate: float = 0.0,
+    inertia: Sequence[float], viscous: Sequence[float], springs: Sequence[tuple[float, float]], rate: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """Return A, (states, states), and B, (states,), of ``x' = A x + B tau`` (the module's equation).
 
     Args:
         inertia: of the motor, of the load where there is a spring between them, and of what swings on that.
         viscous: friction of each.
-        stiffness: of the spring between each and the next.
-        damping: of that spring.
+        springs: stiffness and damping between each and the next.
         rate: of a spring that carries the load.
     """
     count = len(inertia)
     ties, load = np.diff(np.eye(count), axis=0), min(count - 1, 1)
-    K, D = (ties.T @ np.diag(one) @ ties for one in (stiffness, damping))
+    K, D = (ties.T @ np.diag(one) @ ties for one in np.reshape(springs, (-1, 2)).T)
     K[load, load] += rate
     A, B, by = np.zeros((2 * count, 2 * count)), np.zeros(2 * count), np.array(inertia)[:, np.newaxis]
     A[::2, 1::2] = np.eye(count)
@@ -196,12 +191,11 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         share = values.get("swinging_share", 0.0)
         inertia = [values[f"{side}inertia"] for side in joint.sides]
         inertia[1:] = [part * one for one in inertia[1:] for part in ((1.0 - share, share) if share else (1.0,))]
-        springs = ("", "swinging_")[: len(inertia) - 1]
-        ties = [[values[f"{which}{of}"] for which in springs] for of in ("stiffness", "damping")]
+        ties = [(values[f"{of}stiffness"], values[f"{of}damping"]) for of in ("", "swinging_")[: len(inertia) - 1]]
         rate = 0.0 if joint.gravity is None else joint.gravity.coefficients(values)[3]
         for way in ways:
             viscous = [joint.friction.directions(values, side)[way] for side in joint.sides]
-            made.append(drive_matrices(inertia, (*viscous, 0.0)[: len(inertia)], *ties, rate))
+            made.append(drive_matrices(inertia, (*viscous, 0.0)[: len(inertia)], ties, rate))
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
 
 

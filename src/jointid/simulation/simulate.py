@@ -209,11 +209,11 @@ def run_loop(
     if numbers.straight:
         return _run_lines(experiment, numbers, start, far, keep, room or Room())
     plant = carried.plant
-    status, *found = integrate(
+    status, command, excess, tape, counts = integrate(
         plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
         start.speeds, start.wound, keep=keep, steps=taken, room=room,
     )  # fmt: skip
-    return Run(experiment, numbers, plant, start, OUTCOMES[status], *found)
+    return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, counts)
 
 
 def _run_lines(

@@ -45,7 +45,7 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
     masses, values, (_, _, _, rate) = model.masses.values(), model.values, model.weight
     A, b = drive_matrices(
         [mass.inertia for mass in masses], [mass.viscous for mass in masses],
-        *([values.get(name, 0.0)] * (len(masses) - 1) for name in ("stiffness", "damping")), rate,
+        [(values.get("stiffness", 0.0), values.get("damping", 0.0))] * (len(masses) - 1), rate,
     )  # fmt: skip
     order, B, waiting = len(A), b[:, np.newaxis], 0
     if period is not None:
