@@ -287,7 +287,7 @@ def require_windows(model: object, method: Method | None, free: Sequence[str] = 
         refused += method.free if isinstance(method, DIDIM) else ()
     elif not isinstance(model, ClosedLoop) or not isinstance(method, DIDIM | None):
         refused = [f"{type(model).__name__} by {type(method).__name__}"]
-    elif model.joint.friction.follows_time:
+    elif "drifting" in model.joint.friction.name:
         refused = [f"{model.joint.friction.name} friction, which follows the time from the first sample"]
         remedy = 'declare friction = "symmetric"'
     if refused:

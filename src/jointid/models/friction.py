@@ -39,33 +39,26 @@ _LOSS = 0.03  # of the torque through the spring: where a search for a friction 
 _WARMED = 0.2  # of the friction, lost at the end: where a search for a change with time begins
 
 
-def low_speed_share(ratio: FloatArray) -> FloatArray:
-    """Return ``exp(-x^2)`` by its straight lines, at speeds over that of Stribeck's law, of any shape."""
-    at, share = np.array(KNOTS).T
-    return np.asarray(np.interp(np.abs(ratio), at, share))
-
-
 class Coefficient(NamedTuple):
     """One parameter of a law's lines.
 
     Attributes:
         name: after the side's prefix. A name that ends in a direction is the other direction's on the far side of a
             gear that reverses the motion.
-        symbol: before the side's index. sign: after it.
+        symbol: before the side's index.
         part: "viscous" or "coulomb". way: 1 or -1, the direction in which it acts; 0 of both.
     """
 
     name: str
     symbol: str
-    sign: str
     part: Part
     way: int
 
 
-_ONE_WAY = Coefficient("viscous", "Fv", "", "viscous", 0), Coefficient("coulomb", "Fc", "", "coulomb", 0)
+_ONE_WAY = Coefficient("viscous", "Fv", "viscous", 0), Coefficient("coulomb", "Fc", "coulomb", 0)
 _TWO_WAYS = tuple(
-    one._replace(name=f"{one.name}_{direction}", sign=sign, way=way)
-    for direction, sign, way in (("forwards", "+", 1), ("backwards", "-", -1))
+    one._replace(name=f"{one.name}_{direction}", way=way)
+    for direction, way in (("forwards", 1), ("backwards", -1))
     for one in _ONE_WAY
 )
 
@@ -204,11 +197,6 @@ class Friction:
         return any(term is not _TERMS["stribeck"] for term in self.terms)
 
     @property
-    def follows_time(self) -> bool:
-        """True if it changes with the time since the first sample, which a window of a long log would begin anew."""
-        return _TERMS["drifting"] in self.terms
-
-    @property
     def offset_identifiable(self) -> bool:
         """True if an offset is identifiable beside this law: not beside two Coulomb forces, to which it adds."""
         return not self.two_ways
@@ -227,7 +215,7 @@ class Friction:
         """Return the law's parameters, with `prefix` before the names and `index` after the symbols."""
         quantity = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
         lines = (
-            Parameter(f"{prefix}{c.name}", f"{c.symbol}{index}{c.sign}", quantity[c.part], lower=0.0)
+            Parameter(f"{prefix}{c.name}", f"{c.symbol}{index}{('', '+', '-')[c.way]}", quantity[c.part], lower=0.0)
             for c in self.coefficients
         )
         beside = (

@@ -35,8 +35,7 @@ _COUNTERBALANCE: Mapping[str, tuple[str, Quantity]] = {
     "constant": ("b0", Quantity.FORCE), "cos": ("bX", Quantity.FORCE), "sin": ("bY", Quantity.FORCE),
     "rate": ("bK", Quantity.FORCE_RATE),
 }  # fmt: skip
-_FUNCTIONS = tuple(_COUNTERBALANCE)
-"""Functions of the position that a force is made of: 1, cosine and sine of the link's angle, and the position."""
+_FUNCTIONS = tuple(_COUNTERBALANCE)  # 1, cosine and sine of the link's angle, and the position
 _LOADS: Mapping[Load, Mapping[str, str]] = {"constant": {"constant": "gM"}, "link": {"cos": "gMX", "sin": "gMY"}}
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter
-from jointid.models.friction import BESIDE, Friction, low_speed_share
+from jointid.models.friction import BESIDE, KNOTS, Friction
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import Spring
 from jointid.simulation.kernels.tables import HIGH, IntArray, Plant
@@ -335,7 +335,8 @@ def stribeck_share(masses: FloatArray, speeds: FloatArray) -> FloatArray:
     As of one joint, by straight lines (`models.friction`).
     """
     below = masses[..., MassNumbers.SPEED]
-    return np.where(below > 0.0, low_speed_share(speeds / np.where(below > 0.0, below, 1.0)), 0.0)
+    ratio = np.abs(speeds) / np.where(below > 0.0, below, 1.0)
+    return np.where(below > 0.0, np.interp(ratio, *np.transpose(KNOTS)), 0.0)
 
 
 def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:

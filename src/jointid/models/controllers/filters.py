@@ -36,16 +36,12 @@ class DigitalFilter:
     def __post_init__(self) -> None:
         object.__setattr__(self, "numerator", tuple(float(b) for b in self.numerator))
         object.__setattr__(self, "denominator", tuple(float(a) for a in self.denominator))
-        if (longest := max(len(self.numerator), len(self.denominator))) > _LONGEST:
+        numbers, sizes = (*self.numerator, *self.denominator), (len(self.numerator), len(self.denominator))
+        finite = all(map(math.isfinite, numbers))
+        if not (finite and min(sizes) > 0 and max(sizes) <= _LONGEST and self.denominator[0] != 0.0):
             raise MethodError(
-                f"A digital filter of {longest} numbers is given (at most {_LONGEST}); give one of lower order, or a "
-                "moving average by its samples."
-            )
-        finite = all(map(math.isfinite, (*self.numerator, *self.denominator)))
-        if not self.numerator or not self.denominator or self.denominator[0] == 0.0 or not finite:
-            raise MethodError(
-                f"A digital filter needs a numerator, and a denominator that does not start with 0, of finite numbers; "
-                f"received {self.numerator} / {self.denominator}."
+                f"A digital filter needs a numerator, and a denominator that does not start with 0, of finite numbers, "
+                f"{_LONGEST} at most; received {sizes[0]} and {sizes[1]}, {numbers[:3]}, ...: correct them."
             )
 
     def coefficients(self, period: float) -> Coefficients:

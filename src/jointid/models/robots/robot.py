@@ -168,7 +168,8 @@ class RobotJoint:
         """The law of its friction."""
         if self.friction is not None:
             return self.friction
-        words = ("asymmetric",) * self.asymmetric + ("stribeck",) * (self.stribeck_speed is not None)
+        uneven = self.viscous_backwards is not None or self.coulomb_backwards is not None
+        words = ("asymmetric",) * uneven + ("stribeck",) * (self.stribeck_speed is not None)
         return Friction("-".join(words) or "symmetric")
 
     @property
@@ -214,28 +215,24 @@ class RobotJoint:
         motor, behind = "" if self.spring is None else "motor_", self.spring
         back = self.viscous if self.viscous_backwards is None else self.viscous_backwards
         held = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
-        found = _sides(motor, self.viscous, back, self.coulomb, held)
-        found |= {f"{motor}stribeck_force": self.stribeck_force, f"{motor}stribeck_speed": self.stribeck_speed or 0.0}
-        if behind is not None:
-            found |= _sides("load_", behind.viscous, behind.viscous, behind.coulomb, behind.coulomb)
-            found |= {"load_stribeck_force": 0.0, "load_stribeck_speed": 0.0}
-            found |= {"stiffness": behind.stiffness, "damping": behind.damping}
+        rise, below = self.stribeck_force, self.stribeck_speed or 0.0
+        found: dict[str, float] = {}
+        for prefix, viscous, viscous_back, coulomb, coulomb_back, force, speed in (
+            (motor, self.viscous, back, self.coulomb, held, rise, below),
+            *(() if behind is None else (("load_", *[behind.viscous] * 2, *[behind.coulomb] * 2, 0.0, 0.0),)),
+        ):
+            side = {"viscous": viscous, "viscous_forwards": viscous, "viscous_backwards": viscous_back}
+            side |= {"coulomb": coulomb, "coulomb_forwards": coulomb, "coulomb_backwards": coulomb_back}
+            side |= {"stribeck_force": force, "stribeck_speed": speed}
+            found |= {f"{prefix}{name}": value for name, value in side.items()}
+        found |= {} if behind is None else {"stiffness": behind.stiffness, "damping": behind.damping}
         given = {f"{motor}inertia": self.rotor_inertia, "offset": self.offset, **self.numbers}
         return found | {name: float(value) for name, value in given.items()}
 
     @property
     def asymmetric(self) -> bool:
         """True of a friction that is another in the other direction."""
-        if self.friction is not None:
-            return self.friction.two_ways
-        return self.viscous_backwards is not None or self.coulomb_backwards is not None
-
-
-def _sides(prefix: str, viscous: float, back: float, coulomb: float, held: float) -> dict[str, float]:
-    """Return the lines of a side's friction by the names that they have in any law."""
-    both = {"viscous": viscous, "viscous_forwards": viscous, "viscous_backwards": back}
-    both |= {"coulomb": coulomb, "coulomb_forwards": coulomb, "coulomb_backwards": held}
-    return {f"{prefix}{name}": value for name, value in both.items()}
+        return self.law.two_ways
 
 
 @dataclass(frozen=True, slots=True, eq=False)
