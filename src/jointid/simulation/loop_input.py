@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -148,47 +148,45 @@ class AxisInput:
     """Inputs of one controller, at its own instants; see `prepare`.
 
     Attributes:
-        controller: as declared. law: its state-space form. feedback: what of it the motion moves.
-        memory: (states, 2) of the feedback, what a motor position of 1 leaves before the first period, and a velocity
-            of 1. integral: (states,) see `SampledLaw.integral`.
+        controller: as declared. law: its state-space form.
         inputs: (periods, INPUTS) of the law, with a column of zeros for the position.
         after_limit: (periods,) what is added to the output; in the log or not, see below.
         logged: (periods,) the part of `after_limit` that the logged torque contains.
-        feedforward: (elements, periods) the answer of the law's elements to everything but the position.
-        driven: (periods, states) what else goes into the states of the feedback; (0, states) where the answer holds it.
-        state: (states,) of the feedback at the first period, but for what the position leaves.
-        far: a motor position that no loop comes back from, reckoned from the initial one.
+        sample_time: of the log, s. samples: of it.
         tap: where the torque is logged. timing: what a logged value is.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
         clock: of this controller alone.
+        feedback: what of the law the motion moves. integral: (states,) see `SampledLaw.integral`.
+        memory: (states, 2) of the feedback, what a motor position of 1 leaves before the first period, and a velocity
+            of 1.
+        feedforward: (elements, periods) the answer of the law's elements to everything but the position.
+        driven: (periods, states) what else goes into the states of the feedback, used where the answer would diverge,
+            as for an integrator; (0, states) where the answer holds it.
+        state: (states,) of the feedback at the first period, but for what the position leaves.
+        far: a motor position that no loop comes back from, reckoned from the initial one.
     """
 
     controller: Controller
     law: SampledLaw
-    feedback: SampledLaw
-    memory: FloatArray
-    integral: FloatArray | None
     inputs: FloatArray
     after_limit: FloatArray
     logged: FloatArray
-    feedforward: FloatArray
-    driven: FloatArray
-    state: FloatArray
-    far: float
+    sample_time: float
+    samples: int
     tap: Tap
     timing: Timing
     begin: float
-    clock: Clock
+    clock: Clock = field(init=False)
+    feedback: SampledLaw = field(init=False)
+    integral: FloatArray | None = field(init=False)
+    memory: FloatArray = field(init=False)
+    feedforward: FloatArray = field(init=False)
+    driven: FloatArray = field(init=False)
+    state: FloatArray = field(init=False)
+    far: float = field(init=False)
 
-    @classmethod
-    def of(
-        cls, controller: Controller, law: SampledLaw, inputs: FloatArray, after_limit: FloatArray, logged: FloatArray,
-        log: tuple[float, int], tap: Tap, timing: Timing, begin: float,
-    ) -> AxisInput:  # fmt: skip
-        """Split a law into the part that the motion moves and known signals; `log` is sample time and samples.
-
-        Known inputs of the states are used where the elements' responses would diverge, as for an integrator.
-        """
+    def __post_init__(self) -> None:
+        law, inputs = self.law, self.inputs
         (feedback, beforehand), state = law.split(), law.known_memory(inputs)
         if law.integrates:
             moved, elements = law.fed_back(), law.limits.size
@@ -198,16 +196,11 @@ class AxisInput:
             driven, feedforward = np.zeros((0, feedback.order)), respond(law, inputs, state).T
             state = np.zeros(feedback.order)
         memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
-        return cls(
-            controller, law, feedback, memory, feedback.integral(), inputs, after_limit, logged, feedforward, driven,
-            state, _far(law, feedforward[law.output], after_limit), tap, timing, begin,
-            Clock.of([law], law.period, len(inputs), *log),
-        )  # fmt: skip
-
-    @property
-    def sample_time(self) -> float:
-        """Of the log, s."""
-        return self.clock.sample_time
+        clock = Clock.of([law], law.period, len(inputs), self.sample_time, self.samples)
+        far = _far(law, feedforward[law.output], self.after_limit)
+        made = (clock, feedback, feedback.integral(), memory, feedforward, driven, state, far)
+        for one, value in zip((one for one in fields(self) if not one.init), made, strict=True):
+            object.__setattr__(self, one.name, value)
 
     @property
     def periods(self) -> int:
@@ -240,16 +233,8 @@ class AxisInput:
         return replace(self.with_law(self.law_of(controller)), controller=controller)
 
     def with_law(self, law: SampledLaw) -> AxisInput:
-        """Replace the law by one of the same period and delay."""
-        log = self.sample_time, self.clock.samples
-        return AxisInput.of(
-            self.controller, law, self.inputs, self.after_limit, self.logged, log, self.tap, self.timing, self.begin
-        )
-
-    def delayed(self, delay: float) -> AxisInput:
-        """Let the torque act by another delay, s, later than the law puts it out."""
-        law, clock = replace(self.law, delay=delay), self.clock
-        return replace(self, law=law, clock=Clock.of([law], law.period, clock.steps, clock.sample_time, clock.samples))
+        """Replace the law by one of the same period."""
+        return replace(self, law=law)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,7 +288,7 @@ class LoopInput:
         if not delays.size:
             return self
         each = zip(self.axes, delays[:, 0], strict=True)
-        return replace(self, axes=tuple(one.delayed(float(late)) for one, late in each))
+        return replace(self, axes=tuple(one.with_law(replace(one.law, delay=float(late))) for one, late in each))
 
     def to_log(self, signals: FloatArray) -> FloatArray:
         """Return torques that are put out in each step, (n, steps), as the log shows them, (samples, n)."""
@@ -382,8 +367,8 @@ def _prepare_axis(loop: ClosedLoop, record: Record) -> AxisInput:
             logged = signal * record.injected.in_torque
     timing = record.torque.timing if record.torque is not None else Timing.HELD
     samples = math.floor(record.duration / log.sample_time + SNAP)
-    return AxisInput.of(
-        loop.controller, law, inputs, after, logged, (log.sample_time, samples), record.tap, timing, record.begin
+    return AxisInput(
+        loop.controller, law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin
     )
 
 

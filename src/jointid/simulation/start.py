@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -205,6 +205,8 @@ class Steady:
         free: (n,) where the motors stand without a torque.
         pushed: (n,) the torques on the motors there.
         soft: (n,) the torque that moves each by 1 from there, negative; minus infinity of one that does not give way.
+        all_speeds: (masses,) in steady motion: of a link that of its motor. friction: (masses,) at these.
+        own_torques: (n,) of the rotors' own inertia and friction.
     """
 
     tree: Tree | None
@@ -214,27 +216,19 @@ class Steady:
     free: FloatArray
     pushed: FloatArray | float = 0.0
     soft: FloatArray | float = -math.inf
+    all_speeds: FloatArray = field(init=False)
+    friction: FloatArray = field(init=False)
+    own_torques: FloatArray = field(init=False)
 
-    @property
-    def all_speeds(self) -> FloatArray:
-        """Velocities of all masses in steady motion, (masses,): of a link that of its motor."""
-        found = np.zeros(len(self.numbers.masses))
-        found[: self.speeds.size], found[self.numbers.rotors] = self.speeds, self.speeds
-        return found
-
-    @property
-    def friction(self) -> FloatArray:
-        """Friction of all masses at their velocities, (masses,)."""
-        masses, speeds = self.numbers.masses, self.all_speeds
+    def __post_init__(self) -> None:
+        masses, rotors, speeds = self.numbers.masses, self.numbers.rotors, np.zeros(self.numbers.count)
+        speeds[: self.speeds.size], speeds[rotors] = self.speeds, self.speeds
         viscous = masses[:, 1] + np.where(speeds < 0.0, masses[:, 5], masses[:, 4])
         grip = masses[:, 2] + masses[:, 6] * stribeck_share(masses, speeds)
-        return np.asarray(viscous * speeds + grip * np.sign(speeds) + masses[:, 3])
-
-    @property
-    def own_torques(self) -> FloatArray:
-        """Torques of the rotors' own inertia and friction, (n,)."""
-        rotors = self.numbers.rotors
-        return np.asarray(self.numbers.masses[rotors, 0] * self.accelerations + self.friction[rotors])
+        friction = np.asarray(viscous * speeds + grip * np.sign(speeds) + masses[:, 3])
+        object.__setattr__(self, "all_speeds", speeds)
+        object.__setattr__(self, "friction", friction)
+        object.__setattr__(self, "own_torques", masses[rotors, 0] * self.accelerations + friction[rotors])
 
     def load(self, links: FloatArray) -> FloatArray:
         """Return the torques through the springs, of rigid joints the motors' beside `own_torques`, (n,).
