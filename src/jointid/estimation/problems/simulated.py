@@ -396,7 +396,8 @@ class Simulated:
     def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
         """Return the derivatives of the runs' filtered torques by what is searched, (rows, free), not weighted."""
         each = [log.slopes(run, self.parameters.places) for log, run in zip(self.logs, runs, strict=True)]
-        return np.asarray(join_rows(each, self.sigma.size) * self.parameters.scales(x))
+        rows = each[0] if len(each) == 1 else join_rows(each, self.sigma.size)  # a copy of one log's would cost time
+        return np.asarray(rows * self.parameters.scales(x))
 
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
