@@ -1,7 +1,5 @@
 """A drive that runs faster than its log, and whose period is not declared: its law is simulated at the log's rate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The remedy of every fault names commands and laws that exist."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The outputs of DIDIM: the torque, or the motor position through the declared controller."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

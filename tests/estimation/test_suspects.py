@@ -1,7 +1,5 @@
 """What is wrong with a record, on the twin with one thing wrong at a time; seeds are fixed once and never retuned."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

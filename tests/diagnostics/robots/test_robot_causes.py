@@ -1,7 +1,5 @@
 """Causes that concern more than the torque of one joint, on a twin of three joints, and springs beside rigid joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flexible joints of robots from motor torques and motor positions, on twins whose controllers are not told."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
