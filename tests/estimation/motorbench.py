@@ -10,7 +10,7 @@ from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.inverse_model import joint_columns, motion_along
+from jointid.estimation.problems.inverse_model import inverse_of_joint, motion_along
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
@@ -59,7 +59,7 @@ class Bench:
         def regression(delay: float) -> tuple[float, np.ndarray]:
             motion = motion_along([self.torque(current)], np.column_stack([self.motor, self.load]), resolved, [delay])
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
-            W = motion.decimate_columns(joint_columns(JOINT, motion.q, motion.v, motion.a, zeros=True))
+            W = motion.decimate_columns(inverse_of_joint(JOINT, zeros=True).columns_along(motion))
             Y = motion.thinned_torque()
             values = least_squares(W, Y, names)
             return float(np.linalg.norm(Y - W @ values)), values

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.linear import solve_rows
+from jointid.estimation.methods.idim import IDIM, solve_rows
 from jointid.estimation.problems.inverse_model import Rows
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade

@@ -16,9 +16,6 @@ from jointid.common.errors import MethodError
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.log_windows import (
-    compress,
-)
 from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
@@ -29,7 +26,6 @@ from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.resampling import Sums
 from tests.estimates import identify
 
 PERIOD = 1e-3
@@ -79,18 +75,6 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
     for name in TABLE_2:
         std = whole[name].stderr
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
-
-
-def test_a_residual_in_few_rows_has_as_many_whatever_its_rank() -> None:
-    random = np.random.default_rng(0)
-    error, signal, J = random.standard_normal(50), np.ones(50), random.standard_normal((50, 3))
-    for columns in (J, np.column_stack([J[:, 0], J[:, 1], J[:, 0] - J[:, 1]]), np.zeros((50, 3))):
-        sums = Sums.of(error, columns, signal)
-        residual, few = compress(sums)
-        assert (residual.shape, few.shape) == ((4,), (4, 3))
-        np.testing.assert_allclose(few.T @ few, sums.A, atol=1e-9)
-        np.testing.assert_allclose(few.T @ residual, sums.b, atol=1e-9)
-        assert residual @ residual == pytest.approx(sums.square)
 
 
 def stored(path: Path, record: Record) -> Log:
@@ -260,7 +244,7 @@ def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypat
     """A log whose windows fail is not identified at once."""
     record, shown = rigid(20.0), list[bool]()
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
-    monkeypatch.setattr("jointid.estimation.identify_log.moves", lambda records: shown.append(True))
+    monkeypatch.setattr("jointid.estimation.identify_pieces.moves", lambda records: shown.append(True))
     with pytest.raises(MethodError, match="In no window"):
         ji.identify(record, LOOP)
     assert shown and ji.identify(record, LOOP, windows=False, checks=False).data.windows is None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify_several import fill_starts
+from jointid.estimation.identify_pieces import fill_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import Friction

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.estimation.identify_log import Start, pose
-from jointid.estimation.identify_several import _whole
+from jointid.estimation.identify_pieces import Start, pose
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.several_records import RecordLayout, RecordsProblem
-from jointid.estimation.problems.several_records import several as together
+from jointid.estimation.problems.several_records import RecordLayout, share_parameters
 from jointid.estimation.windowed import loop_model
-from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import Twin, twin
-from jointid.records.record import Record
+from jointid.records.chunks import Chunk
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.synthesis import simulated_record
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
 ADDED = [{}, {"load_inertia": 10.0}]
@@ -33,35 +28,24 @@ def axis() -> Twin:
     return twin(noise="none")
 
 
-def driven(axis: Twin, loop: ClosedLoop, values: dict[str, float]) -> Record:
-    reference, injected = axis.record.reference, axis.record.injected
-    return simulated_record(loop, reference.values, values, sample_time=1e-3, injected=injected.channel.values)
-
-
-def two(
-    axis: Twin, free: Sequence[str] = (), loop: ClosedLoop | None = None
-) -> tuple[list[Record], list[ClosedLoopProblem]]:
+def two(axis: Twin, *free: str) -> list[ClosedLoopProblem]:
+    """Return the problems of two records, the second of 10 kg more under another gain."""
     heavier = axis.truth | {"load_inertia": axis.truth["load_inertia"] + 10.0}
     state = (replace(INITIAL_STATE[0], start=0.0), INITIAL_STATE[1].fix(0.0))
-    loops, problems = (axis.loop, loop or axis.loop), []
-    records = [driven(axis, one, values) for one, values in zip(loops, (axis.truth, heavier), strict=True)]
-    for record, one in zip(records, loops, strict=True):
-        problem = torque_problem(record, one, Filtering(), one.joint.parameters, state)
+    slower = replace(axis.loop, controller=replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
+    reference, injected, problems = axis.record.reference, axis.record.injected, []
+    assert reference is not None and injected is not None
+    for loop, values in ((axis.loop, axis.truth), (slower, heavier)):
+        record = ji.simulated_record(loop, reference.values, values, sample_time=1e-3, injected=injected.channel.values)
+        problem = torque_problem(record, loop, Filtering(), loop.joint.parameters, state)
         problems.append(problem.freeing(*free))
-    return records, problems
+    return problems
 
 
 def layout_of(
-    problems: Sequence[ClosedLoopProblem],
-    own: Sequence[Sequence[str]] = ((), (), ()),
-    added: Sequence[dict[str, float]] = ({}, {}, {}),
+    problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]], added: Sequence[dict[str, float]]
 ) -> RecordLayout:
-    count = len(problems)
-    return RecordLayout(tuple(one.loop for one in problems), tuple(added[:count]), tuple(own[:count]))
-
-
-def several(problems: Sequence[ClosedLoopProblem], *settings: Sequence[object]) -> RecordsProblem:
-    return together(problems, layout_of(problems, *settings))  # type: ignore[arg-type]
+    return RecordLayout(tuple(one.loop for one in problems), tuple(added), tuple(own))
 
 
 @pytest.mark.parametrize(
@@ -77,23 +61,22 @@ def test_what_records_share_and_what_is_their_own(
     axis: Twin, free: Sequence[str], own: Sequence[Sequence[str]], there: set[str], absent: str
 ) -> None:
     """Of three records two still share; numbers of two controllers are shared where they are the same."""
-    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
-    _, problems = two(axis, free, other)
-    names = {p.name for p in several([problems[0], *problems][-len(own) :], own, [{}, *ADDED][-len(own) :]).free}
+    problems = two(axis, *free)
+    problems = [problems[0], *problems][-len(own) :]
+    names = {p.name for p in share_parameters(problems, layout_of(problems, own, [{}, *ADDED][-len(own) :])).free}
     assert there <= names
     assert absent not in names
 
 
 def test_derivatives_against_central_differences(axis: Twin) -> None:
     """Shared, added, own and the drive's gain, through weights; at the truth of both nothing is left."""
-    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
-    records, problems = two(axis, ("drive_gain", "position_gain"), other)
-    fit = ji.identify(records[0], axis.loop, ji.DIDIM(frequency=30.0), checks=False)
+    problems = two(axis, "drive_gain", "position_gain")
+    fit = ji.identify(axis.record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
     starts = [
-        Start([record], fit, loop_model(problem, whole=True), problem.vector(axis.truth | {"drive_gain": 1.0}))
-        for record, problem in zip(records, problems, strict=True)
+        Start([axis.record], fit, loop_model(one, whole=True), one.vector(axis.truth | {"drive_gain": 1.0}))
+        for one in problems
     ]
-    pieces = [partial(_whole, record) for record in records]
+    pieces = [lambda *_: [[Chunk(0, axis.record, last=True)]]] * 2
     problem, _, _ = pose(starts, pieces, ["1", "2"], layout_of(problems, [(), FRICTION], ADDED))
     problem = replace(problem, kept=True, sigma=np.array([[2.0], [0.7]]))
 
@@ -103,43 +86,39 @@ def test_derivatives_against_central_differences(axis: Twin) -> None:
         return np.concatenate([error for error, _ in each]), np.concatenate([J for _, J in each])
 
     names = [p.name for p in problem.free]
-    values = axis.truth | {"drive_gain": 1.0, "position_gain@1": 160.18, "position_gain@2": 120.0}
+    values = axis.truth | {"drive_gain": 1.0, "position_gain@2": 120.0}
+    values["position_gain@1"] = axis.loop.controller.position_gain  # type: ignore[attr-defined]
     truth = np.array([values.get(name, values.get(name.partition("@")[0], 0.0)) for name in names])
-    truth[names.index("position_gain@1")] = axis.loop.controller.position_gain  # type: ignore[attr-defined]
     assert np.linalg.norm(rows(truth)[0]) <= 1e-9 * problems[0].size
     x = 1.01 * truth
     residual, J = rows(x)
     for i, name in enumerate(names):
-        step = 1e-6 * (abs(x[i]) or 1e-3)
-        ahead, behind = x.copy(), x.copy()
-        ahead[i] += step
-        behind[i] -= step
-        found = (rows(ahead)[0] - rows(behind)[0]) / (2 * step)
+        step = np.zeros(x.size)
+        step[i] = 1e-6 * (abs(x[i]) or 1e-3)
+        found = (rows(x + step)[0] - rows(x - step)[0]) / (2 * step[i])
         limit = 1e-3 if name == "damping" else 1e-4
         assert np.linalg.norm(J[:, i] - found) <= limit * np.linalg.norm(found), name
     assert residual.size == sum(one.kept.size for one in problems)
 
 
 def test_the_start_is_the_mean_of_several_without_what_was_added(axis: Twin) -> None:
-    _, problems = two(axis)
-    criterion = several(problems, [(), FRICTION], ADDED)
+    problems = two(axis)
+    shared = share_parameters(problems, layout_of(problems, [(), FRICTION], ADDED))
     found = [p.vector(axis.truth | {"initial_position": 0.0}) for p in problems]
     found[1][0] += 2.0  # of the motor's inertia
     found[1][5] += 10.0  # of the load's
-    x = dict(zip([p.name for p in criterion.free], criterion.join(found), strict=True))
+    x = dict(zip([p.name for p in shared.free], shared.join(found), strict=True))
     assert x["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
     assert x["motor_inertia"] == pytest.approx(axis.truth["motor_inertia"] + 1.0)
     assert x["load_coulomb@2"] == axis.truth["load_coulomb"]
 
 
 def test_the_gain_of_a_drive_needs_something_known(axis: Twin) -> None:
-    _, problems = two(axis, ("drive_gain",))
-    for added in (({}, {}), [{"load_inertia": 10.0}] * 2):
-        with pytest.raises(MethodError, match="gain cannot be distinguished from the scale"):
-            several(problems, ((), ()), added)
-    assert any(p.name == "drive_gain" for p in several(problems, ((), ()), ADDED).free)
-    known = [
-        replace(q, parameters=tuple(p.fix(34.8) if p.name == "load_inertia" else p for p in q.parameters))
-        for q in problems
-    ]
-    assert several(known).free
+    problems = two(axis, "drive_gain")
+    for added in ([{}, {}], [{"load_inertia": 10.0}] * 2):
+        with pytest.raises(MethodError):
+            share_parameters(problems, layout_of(problems, ((), ()), added))
+    assert any(p.name == "drive_gain" for p in share_parameters(problems, layout_of(problems, ((), ()), ADDED)).free)
+    inertia = next(p for p in axis.loop.joint.parameters if p.name == "load_inertia")
+    known = [one.replace_parameters({"load_inertia": inertia.fix(34.8)}) for one in problems]
+    assert share_parameters(known, layout_of(known, ((), ()), ({}, {}))).free

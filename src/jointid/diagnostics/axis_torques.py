@@ -22,11 +22,10 @@ from jointid.diagnostics.seen import Seen
 from jointid.diagnostics.suspects import COMPLIANCE, list_signatures
 from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import MeasuredMotion, read_as
+from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot, read_as
 from jointid.estimation.problems.simulated import LoopLog, Simulated, decimate_each
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.fit import RobotFit
-from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot

@@ -26,7 +26,7 @@ from jointid.diagnostics.intervals import rebuild_problem, take_identified_torqu
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_plain_cause, find_standstill
-from jointid.estimation.identify import windows_of
+from jointid.estimation.identify import is_long
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
@@ -149,7 +149,7 @@ def _diagnose_estimate(
     if isinstance(record, Record):
         solved = rebuild_problem(estimate, record)
         return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)
-    if windows_of(record, estimate.require_robot().setup, None):
+    if is_long(record, estimate.require_robot().setup):
         raise MethodError(IN_WINDOWS)
     try:
         return diagnose_robot(estimate, record, controllers)

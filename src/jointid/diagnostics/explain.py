@@ -36,8 +36,7 @@ from jointid.diagnostics.faults import FaultTest
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import find_broken_part, find_plain_cause, find_standstill, find_steps
 from jointid.diagnostics.variants import OTHER_LAWS
-from jointid.estimation.identify import WINDOW, windows_of
-from jointid.estimation.identify_record import identify_record
+from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.stiffness_search import rigid_cutoff
@@ -50,7 +49,6 @@ from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults
-from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
@@ -234,9 +232,7 @@ def find_failure_causes(
     if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
         return None
     try:
-        # As much of it as the memory holds.
-        part = record if windows_of(record, loop, None) is None else cut(record, 0, WINDOW)
-        return find_causes(part, loop, progress=progress, free=free)
+        return find_causes(part_of([record], loop)[0], loop, progress=progress, free=free)
     except _FAILS:  # the error of the identification counts
         return None
 

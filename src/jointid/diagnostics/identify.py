@@ -20,7 +20,7 @@ from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
 from jointid.diagnostics.search import find_part_of_loop
 from jointid.estimation.identify import fit as fit_records
-from jointid.estimation.identify import windows_of
+from jointid.estimation.identify import part_of, windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import CheckResults, Reason, Subject, Verdict, Widening, assemble, skip_test
@@ -70,8 +70,8 @@ def identify(
             added to the load, kg or kg m2. "own": for each record names of parameters of its own, as of friction that a
             load changes. "free": names of what surrounds the joint and is identified too: "drive_gain", which needs an
             added inertia, "position_gain", "log_delay", ...
-        windows: seconds of the windows of a log. With it records in memory are identified in windows, too: of a joint
-            by DIDIM or IDIM, several, or a robot's. Records that may take too much memory at once are identified in
+        windows: seconds of the windows of a log. With it records in memory are identified in windows, too, by DIDIM
+            or a robot's drive side. Records that may take too much memory at once are identified in
             windows without it, of which one is checked. False identifies all of them at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
@@ -235,7 +235,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         return _left_out(f"not checked: {why}")
     progress("checking controllers and torques")
     try:
-        found = diagnose_robot(fit, fit.records)
+        found = diagnose_robot(fit, part_of(fit.records, part.setup))
     except _OF_RECORD as error:
         return CheckResults((skip_test(Subject.LOOP, f"not checked: {error}"),))
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, str(found.cause))]

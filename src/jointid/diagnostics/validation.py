@@ -337,7 +337,7 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
         inverse = inverse_of_joint(settings.joint, settings.delay, zeros=settings.joint.model == "flexible")
         values = np.array([known.get(name, 0.0) for name in inverse.names])
     else:
-        from jointid.estimation.robots.regression import inverse_of_robot
+        from jointid.estimation.problems.inverse_model import inverse_of_robot
 
         inverse, values = inverse_of_robot(part.model, part.parameters), part.values.copy()
     motion, axes = inverse.measure(records, settings.filtering), inverse.driven
@@ -424,9 +424,9 @@ def _search(problem: Any, start: FloatArray) -> Solution | None:
 
 
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
+    from jointid.estimation.problems.inverse_model import require_one_log
     from jointid.estimation.problems.simulated import pose_robot
     from jointid.estimation.robots.numbers import robot_parameters
-    from jointid.estimation.robots.regression import require_one_log
     from jointid.estimation.robots.simulated import errors_of, nominal_numbers
     from jointid.simulation.simulate import motion_at
 

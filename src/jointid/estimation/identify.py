@@ -4,35 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
-from jointid.common.errors import MethodError
+import numpy as np
+
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import Setting
-from jointid.estimation.identify_log import Windowed, identify_log
-from jointid.estimation.identify_record import identify_record
-from jointid.estimation.identify_several import identify_several, require_distinct
+from jointid.estimation.identify_pieces import identify_records, identify_windows, require_distinct
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.registry import Method
-from jointid.estimation.outputs import fit_outputs, state_position, state_scale, state_timing
+from jointid.estimation.methods.registry import Method, Task, default_method
+from jointid.estimation.outputs import state_position, state_scale, state_timing, torques_of
+from jointid.estimation.problems.base import adjust_parameters
+from jointid.estimation.problems.inverse_model import Records, each_log
+from jointid.estimation.problems.pieces import travel
 from jointid.estimation.problems.several_records import RecordLayout
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
-from jointid.estimation.robots.regression import (
-    Records,
-    check_robot_records,
-    each_log,
-    robot_record_warnings,
-)
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.windowed import require_windows
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
-from jointid.records.chunks import InMemory, LongRecord
+from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings, range_faults, scale_faults
+from jointid.records.chunks import InMemory, LongRecord, cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
@@ -49,29 +48,49 @@ _PARTS = 3  # windows in what is taken of n joints at once
 _ROBOTS = Robot | RobotLoop | RobotDriveSide
 
 
+def _most(model: Any) -> tuple[float, int]:
+    """Return the samples that are identified at once, and the number of joints."""
+    joints = len(_robot_of(model)) if isinstance(model, _ROBOTS) else 1
+    return (4 * LARGEST / joints if isinstance(model, _ROBOTS) else LARGEST), joints
+
+
+def _robot_of(model: Robot | RobotLoop | RobotDriveSide) -> Robot:
+    return model if isinstance(model, Robot) else model.robot
+
+
+def is_long(record: object, model: Any) -> bool:
+    """Test whether records of one rate have more than `LARGEST` samples; see there."""
+    records = _flat(record)
+    lengths = [{len(channel) for _, channel in one.items()} for one in records]
+    rates = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
+    alike = len(rates) == 1 and all(len(one) == 1 for one in lengths)
+    return alike and sum(max(one) for one in lengths) > _most(model)[0]
+
+
 def windows_of(
     record: object, model: Any, method: Method | None, several: Mapping[str, Any] | None = None
 ) -> float | None:
-    """Return the seconds of a window of records of more than `LARGEST` samples; None of others.
-
-    Records of several rates, and what is not identified in windows, have none either.
-    """
-    records, joints, most, loops = _flat(record), 1, float(LARGEST), [model]
-    if isinstance(model, _ROBOTS):
-        joints = len(model if isinstance(model, Robot) else model.robot)
-        most = 4 * LARGEST / joints
-    elif isinstance(model, Sequence):
-        loops = [*model]
-    lengths = [[len(channel) for _, channel in one.items()] for one in records]
-    rates = {round(channel.sample_time, 12) for one in records for _, channel in one.items()}
-    if sum(map(max, filter(None, lengths))) <= most or len(rates) != 1 or any(len({*one}) != 1 for one in lengths):
+    """Return the seconds of a window of long records; None of others, and of what is not identified in windows."""
+    if not is_long(record, model):
         return None
     try:
-        for loop in loops:
+        for loop in model if isinstance(model, Sequence) else [model]:
             require_windows(loop, method, (several or {}).get("free", ()))
     except MethodError:
         return None
-    return min(_LONGEST, rates.pop() * min(WINDOW, most / (_PARTS * joints)))
+    most, joints = _most(model)
+    sample_time = next(channel.sample_time for one in _flat(record) for _, channel in one.items())
+    return min(_LONGEST, sample_time * min(WINDOW, most / (_PARTS * joints)))
+
+
+def part_of(records: Sequence[Record], model: Any) -> Sequence[Record]:
+    """Return records of a joint, or of a robot's joints; of long ones the window in which they move most."""
+    if not is_long(records, model):
+        return records
+    most, joints = _most(model)
+    size, samples = int(min(WINDOW, most / (_PARTS * joints))), min(len(channel) for _, channel in records[0].items())
+    windows = [[cut(one, first, first + size) for one in records] for first in range(0, samples - size + 1, size)]
+    return max(windows, key=travel)
 
 
 def _flat(record: object) -> list[Record]:
@@ -95,90 +114,80 @@ def fit(
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
     if fault := Setting("", above=0.0, type=float, optional=True).fault(windows):
         raise MethodError(f"windows, in seconds,{fault}")
-    filtering, known, layout = filtering or Filtering(), parameters or {}, None
-    loops, warnings = tuple[ClosedLoop, ...](), tuple[str, ...]()
-    if isinstance(model, _ROBOTS):
-        if not isinstance(record, Sequence) or several:
-            raise MethodError("A robot is identified from its joints' records; give these without `several`.")
-        robot = model if isinstance(model, Robot) else model.robot
-        require_friction(robot, known)
-        check_robot_records(record, robot)
-        if method is not None:
-            method.require_settings_of("robot")
-        logs = [[*log] for log in each_log(record)]
-        loops = (*model.loops,) * len(logs) if isinstance(model, RobotLoop) else ()
-        warnings = robot_record_warnings(record, robot)
-    elif isinstance(record, Sequence):
-        logs = [[one] for one in _flat(record)]
-        if (
-            len(logs) != len(record)
-            or not isinstance(model, ClosedLoop | Sequence)
-            or not isinstance(method, DIDIM | None)
-        ):
-            raise MethodError(
-                "Several records are a list of records, identified by their loop: give a ClosedLoop, and DIDIM."
-            )
-        freed = method.free if isinstance(method, DIDIM) else ()
-        layout = RecordLayout.of(len(logs), model, freed, several or {})
-        loops = layout.loops
-    elif not isinstance(record, Record):
+    filtering, known = filtering or Filtering(), parameters or {}
+    fit_piece = partial(_fit_piece, method, filtering)
+    if not isinstance(record, Record | Sequence):
         if not isinstance(model, ClosedLoop) or isinstance(method, IDIM) or several is not None:
             raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop and DIDIM.")
         require_windows(model, method)
-        way = _in_windows(model, method, filtering, known)
-        return identify_log([[record]], [way], (model,), filtering, windows or _LONGEST, progress)
-    elif several is not None or isinstance(model, Sequence):
-        raise MethodError(
-            "What is of `several` records, and several loops, are of a list of records; received one: give them all."
+        return identify_windows(
+            [[record]], [(model, known)], fit_piece, (model,), filtering, windows or _LONGEST, progress
         )
+    logs, loops, layout = _logs_of(record, model, method, known, several)
+    read, by_loop = [one for log in logs for one in log], bool(loops) and isinstance(method, DIDIM | None)
+    warnings = _robot_warnings(logs, model) if isinstance(model, _ROBOTS) else ()
+    if by_loop:
+        read = torques_of(read, loops, method.outputs if isinstance(method, DIDIM) else ())
+    each = [read[at : at + len(logs[0])] for at in range(0, len(read), len(logs[0]))]
+    if layout is not None:
+        require_distinct(read)
+    if windows is not None:
+        models: list[tuple[Any, Mapping[str, Parameter]]] = [(model, known)]
+        if layout is not None:
+            models = [(loop, layout.changes(known, k, acting=True)) for k, loop in enumerate(loops)]
+        for one, _ in models:
+            require_windows(one, method, (several or {}).get("free", ()))
+        sources = [[InMemory(one) for one in log] for log in each]
+        found = identify_windows(sources, models, fit_piece, loops, filtering, windows, progress, layout)
+    elif layout is not None:
+        found = identify_records(read, layout, known, fit_piece, progress)
     else:
-        loops = (model,) if isinstance(model, ClosedLoop) else ()
-        logs = [[record]]
-
-    def fit_all(read: Sequence[Record]) -> Estimate:
-        each = [read[at : at + len(logs[0])] for at in range(0, len(read), len(logs[0]))]
-        if layout is not None:
-            require_distinct(read)
-        if windows is not None:
-            ways = [_in_windows(model, method, filtering, known)]
-            if layout is not None:
-                own = [layout.changes(known, k, acting=True) for k in range(len(loops))]
-                ways = [_in_windows(loop, method, filtering, one) for loop, one in zip(loops, own, strict=True)]
-            for way in ways:
-                require_windows(way.model, method, (several or {}).get("free", ()))
-            sources = [[InMemory(one) for one in log] for log in each]
-            return identify_log(sources, ways, loops, filtering, windows, progress, layout)
-        if layout is not None:
-            return identify_several(read, layout, method, filtering, known, progress)
-        return _at_once(model, each if len(each) > 1 else read, method, filtering, known, progress)
-
-    def fit_timed(read: Sequence[Record]) -> Estimate:
-        return state_scale(state_timing(fit_all(read), read), read)
-
-    flat = [one for log in logs for one in log]
-    if not loops or not isinstance(method, DIDIM | None):
-        return fit_timed(flat).warn(*warnings)
-    outputs = () if method is None else method.outputs
-    return state_position(fit_outputs(flat, loops, outputs, fit_timed)).warn(*warnings)
+        found = fit_piece(model, each if len(each) > 1 else read, known, progress)
+    found = state_scale(state_timing(found, read), read).warn(*warnings)
+    return state_position(found) if by_loop else found
 
 
-def _in_windows(model: object, method: Method | None, filtering: Filtering, known: Mapping[str, Parameter]) -> Windowed:
-    """Return how a window is identified."""
-
-    def fit_window(records: Sequence[Record], progress: Progress) -> Estimate:
-        # The first window of all begins as the model says, any other in motion.
-        moving = isinstance(model, RobotLoop) and records[0].begin > 0
-        under = replace(cast("RobotLoop", model), in_motion=True) if moving else model
-        return _at_once(under, records, method, filtering, known, progress)
-
-    return Windowed(fit_window, model, known)
-
-
-def _at_once(
+def _logs_of(
+    record: Record | Records,
     model: Any,
-    records: Records,
+    method: Method | None,
+    known: Mapping[str, Parameter],
+    several: Mapping[str, Any] | None,
+) -> tuple[list[list[Record]], tuple[ClosedLoop, ...], RecordLayout | None]:
+    """Return the records of each log, the loop of each, and what several records of a joint share.
+
+    Raises:
+        RecordError, MethodError: records, model and method do not belong together.
+    """
+    if isinstance(model, _ROBOTS):
+        if not isinstance(record, Sequence) or several:
+            raise MethodError("A robot is identified from its joints' records; give these without `several`.")
+        require_friction(_robot_of(model), known)
+        _check_robot_records(record, _robot_of(model))
+        if method is not None:
+            method.require_settings_of("robot")
+        logs = [[*log] for log in each_log(record)]
+        return logs, (*model.loops,) * len(logs) if isinstance(model, RobotLoop) else (), None
+    if isinstance(record, Record):
+        if several is not None or isinstance(model, Sequence):
+            raise MethodError(
+                "What is of `several` records, and several loops, are of a list of records; received one: give all."
+            )
+        return [[record]], (model,) if isinstance(model, ClosedLoop) else (), None
+    logs, of_loops = [[one] for one in record if isinstance(one, Record)], isinstance(model, ClosedLoop | Sequence)
+    if len(logs) != len(record) or not of_loops or not isinstance(method, DIDIM | None):
+        raise MethodError(
+            "Several records are a list of records, identified by their loop: give a ClosedLoop, and DIDIM."
+        )
+    layout = RecordLayout.of(len(logs), model, method.free if method else (), several or {})
+    return logs, layout.loops, layout
+
+
+def _fit_piece(
     method: Method | None,
     filtering: Filtering,
+    model: Any,
+    records: Records,
     known: Mapping[str, Parameter],
     progress: Progress,
 ) -> Estimate:
@@ -198,3 +207,80 @@ def _at_once(
         f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a RobotLoop, or "
         "DriveSideFit for a RobotDriveSide."
     )
+
+
+def identify_record(
+    record: Record,
+    model: ClosedLoop | DriveSide | Joint,
+    method: Method | None = None,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    progress: Progress = ignore_progress,
+) -> Estimate:
+    """Return the fit of a joint to one record; see `jointid.identify`.
+
+    Raises:
+        MethodError: the method does not fit the model, or an inertia is not positive.
+    """
+    loop = model if isinstance(model, ClosedLoop) else None
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
+    chosen = method or default_method(model)()
+    wanted = adjust_parameters(joint.parameters, parameters or {})
+    check_record(record)
+    _require_fit(chosen, joint, loop)
+    fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress))
+    said = find_record_warnings(record, fit.data.channels)
+    for p in wanted:
+        if p.quantity is Quantity.INERTIA and p.free and fit.values.get(p.name, 1.0) <= 0:
+            raise MethodError(
+                f"The record gives {p.name} = {fit.values[p.name]:.4g}, which no joint has: the torque or the motion "
+                "has the wrong sign (turn record.channels.torque.sign round), or they do not belong together"
+                f"{''.join(f'; {note}' for note in said)}."
+            )
+    if {"motor_position", "load_position"} <= set(fit.data.channels):
+        fit = replace(fit, checks=replace(fit.checks, encoder_lag=find_encoder_lag(record)))
+    return replace(fit, record=record).warn(*said)
+
+
+def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
+    """Refuse a method that does not fit the joint or lacks its controller."""
+    if method.needs_controller and loop is None:
+        raise MethodError(
+            f"{method.title} simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM "
+            "with a motor_position."
+        )
+    method.require_settings_of(joint.model)
+    if not method.needs_controller:
+        joint.require_linear(f"{method.title} takes")
+    if method.name == "drive_side":
+        DriveSide(joint)  # which says what it does not take
+
+
+def _robot_warnings(logs: Sequence[Sequence[Record]], model: Robot | RobotLoop | RobotDriveSide) -> tuple[str, ...]:
+    """Return warnings on the records of a robot's joints, one sentence each, which names its joint."""
+    found = (
+        f"{name}: {said}"
+        for log in logs
+        for name, record in zip(_robot_of(model).names, log, strict=False)
+        for said in find_record_warnings(record, record.channels)
+    )
+    return tuple(dict.fromkeys(found))
+
+
+def _check_robot_records(records: Records, robot: Robot) -> None:
+    """Check the units and scales of the records of a robot's joints, also by the limits of its model.
+
+    Raises:
+        RecordError: one cannot be in its units; each sentence names its joint.
+    """
+    back = np.linalg.inv(robot.coupling)
+    faults = []
+    for log in each_log(records):
+        for k, (name, record) in enumerate(zip(robot.names, log, strict=False)):
+            faults += [f"{name}: {said}" for said in scale_faults(record)]
+            limits, alone = robot.links[k].limits, np.count_nonzero(back[k]) == 1
+            position = record.motor_position or record.reference
+            if limits is not None and alone and position is not None:
+                faults += [f"{name}: {said}" for said in range_faults(position, limits)]
+    if faults:
+        raise RecordError(dict.fromkeys(faults))

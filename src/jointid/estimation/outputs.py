@@ -6,7 +6,7 @@ The position is compared as the torque that the declared controller outputs for 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -44,27 +44,21 @@ def check_outputs(outputs: Sequence[str]) -> None:
         )
 
 
-def fit_outputs(
-    records: Logs,
-    loops: Sequence[ClosedLoop],
-    outputs: Sequence[str],
-    fit: Callable[[Logs], Estimate],
-) -> Estimate:
-    """Return the fit of the output that is asked for; of what the records have where none is.
+def torques_of(records: Logs, loops: Sequence[ClosedLoop], outputs: Sequence[str]) -> list[Record]:
+    """Return the records with the torque that is reproduced: the logged one, or that of the motor position.
 
     Args:
         records: of a joint, or of the joints of a robot; of several logs one after the other.
         loops: joint and controller of each.
         outputs: "torque" or "motor_position"; empty for the torque where it is logged, else the position.
-        fit: of records that have a torque.
 
     Raises:
         RecordError: a record lacks an output that is asked for.
     """
     logged = any(record.torque is not None for record in records)
     if tuple(outputs) == ("torque",) or (not outputs and logged):
-        return fit(records)
-    return fit([compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)])
+        return list(records)
+    return [compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)]
 
 
 def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> dict[str, float]:
@@ -129,11 +123,6 @@ def state_timing(fit: Estimate, records: Logs) -> Estimate:
     are one: a controller's output is the same at its stamp and until its next period.
     """
     stated = all(one.torque.stated for one in records if one.torque is not None)
-    if not stated and fit.settings.method == "idim" and fit.data.windows is not None:
-        return fit.warn(
-            f"it is not stated whether the torque is held or sampled: it is read as {fit.settings.timing}, and of "
-            "windows the intervals do not cover the other reading; state timing of its channel"
-        )
     if stated or fit.settings.method != "drive_side":
         return fit
     more = 0.25 * fit.data.sample_time  # half of it in two deviations

@@ -1,77 +1,42 @@
-"""The models of windows: a joint or a robot that is simulated, and the inverse model of either.
+"""The models of windows: the loop of a joint, and a robot that is simulated, whose window begins in motion.
 
-Each takes the rows of a window from the code that takes those of a whole record: the loop of a joint
-(`problems.closed_loop`), the inverse model of a joint or a robot (`problems.inverse_model`), and a robot that is
-simulated (`robots.simulated`), whose window begins in motion.
+Each takes the rows of a window from the problem that takes those of a whole record (`problems.closed_loop`,
+`robots.problem`). The inverse model needs no windows: its rows are few (`problems.inverse_model`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.base import adjust_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
-from jointid.estimation.problems.inverse_model import (
-    ENCODER_OFFSET,
-    REST,
-    Inverse,
-    inverse_of_joint,
-    read_as,
-)
-from jointid.estimation.problems.log_windows import NotSimulatedError, Seen, WindowModel
+from jointid.estimation.problems.pieces import Model, NotSimulatedError, Seen, commanded
 from jointid.estimation.problems.simulated import outcome_of, pose_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.regression import inverse_of_robot
-from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers
+from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import cut
-from jointid.records.record import Channel, Record
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimated_at, drop_ends
 from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.simulate import Outcome
-from jointid.uncertainty.resampling import Sums
 
 _FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgotten
 _TOLD = 1e-4  # of the torque: less is never told
 _RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
-
-
-def commanded(record: Record) -> Channel | None:
-    """Return the reference, or without one the motor position."""
-    return record.motor_position if record.reference is None else record.reference
-
-
-def travel(records: Sequence[Record]) -> float:
-    """Return how far the axes are asked to move in a window, or what is injected varies, in sum."""
-    asked = [commanded(one) if one.injected is None else one.injected.channel for one in records]
-    return sum(float(np.sum(np.abs(np.diff(one.values)))) for one in asked if one is not None)
-
-
-def moves(records: Sequence[Record]) -> bool:
-    """Test whether a window has a motion or something injected, and no brake that holds a joint at a torque of 0."""
-    braked = any(one.torque is not None and not np.any(one.torque.values) for one in records)
-    return not braked and (travel(records) > 0 or any(one.injected is not None for one in records))
-
-
-def _ringing(filtering: Filtering, sample_time: float) -> int:
-    """Return how many samples a resolved filtering rings."""
-    assert filtering.cutoff is not None
-    return math.ceil(_RINGS / (filtering.cutoff * sample_time))
 
 
 def _require_finished(outcome: Outcome, record: Record) -> None:
@@ -85,7 +50,7 @@ def _require_finished(outcome: Outcome, record: Record) -> None:
 # A joint that is simulated
 
 
-def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
+def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> Model:
     """Return the loop of a joint, as it is compared with windows.
 
     Args:
@@ -93,9 +58,7 @@ def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
         whole: whether that is the only window.
     """
 
-    def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
-        if not (whole or moves(records)):
-            return None
+    def look(records: Sequence[Record], x: FloatArray) -> Seen:
         problem = like if whole else begin_window(like, records[0])
         torque, response, columns = problem.sensitivities(x)
         _require_finished(response.outcome, records[0])
@@ -119,9 +82,10 @@ def loop_model(like: ClosedLoopProblem, *, whole: bool = False) -> WindowModel:
         other = begin_window(like, records[0], disturbed=1.0)
         apart = np.abs(like.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(like.measured))
         remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-        return remembers + _ringing(like.filtering, like.sample_time)
+        assert like.filtering.cutoff is not None
+        return remembers + math.ceil(_RINGS / (like.filtering.cutoff * like.sample_time))
 
-    return WindowModel(like.free, look, settling, problem=like)
+    return Model(like.free, look, settling, problem=like)
 
 
 def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
@@ -149,61 +113,10 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 
-# The inverse model of a joint or a robot
-
-
-def inverse_model(
-    inverse: Inverse, parameters: Sequence[Parameter], fit: Estimate, records: Sequence[Record]
-) -> WindowModel:
-    """Return an inverse model, as it is compared with windows.
-
-    Args:
-        inverse: its columns.
-        parameters: of the columns.
-        fit: of the window that is started from.
-        records: of that window.
-    """
-    settings, free = fit.settings, np.array([p.free for p in parameters])
-    kept, part = np.array([0.0 if p.free else p.start or 0.0 for p in parameters]), fit.robot
-
-    def regress(records: Sequence[Record]) -> tuple[Seen, FloatArray]:
-        motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
-        rows, keep = inverse.rows([motion]), motion.filtering.decimation
-        assert keep is not None
-        Y, poses = rows.by_equation(rows.Y), list(zip(motion.q.T, motion.v.T, strict=True))
-        seen = Seen(Y, rows.W.reshape(*Y.shape, -1), Y, motion.rows_at(), len(motion.q), keep, poses)
-        return seen, np.sqrt(np.mean(motion.v**2, axis=0))
-
-    _, speeds = regress(records)
-
-    def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
-        if not moves(records):
-            return None
-        found, speed = regress(records)
-        if np.all(speed < REST * speeds):  # of rest
-            return None
-        values = kept.copy()
-        values[free] = x
-        return replace(found, error=found.error - found.J @ values, J=-found.J[..., free])
-
-    def nominal(x: FloatArray, sums: Sums) -> FloatArray:
-        # The robot's own masses, with the friction that fits best beside them.
-        assert part is not None
-        masses, step = part.parameters.inertial[free], part.nominal[free] - x
-        friction = ~masses
-        target = sums.b[friction] + sums.A[np.ix_(friction, masses)] @ step[masses]
-        step[friction] = -np.linalg.lstsq(sums.A[np.ix_(friction, friction)], target, rcond=None)[0]
-        return np.asarray(x + step)
-
-    rings = _ringing(settings.filtering, fit.data.sample_time)
-    identified = tuple(p for p in parameters if p.free)
-    return WindowModel(identified, look, lambda *_: rings, motion_measured=True, nominal=nominal)
-
-
 # A robot that is simulated
 
 
-def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filtering: Filtering) -> WindowModel:
+def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filtering: Filtering) -> Model:
     """Return a robot that is simulated, as it is compared with windows.
 
     Args:
@@ -213,9 +126,7 @@ def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filter
     """
     parameters, under = part.parameters, replace(setup, in_motion=True) if isinstance(setup, RobotLoop) else setup
 
-    def look(records: Sequence[Record], x: FloatArray) -> Seen | None:
-        if not moves(records):
-            return None
+    def look(records: Sequence[Record], x: FloatArray) -> Seen:
         problem = replace(pose_robot(under, records, parameters, filtering), parameters=parameters)
         runs = problem.run(x)
         _require_finished(outcome_of(runs), records[0])
@@ -239,11 +150,8 @@ def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filter
     def settling(records: Sequence[Record], x: FloatArray) -> int:
         # The number of samples after which two beginnings agree.
         whole = look(records, x)
-        assert whole is not None
         first = whole.samples // (4 * whole.keep) * whole.keep
         later = look([cut(record, first, whole.samples) for record in records], x)
-        if later is None:
-            return first
         of_whole, of_later = np.intersect1d(whole.at - first, later.at, return_indices=True)[1:]
         apart = np.abs(whole.error[:, of_whole] - later.error[:, of_later])
         least = _TOLD * np.sqrt(np.mean(whole.measured**2, axis=1, keepdims=True))
@@ -252,15 +160,7 @@ def robot_model(setup: RobotLoop | RobotDriveSide, part: IdentifiedRobot, filter
         rows = np.flatnonzero(np.any(far[:, later.at[of_later] < later.samples // 2], axis=0))
         return int(later.at[of_later][rows[-1]]) + later.keep if rows.size else later.keep
 
-    def nominal(x: FloatArray, sums: Sums) -> FloatArray:
-        del sums
-        values = parameters.values(x)
-        masses = parameters.group(nominal_numbers(part.model, parameters.numbers(values)))
-        # What is of the record is as it was found.
-        return parameters.to_search_variables(np.where(parameters.of_robot, masses, values))
-
-    measured = isinstance(setup, RobotDriveSide)
-    return WindowModel(parameters.parameters, look, settling, measured, nominal=nominal, searched=parameters)
+    return Model(parameters.parameters, look, settling, motion_measured=isinstance(setup, RobotDriveSide))
 
 
 # How a window is taken for all of them
@@ -277,13 +177,10 @@ def require_windows(model: object, method: Method | None, free: Sequence[str] = 
     Raises:
         MethodError: of what is asked for something needs them.
     """
-    robot, refused, remedy = isinstance(model, Robot | RobotLoop | RobotDriveSide), [*free], "leave it out"
-    if isinstance(method, IDIM) or (method is None and isinstance(model, Joint | Robot)):
-        estimator = None if method is None else method.estimator
-        if estimator in (None, "weighted" if robot else "ols"):
-            return
-        refused = [f"IDIM by {estimator}"]
-    elif robot:
+    refused, remedy = [*free], "leave it out"
+    if isinstance(model, Joint | Robot) or isinstance(method, IDIM):
+        refused = ["the inverse model, whose rows fit in memory"]
+    elif isinstance(model, RobotLoop | RobotDriveSide):
         refused += method.free if isinstance(method, DIDIM) else ()
     elif not isinstance(model, ClosedLoop) or not isinstance(method, DIDIM | None):
         refused = [f"{type(model).__name__} by {type(method).__name__}"]
@@ -294,35 +191,18 @@ def require_windows(model: object, method: Method | None, free: Sequence[str] = 
         raise MethodError(f"Windows do not take {join(refused)}; {remedy}, or cut the record by start and stop.")
 
 
-def model_of_windows(
-    model: object, records: Sequence[Record], fit: Estimate, known: Mapping[str, Parameter]
-) -> tuple[WindowModel, FloatArray]:
+def model_of_windows(model: object, records: Sequence[Record], fit: Estimate) -> tuple[Model, FloatArray]:
     """Return the model of all windows, and where its search starts.
 
     Args:
-        model: of the joint or robot.
+        model: of the joint's loop, or of the robot.
         records: of a window.
         fit: of that.
-        known: changes to the parameters.
     """
-    found, part, settings = {row.name: row for row in fit.params.rows}, fit.robot, fit.settings
+    part = fit.robot
     if fit.problem is not None:
-        window = begin_window(fit.problem, records[0])
-        return loop_model(window), window.vector({n: row.value for n, row in found.items() if row.value is not None})
-    if part is not None and isinstance(model, RobotLoop | RobotDriveSide) and settings.method != "idim":
-        x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
-        return robot_model(model, part, settings.filtering), x
-    if part is not None:
-        inverse = inverse_of_robot(part.model, part.parameters)
-        wanted = [
-            known[name]  # what a bound held in a window may be off it in all of them
-            if name in known and not row.free
-            else replace(known.get(name) or Parameter(name, row.symbol, Quantity.RATIO), start=row.value, free=row.free)
-            for name, row in found.items()
-        ]
-    else:
-        zeros = ENCODER_OFFSET.name in found
-        inverse = inverse_of_joint(settings.joint, settings.delay, zeros=zeros)
-        wanted = [*adjust_parameters(settings.joint.parameters, known), *([ENCODER_OFFSET] if zeros else [])]
-    whole = inverse_model(inverse, wanted, fit, records)
-    return whole, np.array([found[p.name].value for p in whole.free], dtype=np.float64)
+        window, found = begin_window(fit.problem, records[0]), fit.params.rows
+        return loop_model(window), window.vector({row.name: row.value for row in found if row.value is not None})
+    assert part is not None and isinstance(model, RobotLoop | RobotDriveSide)
+    x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
+    return robot_model(model, part, fit.settings.filtering), x

@@ -13,8 +13,8 @@ import mujoco
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.inverse_model import inverse_of_robot
 from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import Filtering
 from tests.robots_mujoco import model_of

@@ -13,12 +13,11 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.validation import Prediction, validate
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.inverse_model import filter_motion
+from jointid.estimation.problems.inverse_model import filter_motion, inverse_of_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import simulate_robot
 from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.regression import inverse_of_robot
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

@@ -166,8 +166,8 @@ def motion_problem(
     motion = MeasuredMotion(
         smooth, velocity, differentiate(velocity, sample_time), window_torque(torque)[:, np.newaxis],
         weights[:, np.newaxis], sample_time, filtering, limit, position[:, np.newaxis],
+        told=-math.inf,  # faint rows count, too
     )  # fmt: skip
-    motion = replace(motion, stated=np.ones(motion.rows_at().size, dtype=np.bool_))  # faint rows count, too
     around = () if setup.joint.model == "rigid" else _LOAD_PARAMETERS
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)

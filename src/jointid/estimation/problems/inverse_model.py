@@ -3,6 +3,7 @@
 Butterworth low-pass forwards and backwards on the positions, derivatives, borders dropped, the same
 low-pass-and-decimate on torque and every column [P section III; EMPS report]. A rigid joint needs the motor's
 position, a flexible one the load's too: both rows of (2) are then stacked. A robot has a row for each joint.
+Of a long record the columns are made part by part, so that memory holds those of one part and the decimated rows.
 
 Torque and columns are seen through one window (`filtering.window_torque`), so that a held, averaged or delayed torque
 is compared with the motion it made. The published pipeline reads it as sampled and differentiates twice centrally.
@@ -17,22 +18,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from itertools import pairwise
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.models.joints import Joint
+from jointid.estimation.robots.numbers import RobotParameters
+from jointid.models.joints import Joint, RigidJoint
 from jointid.models.position_forces import Motion
+from jointid.models.robots.base_parameters import inverse_columns
+from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import Robot
+from jointid.records.columns import finite_faults
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
     decimate_all,
-    decimated_at,
     differentiate,
     differentiate_twice,
     find_noise_limit,
@@ -57,6 +63,9 @@ _REACH = 3  # samples on each side that the window smears a rest over
 SAID = 0.02  # of a record: a larger share of rest is said
 _REST_LONG = 20  # samples in a row that are a rest before filtered positions
 SMEAR = 0.6  # of the position filter's period: from there on the errors of a filtered step add up to 0
+LARGEST = 2_400_000
+"""Samples times the square of n masses or joints of a motion whose columns are made at once; see `split`."""
+
 _FEW = 0.1  # of the moving samples: if less were left without reversals, these stay
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
@@ -80,7 +89,8 @@ class MeasuredMotion:
         raw: (samples, n) positions as measured.
         if_sampled: (samples, n) what torques of unstated timing, read as held, are more if read as sampled; None where
             all are stated.
-        stated: (instants,) the decimated rows that are kept; None keeps all, 0 at rest.
+        apart: whether the rows at rest are left out; else they are 0.
+        told: of a row's weight; what holds less is of rest.
     """
 
     q: FloatArray
@@ -93,7 +103,8 @@ class MeasuredMotion:
     limit: float
     raw: FloatArray
     if_sampled: FloatArray | None = None
-    stated: NDArray[np.bool_] | None = None
+    apart: bool = False
+    told: float = _TOLD
 
     @property
     def sampled(self) -> MeasuredMotion:
@@ -110,16 +121,17 @@ class MeasuredMotion:
         each = [self.decimate_joint(j, torque[:, np.newaxis]) for j, torque in enumerate(self.torque.T)]
         return np.concatenate(each)[:, 0]
 
-    def rows_at(self) -> NDArray[np.intp]:
-        """Return the samples of the decimated rows, (instants,)."""
-        rows = -(-(self.inside.stop - self.inside.start) // (self.filtering.decimation or 1))
-        at = decimated_at(rows, self.inside.stop, self.filtering)
-        return at if self.stated is None else at[self.stated]
+    def cut(self, first: int, end: int) -> MeasuredMotion:
+        """Return the motion of some samples."""
+        named = ("q", "v", "a", "torque", "moving", "raw", *(() if self.if_sampled is None else ("if_sampled",)))
+        return replace(self, **{name: getattr(self, name)[first:end] for name in named})
 
-    def begin(self, size: int) -> MeasuredMotion:
-        """Return the motion of the first samples."""
-        named = ("q", "v", "a", "torque", "moving", "raw")
-        return replace(self, if_sampled=None, **{name: getattr(self, name)[:size] for name in named})
+    def split(self) -> list[MeasuredMotion]:
+        """Return the parts of a motion whose columns take too much memory at once; itself of a shorter one."""
+        size, n = self.q.shape
+        count = math.ceil(size * n * n / LARGEST)
+        ends = np.linspace(0, size, count + 1).astype(int)
+        return [self.cut(*span) for span in pairwise(ends)]
 
     @property
     def inside(self) -> slice:
@@ -136,11 +148,11 @@ class MeasuredMotion:
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one equation, (samples, columns), decimated, (rows, columns), 0 or left out at rest."""
-        moving = self.moving[self.inside, joint]
-        rows, whole = decimate_all(
-            [columns[self.inside] * moving[:, np.newaxis], moving], self.filtering, self.sample_time
-        )
-        return np.where(whole[:, np.newaxis] <= _TOLD, 0.0, rows) if self.stated is None else rows[self.stated]
+        moving = self.moving[self.inside, joint, np.newaxis]
+        among = self.moving[self.inside] if self.apart else moving
+        rows, shares = decimate_all([columns[self.inside] * moving, among], self.filtering, self.sample_time)
+        stated = np.any(shares > self.told, axis=1)
+        return rows[stated] if self.apart else np.where(stated[:, np.newaxis], rows, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,28 +340,15 @@ def inverse_of_joint(joint: Joint, delay: float = 0.0, *, zeros: bool = False) -
     names = tuple(p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ())))
 
     def columns(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        return joint_columns(joint, q, v, a, zeros=zeros)
+        motor, *load = (Motion(*side) for side in zip(q.T, v.T, a.T, strict=True))
+        own = joint.regressor(motor, load[0] if load else None).transpose(1, 0, 2)
+        offset = np.broadcast_to([[-1.0], [1.0]], (len(q), 2, 1))
+        return np.concatenate([own, offset], axis=2) if zeros else own
 
     def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
         return motion_of_joint(records[0], delay, filtering, joint)
 
     return Inverse(names, 1, columns, measure)
-
-
-def joint_columns(joint: Joint, q: FloatArray, v: FloatArray, a: FloatArray, *, zeros: bool = False) -> FloatArray:
-    """Return the columns of a joint's parameters in its equations, (samples, equations, parameters).
-
-    Args:
-        joint: whose columns come first.
-        q: (samples, sides) positions of motor and load.
-        v: their velocities.
-        a: their accelerations.
-        zeros: whether the column of the encoders' zeros follows.
-    """
-    motor, *load = (Motion(*side) for side in zip(q.T, v.T, a.T, strict=True))
-    columns = joint.regressor(motor, load[0] if load else None).transpose(1, 0, 2)
-    offset = np.array([[-1.0], [1.0]])
-    return np.concatenate([columns, np.broadcast_to(offset, (len(q), *offset.shape))], axis=2) if zeros else columns
 
 
 def motion_of_joint(record: Record, delay: float, filtering: Filtering, joint: Joint) -> MeasuredMotion:
@@ -369,9 +368,7 @@ def motion_of_joint(record: Record, delay: float, filtering: Filtering, joint: J
     assert filtering.position_cutoff is not None
     # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
     kept = [steady_weights(side, filtering.position_cutoff, sample_time)[0 if flexible else 1] for side in motion.v.T]
-    steady = np.column_stack(kept)
-    (share,) = decimate_all([steady[motion.inside]], filtering, sample_time)
-    return replace(motion, moving=steady, stated=np.any(share > _TOLD, axis=1))
+    return replace(motion, moving=np.column_stack(kept), apart=True)
 
 
 def _late(record: Record, delay: float, period: float) -> float:
@@ -385,6 +382,113 @@ def _late(record: Record, delay: float, period: float) -> float:
     fraction = delay / period % 1.0
     averaged = record.torque is not None and record.torque.timing is Timing.AVERAGED
     return 0.0 if averaged or min(fraction, 1 - fraction) < 1e-6 else (fraction - 1.0) * period
+
+
+# A robot
+
+Records: TypeAlias = Sequence[Record] | Sequence[Sequence[Record]]
+"""The records of a robot's joints from one log, or those of several logs."""
+
+
+def each_log(records: Records) -> tuple[Sequence[Record], ...]:
+    """Return the records of each log.
+
+    Raises:
+        RecordError: there are none, or records beside lists of them.
+    """
+    whole = {isinstance(one, Record) for one in records}
+    if len(whole) != 1:
+        raise RecordError(
+            "A robot is identified from the records of its joints, of several logs from a list of them for each log; "
+            f"received {'both' if whole else 'none'}: give one or the other."
+        )
+    return (cast("Sequence[Record]", records),) if whole.pop() else tuple(cast("Sequence[Sequence[Record]]", records))
+
+
+def require_one_log(records: Sequence[object]) -> None:
+    """Raise a `MethodError` if there are records of several logs, or something else."""
+    if not all(isinstance(record, Record) for record in records):
+        raise MethodError(
+            "The records of the joints of one log are needed here, and these are no records, or of several logs: give "
+            "those of one log."
+        )
+
+
+def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
+    """Raise a `MethodError` if the torque, (samples,), of a joint is 0 throughout."""
+    dead = [joint.name for joint, torque in zip(robot.joints, torques, strict=True) if not np.any(torque)]
+    if dead:
+        raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
+
+
+def motion_of_robot(
+    robot: Robot,
+    records: Sequence[Record],
+    filtering: Filtering,
+    said: str = "IDIM of a robot",
+    model: str = "rigid",
+    smear: float = SMEAR,
+) -> MeasuredMotion:
+    """Return the motion of a robot and its motors' torques.
+
+    Args:
+        robot: whose coupling takes the motors' positions to the joints'.
+        records: of each joint, with torque and motor position behind the gear, on one clock.
+        filtering: of positions and rows.
+        said: the method, in the words of an error.
+        model: of the joints, whose cut-offs are taken where there are none: "rigid" or "flexible".
+        smear: periods of the position filter on each side of a rest or a reversal that are left out with it.
+
+    Raises:
+        RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: a torque is 0 throughout.
+    """
+    require_one_log(records)
+    if len(records) != len(robot):
+        raise RecordError(f"A robot of {len(robot)} joints needs as many records; received {len(records)}.")
+    channels, positions = [], []
+    for joint, link, record in zip(robot.joints, robot.links, records, strict=True):
+        try:
+            torque, (position,) = torque_and_positions(record, RigidJoint(link.kind), ("motor_position",), said)
+        except RecordError as error:
+            raise RecordError([f"{joint.name}: {fault}" for fault in error.faults]) from error
+        faults = [*finite_faults("torque", torque.values), *finite_faults("motor_position", position)]
+        if faults:
+            raise RecordError([f"{joint.name}: {fault}" for fault in faults])
+        channels.append(torque)
+        positions.append(position)
+    require_torques(robot, [channel.values for channel in channels])
+    clocks = {round(channel.sample_time, 12) for channel in channels}
+    if len(clocks) > 1:
+        raise RecordError(
+            f"The torques of the joints come every {', '.join(f'{one:g}' for one in sorted(clocks))} s; expected one "
+            "sample time: resample them."
+        )
+    sample_time, size = channels[0].sample_time, min(map(len, positions))
+    motors = np.column_stack([position[:size] for position in positions])
+    resolved = filtering.resolve(sample_time, model, find_noise_limit(motors.T, sample_time))
+    motion = motion_along(channels, motors, resolved)
+    assert resolved.position_cutoff is not None
+    moving = [steady_weights(each, resolved.position_cutoff, sample_time, smear, few=0.0)[1] for each in motion.v.T]
+    joints = np.linalg.inv(robot.coupling).T
+    measured = motion.torque
+    q, v, a = motion.q @ joints, motion.v @ joints, motion.a @ joints
+    if payload := records[-1].payload:  # its torque is known
+        carried = inverse_columns(robot, q, v, a)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
+        measured = measured - through_window(carried[:, :, np.newaxis], resolved)[:, :, 0]
+    return replace(motion, q=q, v=v, a=a, torque=measured, moving=np.column_stack(moving))
+
+
+def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
+    """Return the inverse model of a robot of rigid joints."""
+
+    def columns(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return parameters.columns(robot, q, v, a)
+
+    def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
+        return motion_of_robot(robot, records, filtering)
+
+    return Inverse((*parameters.names, *(one.name for one in parameters.fixed)), len(robot), columns, measure)
 
 
 # Samples at rest or at a reversal, at which sticking friction does not follow ``Fc sign(v)``

@@ -17,9 +17,12 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, Quantity, unit_of
 from jointid.common.text import join
-from jointid.estimation.problems.base import INITIAL, RecordProblem, of_law
+from jointid.estimation.problems.base import INITIAL, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.build_result import build_rows
+from jointid.estimation.result.parts import Params
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.uncertainty.covariance import Covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +89,19 @@ class RecordLayout:
         return self.loops[0].joint
 
     @property
+    def scales(self) -> bool:
+        """True if the gain of the drive is free: a record by itself has parameters per torque of its log."""
+        return "drive_gain" in self.free
+
+    @property
+    def gaining(self) -> set[str]:
+        """Names of the parameters that are added to in one of the records."""
+        return {name for more in self.added for name in more}
+
+    @property
     def torque_unit(self) -> str:
         """In which the parameters come."""
-        return TORQUE_UNIT[self.joint.kind] if "drive_gain" in self.free else self.joint.force_unit
+        return TORQUE_UNIT[self.joint.kind] if self.scales else self.joint.force_unit
 
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of the answer."""
@@ -105,47 +118,31 @@ class RecordLayout:
         found = dict(parameters)
         for name, more in self.added[number].items():
             p = found.get(name) or next(q for q in self.joint.parameters if q.name == name)
-            start = None if p.start is None else p.start + more
-            moved = more if acting or "drive_gain" not in self.free else 0.0
-            found[name] = replace(p, start=start, lower=p.lower + moved, upper=p.upper + moved)
+            moved = _shift(p, more)
+            found[name] = moved if acting or not self.scales else replace(p, start=moved.start)
         return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordsProblem(RecordProblem):
-    """The parameters of several records: what they share, fixed ones too, then what is each record's own.
+class SharedParameters:
+    """The parameters of several records.
 
     A parameter of a record is one that all share, or that plus a number that is known, or its own, called
-    ``name@number`` with the number of the record, from 1. What is measured, and its filter, are the first record's.
+    ``name@number`` with the number of the record, from 1.
 
     Attributes:
         layout: how they belong together.
-        problems: of each record.
-        order: the parameters that are identified: those that are shared, then those of each record.
+        parameters: in the order of the table, fixed ones too.
+        free: those that are identified: first those that are shared, then those of each record.
         places: for each record, where each of its free parameters stands among those, (its free,).
         added: for each record, what is known to come on top of each, (its free,).
     """
 
     layout: RecordLayout
-    problems: tuple[ClosedLoopProblem, ...]
-    order: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]
+    free: tuple[Parameter, ...]
     places: tuple[NDArray[np.intp], ...]
     added: tuple[FloatArray, ...]
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified; the table's order may be another."""
-        return self.order
-
-    @property
-    def joint(self) -> Joint:
-        """The joint."""
-        return self.problems[0].joint
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Of every parameter, by name."""
-        return {p.name: self.layout.unit(p) for p in self.parameters}
 
     def join(self, found: Sequence[FloatArray]) -> FloatArray:
         """Return the parameters that the records' own come from: means of those that are shared, within bounds."""
@@ -155,8 +152,26 @@ class RecordsProblem(RecordProblem):
             np.add.at(count, place, 1.0)
         return Bounds.of(self.free).clip(total / count)
 
+    def table(self, x: FloatArray, covariance: Covariance, held: Mapping[str, float]) -> Params:
+        """Return the table of the answer.
 
-def several(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> RecordsProblem:
+        Args:
+            x: (free,) values.
+            covariance: of their errors.
+            held: the bounds of those at one, by name.
+        """
+        names = tuple(p.name for p in self.free)
+        values = {p.name: float(p.start or 0.0) for p in self.parameters} | dict(zip(names, map(float, x), strict=True))
+        std, own = (
+            dict(zip(names, map(float, covariance.std), strict=True)),
+            {p.name for p in self.layout.joint.parameters},
+        )
+        return Params(
+            build_rows(self.parameters, values, std, self.layout.unit, own, held), names, covariance.correlation
+        )
+
+
+def share_parameters(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> SharedParameters:
     """Return the parameters of several records.
 
     Args:
@@ -169,17 +184,12 @@ def several(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> Reco
     """
     _require_names(problems, layout)
     _require_scale(problems, layout)
-    apart, first, members = _apart(problems, layout.own), problems[0], dict[str, list[Parameter]]()
-    labels = [
-        [f"{p.name}@{k}" if p.name in mine else p.name for p in problem.free]
-        for k, (problem, mine) in enumerate(zip(problems, apart, strict=True), 1)
-    ]
-    for problem, each, more in zip(problems, labels, layout.added, strict=True):
-        for p, label in zip(problem.free, each, strict=True):
-            known = more.get(p.name, 0.0)
-            start = None if p.start is None else p.start - known
-            own = replace(p, start=start, lower=p.lower - known, upper=p.upper - known)
-            members.setdefault(label, []).append(own)
+    members, labels, added = dict[str, list[Parameter]](), list[list[str]](), list[FloatArray]()
+    for k, (problem, mine) in enumerate(zip(problems, _apart(problems, layout.own), strict=True)):
+        labels.append([f"{p.name}@{k + 1}" if p.name in mine else p.name for p in problem.free])
+        added.append(np.array([layout.added[k].get(p.name, 0.0) for p in problem.free]))
+        for p, label, more in zip(problem.free, labels[k], added[k], strict=True):
+            members.setdefault(label, []).append(_shift(p, -float(more)))
     order = sorted(members, key=lambda name: int(name.partition("@")[2] or 0))  # what is shared comes first
     free = {
         label: replace(
@@ -194,21 +204,17 @@ def several(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> Reco
     }
     shared = {
         p.name: free.get(p.name) or p.fix((p.start or 0.0) - layout.added[0].get(p.name, 0.0))
-        for p in first.parameters
+        for p in problems[0].parameters
         if p.name in free or not (p.free or p.name in INITIAL)
     }
-    return RecordsProblem(
-        tuple((shared | free).values()),
-        first.measured,
-        first.filtering,
-        layout,
-        tuple(problems),
-        tuple(free.values()),
-        tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
-        tuple(
-            np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, layout.added, strict=True)
-        ),
-    )
+    places = tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels)
+    return SharedParameters(layout, tuple((shared | free).values()), tuple(free.values()), places, tuple(added))
+
+
+def _shift(parameter: Parameter, by: float) -> Parameter:
+    """Return a parameter with start and bounds that much higher."""
+    start = None if parameter.start is None else parameter.start + by
+    return replace(parameter, start=start, lower=parameter.lower + by, upper=parameter.upper + by)
 
 
 def _require_names(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> None:
@@ -231,7 +237,7 @@ def _require_scale(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) 
         return
     joint = {p.name for p in layout.joint.parameters}
     known = any(p.start for problem in problems for p in problem.parameters if not p.free and p.name in joint)
-    for name in {name for more in layout.added for name in more}:
+    for name in layout.gaining:
         sharing = [m.get(name, 0.0) for m, mine in zip(layout.added, layout.own, strict=True) if name not in mine]
         known = known or len(set(sharing)) > 1
     if not known:

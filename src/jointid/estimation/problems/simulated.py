@@ -26,15 +26,17 @@ from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import FAILED, LOG_DELAY
 from jointid.estimation.problems.base import log_delay as delay_of_log
-from jointid.estimation.problems.inverse_model import MeasuredMotion, join_rows, moving_weights
-from jointid.estimation.robots.numbers import RobotParameters, add_delays
-from jointid.estimation.robots.regression import (
+from jointid.estimation.problems.inverse_model import (
+    MeasuredMotion,
     Records,
     each_log,
+    join_rows,
     motion_of_robot,
+    moving_weights,
     require_one_log,
     require_torques,
 )
+from jointid.estimation.robots.numbers import RobotParameters, add_delays
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
@@ -205,7 +207,7 @@ class MotionLog:
             return self
         prescribed = self.prescribed.begin((size - 1) * self.parts)
         return replace(
-            self, measured=self.measured[:size], motion=self.motion.begin(size), prescribed=prescribed, thorough=True
+            self, measured=self.measured[:size], motion=self.motion.cut(0, size), prescribed=prescribed, thorough=True
         )
 
     def thoroughly(self) -> MotionLog:

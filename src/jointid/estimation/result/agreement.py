@@ -40,7 +40,7 @@ from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.resampling import scale_of, step_of, total
 
 if TYPE_CHECKING:
-    from jointid.estimation.problems.log_windows import Window
+    from jointid.estimation.problems.pieces import Window
 
 _LEVEL = 0.05
 _MOST = 24  # segments

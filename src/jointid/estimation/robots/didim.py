@@ -48,10 +48,10 @@ from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join, pluralise
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.linear import solve_rows
+from jointid.estimation.methods.idim import solve_rows
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.inverse_model import motion_along
+from jointid.estimation.problems.inverse_model import Records, each_log, inverse_of_robot, motion_along
 from jointid.estimation.problems.simulated import Simulated, outcome_of, pose_robot
 from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.fit import OFF, UNSEEN, Descents, RobotFit
@@ -62,7 +62,6 @@ from jointid.estimation.robots.numbers import (
     robot_parameters,
     with_delays,
 )
-from jointid.estimation.robots.regression import Records, each_log, inverse_of_robot
 from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
 from jointid.estimation.starts.nonlinear_laws import JointMotion, law_starts, name_laws
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row

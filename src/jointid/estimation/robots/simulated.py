@@ -19,6 +19,7 @@ from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import position_rms
+from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import Simulated, pose_robot
 from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
@@ -34,7 +35,6 @@ from jointid.estimation.robots.numbers import (
     standard_index,
     with_delays,
 )
-from jointid.estimation.robots.regression import Records, each_log, require_one_log
 from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
-from jointid.estimation.methods.linear import solve_rows
+from jointid.estimation.methods.idim import solve_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import inverse_of_joint, motion_along, steady_weights
 from jointid.estimation.starts.inverse_controller import (

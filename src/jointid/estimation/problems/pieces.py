@@ -1,13 +1,12 @@
-"""The windows of long logs as one problem, which streams its normal equations: memory does not grow with the log.
+"""A problem over pieces: whole records in memory, or the windows of long logs, whose normal equations are summed.
 
-What a window says at a candidate, `Seen`, is a model's (`estimation.windowed`): a loop that is simulated, or the
-inverse model of a joint or a robot. Several records are members of one problem, which share parameters.
+What a piece says at a candidate, `Seen`, is a model's (`estimation.windowed`): a loop or a robot that is simulated.
+Several records are logs of one problem, which share parameters.
 
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
 is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice the settling
-time, so that the rows that count follow each other without a gap. How long it takes is measured:
-0.3 s in the paper's stiff loop, seconds in a slow one with an integral.
+time, so that the rows that count follow each other without a gap.
 
 What every visit to a place errs alike is no noise, and no longer record averages it away: sums are kept of each place,
 too, so that what leaving out places says is known beside what leaving out windows says (`uncertainty.resampling`).
@@ -28,15 +27,14 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Detail, Progress, follow, ignore_progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.records.chunks import Chunk
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.solvers.solve import Tally
 from jointid.uncertainty.covariance import Covariance, larger, rising_scores
 from jointid.uncertainty.position_dependent_error import cells
-from jointid.uncertainty.resampling import Sums, left_out, root_of, scale_of, step_of, total
+from jointid.uncertainty.resampling import Sums, left_out, scale_of, step_of, total
 
 if TYPE_CHECKING:
     from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-    from jointid.estimation.robots.numbers import RobotParameters
 
 _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
 _EQUATION = 2**20  # numbers of the places of one equation
@@ -56,6 +54,9 @@ NO_MOTION = "In no window of this record does the axis move; give another record
 Places: TypeAlias = Callable[[FloatArray, FloatArray], NDArray[np.intp]]
 """From positions and velocities, (rows,) each, to the number of each row's stretch of the travel, (rows,)."""
 
+Pieces: TypeAlias = Callable[[int, int, int], Iterable[Sequence[Chunk]]]
+"""The pieces of a log, a chunk for each axis, by their length and overlap in samples, and one of so many."""
+
 
 def places_of(position: FloatArray, velocity: FloatArray) -> Places:
     """Return stretches of the travel, by direction and class of speed, of the motion in one window, (samples,) each."""
@@ -73,13 +74,34 @@ def places_of(position: FloatArray, velocity: FloatArray) -> Places:
     return label
 
 
+def commanded(record: Record) -> Channel | None:
+    """Return the reference, or without one the motor position."""
+    return record.motor_position if record.reference is None else record.reference
+
+
+def travel(records: Sequence[Record]) -> float:
+    """Return how far the axes are asked to move in a window, or what is injected varies, in sum."""
+    asked = [commanded(one) if one.injected is None else one.injected.channel for one in records]
+    return sum(float(np.sum(np.abs(np.diff(one.values)))) for one in asked if one is not None)
+
+
+def moves(records: Sequence[Record]) -> bool:
+    """Test whether a window has a motion or something injected, and no brake that holds a joint at a torque of 0."""
+    braked = any(one.torque is not None and not np.any(one.torque.values) for one in records)
+    return not braked and (travel(records) > 0 or any(one.injected is not None for one in records))
+
+
+class NotSimulatedError(MethodError):
+    """A window whose loop could not be simulated to its end."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """The rows of one window at a candidate; equations share their instants.
+    """The rows of one piece at a candidate; equations share their instants.
 
     Attributes:
         error, measured: (equations, rows) residual, and what it is left of. J: (equations, rows, free) its derivatives.
-        at: (rows,) samples of the window. samples: of the window. keep: from one row to the next.
+        at: (rows,) samples of the piece. samples: of the piece. keep: from one row to the next.
         motion: of each equation position and velocity at all samples, from which its places are told.
         at_limit: share of the periods in which the controller was at its limit.
         torques: (samples,) each, raw, of a joint that is simulated: measured and predicted.
@@ -97,18 +119,16 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WindowModel:
-    """The model that is compared with windows.
+class Model:
+    """The model that is compared with pieces.
 
     Attributes:
         free: the parameters that are identified.
-        look: from the records of a window, of each axis, and x, (free,), to its rows; None where it does not move, and
+        look: from the records of a piece, of each axis, and x, (free,), to its rows; None where it does not move, and
             `NotSimulatedError` where it cannot be simulated.
-        settling: from the same to how many samples a window takes to forget how it began.
+        settling: from the same to how many samples a piece takes to forget how it began.
         motion_measured: whether the regressor has a measured motion, and so a bias by disturbances.
         problem: of a joint's loop.
-        nominal: of a robot, from x and the sums there to where its own masses are.
-        searched: of a robot that is simulated, which of its numbers x has, and how.
     """
 
     free: tuple[Parameter, ...]
@@ -116,48 +136,33 @@ class WindowModel:
     settling: Callable[[Sequence[Record], FloatArray], int]
     motion_measured: bool = False
     problem: ClosedLoopProblem | None = None
-    nominal: Callable[[FloatArray, Sums], FloatArray] | None = None
-    searched: RobotParameters | None = None
-
-    def physical(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the parameters that are searched by x, (free,), and their derivatives by it."""
-        if self.searched is None:
-            return x, np.ones_like(x)
-        values = self.searched.values(x)
-        return values, np.where(self.searched.logarithmic, values, 1.0)
-
-
-def sizes_of(seen: Sequence[Seen]) -> FloatArray:
-    """Return the size of the residual of each log and equation, (logs, equations), at least that of rounding."""
-    least = _ROUNDING * float(np.sqrt(np.mean(seen[0].measured ** 2)))
-    return np.array([np.maximum(np.sqrt(np.mean(one.error**2, axis=1)), least) for one in seen])
-
-
-Pieces: TypeAlias = Callable[[int, int, int], Iterable[Sequence[Chunk]]]
-"""The windows of a log, a chunk for each axis, by their length and overlap in samples, and one of so many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Member:
+class Log:
     """One log of a problem.
 
     Attributes:
         name: of the log.
-        pieces: its windows.
-        model: of its windows.
+        pieces: of it.
+        model: of its pieces.
         at: (its free,) places of the model's parameters among those of the problem.
         added: (its free,) what is known on top of them.
     """
 
     name: str
     pieces: Pieces
-    model: WindowModel
+    model: Model
     at: NDArray[np.intp]
     added: FloatArray
 
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return its own parameters, (its free,), of the problem's."""
+        return np.asarray(x[self.at] + self.added)
+
     def look(self, records: Sequence[Record], x: FloatArray) -> Seen | None:
-        """Return the rows of a window at the problem's parameters, with derivatives by all of these."""
-        seen = self.model.look(records, x[self.at] + self.added)
+        """Return the rows of a piece at the problem's parameters, with derivatives by all of these."""
+        seen = self.model.look(records, self.values(x))
         if seen is None:
             return None
         J = np.zeros((*seen.error.shape, x.size))
@@ -167,7 +172,7 @@ class Member:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Sums of one window, or of a part of one.
+    """Sums of one piece, or of a part of one.
 
     Attributes:
         begin, end: seconds from the first sample of the record, of what counts.
@@ -185,15 +190,15 @@ class Window:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pass:
-    """Sums of one pass over the windows.
+    """Sums of one pass over the pieces.
 
     Attributes:
         windows: in the order of time, log after log. places: over all of them, by the place's number.
-        still: windows in which nothing was asked of the axis, and which are left out.
+        still: pieces in which nothing was asked of the axis, and which are left out.
         sizes: (logs, equations, 3) squares of residual and of what it is left of, not weighted, and rows.
         scores: (bands, free) of the derivatives with the residual, summed up to each band of frequency; 0 where the
             motion is not measured.
-        count: of windows that are in the sums.
+        count: of pieces that are in the sums.
         seen: their rows, where they are kept.
     """
 
@@ -207,18 +212,19 @@ class Pass:
 
     @property
     def sums(self) -> Sums:
-        """Over all windows.
+        """Over all pieces.
 
         Raises:
-            MethodError: there is none, because in no window does the axis move.
+            MethodError: there is none, because in no piece does the axis move.
         """
         if not self.windows:
             raise MethodError(NO_MOTION)
         return total([w.sums for w in self.windows])
 
-    def level(self, sigma: FloatArray) -> float:
-        """Return the mean square of the residual in units of `sigma`, (logs, equations)."""
-        return float(np.sum(self.sizes[..., 0] / sigma**2) / np.sum(self.sizes[..., 2]))
+    @property
+    def is_exact(self) -> bool:
+        """True if the residual is as good as none."""
+        return self.sums.square <= _ROUNDING**2 * self.sums.size
 
     def relative_errors(self) -> FloatArray:
         """Return the share of each equation that is left, (equations,)."""
@@ -253,50 +259,46 @@ class Pass:
         return replace(found, std=np.hypot(found.std, np.max(np.abs(bias), axis=1) / scale))
 
 
-class NotSimulatedError(MethodError):
-    """A window whose loop could not be simulated to its end."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class LogProblem:
-    """Long logs, window by window: a problem whose rows are summed as they are read.
+class PiecesProblem:
+    """Logs, piece by piece: a problem whose rows are summed as they are read.
 
     Attributes:
-        members: the logs.
+        logs: one for each record, or one of all of a robot's joints.
         free: the parameters that are identified.
-        length: samples that count in a window.
-        settling: samples at either end of a window that are simulated and not counted.
         places: that repeat, of each equation.
         sigma: (logs, equations) size of the residual, by which its rows are divided; 1 where they are not weighted.
         weighted: whether each pass weighs the next.
+        length: samples that count in a window.
+        settling: samples at either end of a window that are simulated and not counted.
         parts: of a window, whose sums are kept apart.
         kept: whether a pass keeps its rows: those of whole records in memory.
         progress: receives the progress of a pass.
-        tally: of windows that were simulated, each with its derivatives.
+        tally: of pieces that were simulated, each with its derivatives.
     """
 
-    members: tuple[Member, ...]
+    logs: tuple[Log, ...]
     free: tuple[Parameter, ...]
-    length: int
-    settling: int
     places: tuple[Places, ...]
     sigma: FloatArray
     weighted: bool = False
+    length: int = 1
+    settling: int = 0
     parts: int = 1
     kept: bool = False
     progress: Progress = ignore_progress
     tally: Tally = field(default_factory=Tally)
 
-    def reweigh(self, found: Pass) -> LogProblem:
-        """Return the problem weighted by what a pass left."""
+    def weigh(self, sizes: FloatArray) -> PiecesProblem:
+        """Return the problem weighted by what is left, (logs, equations, 3); see `Pass`."""
         if not self.weighted:
             return self
-        squares, size, rows = np.moveaxis(found.sizes, 2, 0)
+        squares, size, rows = np.moveaxis(sizes, 2, 0)
         sigma = np.sqrt(np.maximum(squares, _ROUNDING**2 * np.max(size)) / np.maximum(rows, 1))
         return replace(self, sigma=np.where(rows > 0, sigma, self.sigma))
 
     def pass_over(self, x: FloatArray, every: int = 1) -> Pass:
-        """Pass over one window in so many.
+        """Pass over one piece in so many.
 
         Raises:
             NotSimulatedError: a window cannot be simulated.
@@ -305,13 +307,13 @@ class LogProblem:
         sizes, scores = np.zeros((*self.sigma.shape, 3)), np.zeros((_BANDS.size, x.size))
         pieces: Iterable[tuple[int, Sequence[Chunk]]] = (
             (number, piece)
-            for number, member in enumerate(self.members)
-            for piece in member.pieces(self.length, 2 * self.settling, every)
+            for number, log in enumerate(self.logs)
+            for piece in log.pieces(self.length, 2 * self.settling, every)
         )
         for number, piece in follow(pieces, self.progress, "passing over the log", math.inf, "windows"):
-            member, records = self.members[number], [one.record for one in piece]
+            log, records = self.logs[number], [one.record for one in piece]
             try:
-                seen = member.look(records, x)
+                seen = log.look(records, x) if self.kept or moves(records) else None
             except RecordError:
                 if not (piece[0].number and piece[0].last):  # a last one may be too short for filters
                     raise
@@ -325,8 +327,7 @@ class LogProblem:
             at = seen.at[counted]
             if not at.size:
                 continue
-            squares = [np.sum(rows[:, counted] ** 2, axis=1) for rows in (seen.error, seen.measured)]
-            sizes[number] += np.array([*squares, np.full(len(seen.error), at.size)]).T
+            sizes[number] += sizes_of(seen, counted)
             sigma = self.sigma[number, :, np.newaxis]
             error, measured = seen.error[:, counted] / sigma, seen.measured[:, counted] / sigma
             J = seen.J[:, counted] / sigma[..., np.newaxis]
@@ -345,23 +346,40 @@ class LogProblem:
                 sums = Sums.of(*(np.concatenate(each[:, rows]) for each in (error, J, measured)))
                 begin, end = (records[0].begin + one * step for one in (at[rows[0]], at[rows[-1]] + seen.keep))
                 windows.append(Window(begin, end, sums, seen.at_limit, number))
-            if member.model.motion_measured:
-                scores += rising_scores(J, error, _BANDS)
             count += 1
+            if log.model.motion_measured:
+                scores += rising_scores(J, error, _BANDS)
         return Pass(tuple(windows), places, still, sizes, scores, count, tuple(kept))
 
-    def is_exact(self, sums: Sums) -> bool:
-        """Test whether a residual is as good as none."""
-        return sums.square <= _ROUNDING**2 * sums.size
+    def _pass_unless_uphill(self, x: FloatArray, every: int, last: tuple[FloatArray, int, Pass] | None) -> Pass | None:
+        """Return a pass; None where the last step led uphill, or to what cannot be simulated."""
+        try:
+            found = self.pass_over(x, every)
+        except NotSimulatedError:
+            if last is None:
+                raise
+            return None
+        if last is None or last[1] != every or not found.windows or found.is_exact:
+            return found
+        level, before = (
+            np.sum(one.sizes[..., 0] / self.sigma**2) / np.sum(one.sizes[..., 2]) for one in (found, last[2])
+        )
+        return None if level > (1.0 + _FLAT) * before else found
+
+
+def sizes_of(seen: Seen, counted: NDArray[np.bool_] | slice = slice(None)) -> FloatArray:
+    """Return squares of residual and of what it is left of, and the number of rows, (equations, 3)."""
+    squares = [np.sum(rows[:, counted] ** 2, axis=1) for rows in (seen.error, seen.measured)]
+    return np.array([*squares, np.full(len(seen.error), seen.at[counted].size)]).T
 
 
 class Solved(NamedTuple):
-    """The solution of all windows: the problem as the last pass weighed it, x, (free,), and that pass there.
+    """The solution of all pieces: the problem as the last pass weighed it, x, (free,), and that pass there.
 
     `passes` went over the whole log; `stop` says why the last ended, `converged` whether that is a good end.
     """
 
-    problem: LogProblem
+    problem: PiecesProblem
     x: FloatArray
     found: Pass
     passes: int
@@ -369,10 +387,10 @@ class Solved(NamedTuple):
     converged: bool
 
 
-def stream(problem: LogProblem, x: FloatArray) -> Solved:
+def stream(problem: PiecesProblem, x: FloatArray) -> Solved:
     """Solve by Gauss-Newton in as few passes over a log as there can be.
 
-    A pass reads every window once, and keeps of each what `Sums` holds: memory does not grow with what is read but by a
+    A pass reads every piece once, and keeps of each what `Sums` holds: memory does not grow with what is read but by a
     kilobyte for each window. Of the first passes one window in sixteen is enough, at a sixteenth of the cost: a start
     from one window is far off in the deviations of all of them. A pass over the whole that moves the parameters by less
     than 0.3 of their deviations is the last. A solver of `solvers` would read the
@@ -385,7 +403,7 @@ def stream(problem: LogProblem, x: FloatArray) -> Solved:
     bounds, every, whole = Bounds.of(problem.free), 1 if problem.kept else _SPARSE, 0
     last: tuple[FloatArray, int, Pass] | None = None  # where the last step was taken from, of one window in how many
     for number in range(1, _PASSES + 1):
-        found, whole = _pass_unless_uphill(problem, x, every, last), whole + (every == 1)
+        found, whole = problem._pass_unless_uphill(x, every, last), whole + (every == 1)
         if found is None:
             x = 0.5 * (x + last[0]) if last is not None else x
             continue
@@ -396,43 +414,13 @@ def stream(problem: LogProblem, x: FloatArray) -> Solved:
         step = step_of(sums, bounds.shift_to(x))
         far = math.sqrt(float(step @ sums.A @ step) * sums.rows / sums.square) if sums.square > 0 else 0.0
         # Where nothing is left, nothing is a deviation.
-        if every == 1 and (far < _SETTLED or problem.is_exact(sums)):
+        if every == 1 and (far < _SETTLED or found.is_exact):
             stop = f"converged: the last pass moved the parameters by {far:.2g} deviations (limit {_SETTLED:g})"
             return Solved(problem, x + step, found.shift(step), whole, stop, True)
-        last, x, problem = (x, every, found), x + step, problem.reweigh(found)
+        last, x, problem = (x, every, found), x + step, problem.weigh(found.sizes)
         problem.progress(Detail(f"{found.count} windows move the parameters by {far:.2g} deviations"))
         if number >= _SPARSE_PASSES or far < 1.0:
             every = 1
     assert last is not None
     stop = "not converged: the last passes led uphill, or still moved the parameters"
     return Solved(problem, last[0], last[2], whole, stop, False)
-
-
-def _pass_unless_uphill(
-    problem: LogProblem, x: FloatArray, every: int, last: tuple[FloatArray, int, Pass] | None
-) -> Pass | None:
-    """Return a pass; None where the last step led uphill, or to what cannot be simulated."""
-    try:
-        found = problem.pass_over(x, every)
-    except NotSimulatedError:
-        if last is None:
-            raise
-        return None
-    if last is None or last[1] != every or not found.windows or problem.is_exact(found.sums):
-        return found
-    return None if found.level(problem.sigma) > (1.0 + _FLAT) * last[2].level(problem.sigma) else found
-
-
-def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
-    """Return a residual and its derivatives in as few rows as have these sums, (free + 1,) and (free + 1, free).
-
-    The last row is what no parameter explains; rows of directions that nothing determines are 0.
-    """
-    R = root_of(sums)
-    explained = np.linalg.lstsq(R.T, sums.b, rcond=None)[0]
-    rest = math.sqrt(max(sums.square - float(explained @ explained), 0.0))
-    directions, free = R.shape
-    residual, J = np.zeros(free + 1), np.zeros((free + 1, free))
-    residual[:directions], J[:directions] = explained, R
-    residual[-1] = rest
-    return residual, J
