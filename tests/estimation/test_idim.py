@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.common.errors import MethodError
 from jointid.estimation.methods.idim import IDIM, solve_rows
 from jointid.estimation.problems.inverse_model import Rows
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
+from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -145,6 +147,21 @@ def test_rows_at_rest_are_left_out() -> None:
         line = found[name]
         assert abs(line.value - value) < 3 * line.stderr, name
     assert found["coulomb"].stderr is not None and found["coulomb"].stderr < 0.015 * values["coulomb"]
+
+
+def test_several_records_of_a_joint_without_a_controller_are_one_regression() -> None:
+    """Together they know more than each by itself."""
+    record, values = at_rest(0.6)
+    joint, size = RigidJoint("revolute"), len(record.torque)
+    halves = [cut(record, *span) for span in ((0, size // 2), (size // 2, size))]
+    found, alone = identify(halves, joint, IDIM()), identify(halves[0], joint, IDIM())
+    for name, value in values.items():
+        assert abs(found[name].value - value) < 3 * found[name].stderr < 3 * alone[name].stderr, name
+    for wrong in ({"several": {"own": ((), ("coulomb",))}}, {"windows": 3.0}):
+        with pytest.raises(MethodError):
+            identify(halves, joint, IDIM(), **wrong)
+    with pytest.raises(MethodError):
+        identify([record, record], joint, IDIM())
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -150,7 +150,7 @@ def test_how_long_a_window_remembers_is_measured() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"method": IDIM("iv")}, "IDIM by iv"),
+        ({"method": IDIM()}, "inverse model"),
         ({"windows": 0.0}, "windows"),
         ({"windows": 40.0}, "two windows or more"),
     ],

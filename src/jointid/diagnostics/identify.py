@@ -61,8 +61,8 @@ def identify(
             a loop, or one for each record: of one joint under different gains. A `robots.Robot` alone, a
             `robots.RobotLoop` with its controllers, or a `robots.RobotDriveSide` along the motors' motion.
         method: `DIDIM`, `IDIM` or `DriveSideFit` with its settings; by default DIDIM when the controller is known, even
-            where the record has a motor position, which is then not read; otherwise IDIM. Several records and a log are
-            identified by DIDIM. A robot likewise.
+            where the record has a motor position, which is then not read; otherwise IDIM. A log is identified by DIDIM,
+            several records also by IDIM where they share all parameters. A robot likewise.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".

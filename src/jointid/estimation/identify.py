@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def fit(
     if by_loop:
         read = torques_of(read, loops, method.outputs if isinstance(method, DIDIM) else ())
     each = [read[at : at + len(logs[0])] for at in range(0, len(read), len(logs[0]))]
-    if layout is not None:
+    if len(logs) > 1 and not isinstance(model, _ROBOTS):
         require_distinct(read)
     if windows is not None:
         models: list[tuple[Any, Mapping[str, Parameter]]] = [(model, known)]
@@ -175,11 +175,16 @@ def _logs_of(
             )
         return [[record]], (model,) if isinstance(model, ClosedLoop) else (), None
     logs, of_loops = [[one] for one in record if isinstance(one, Record)], isinstance(model, ClosedLoop | Sequence)
-    if len(logs) != len(record) or not of_loops or not isinstance(method, DIDIM | None):
+    asked = any(any(given) if np.iterable(given) else given for given in (several or {}).values())
+    alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
+    if len(logs) != len(record) or not (alike or (of_loops and isinstance(method, DIDIM | None))):
         raise MethodError(
-            "Several records are a list of records, identified by their loop: give a ClosedLoop, and DIDIM."
+            "Several records are a list of records, identified by their loop, or by IDIM if they share all parameters: "
+            "give a ClosedLoop and DIDIM, or the joint without `several`."
         )
-    layout = RecordLayout.of(len(logs), model, method.free if method else (), several or {})
+    if alike:
+        return logs, (), None
+    layout = RecordLayout.of(len(logs), model, method.free if isinstance(method, DIDIM) else (), several or {})
     return logs, layout.loops, layout
 
 
@@ -191,13 +196,14 @@ def _fit_piece(
     known: Mapping[str, Parameter],
     progress: Progress,
 ) -> Estimate:
-    """Return the fit of a joint's only record, or of a robot's logs.
+    """Return the fit of a joint's records, or of a robot's logs.
 
     Raises:
         MethodError: the method does not fit the model.
     """
     if not isinstance(model, _ROBOTS):
-        return identify_record(cast("Record", records[0]), model, method, filtering, known, progress)
+        first, *others = _flat(records)
+        return identify_record(first, model, method, filtering, known, progress, others)
     simulated = DriveSideFit if isinstance(model, RobotDriveSide) else DIDIM
     if not isinstance(model, Robot) and (method is None or isinstance(method, simulated)):
         return identify_simulated_robot(model, records, method, filtering=filtering, known=known, progress=progress)
@@ -216,8 +222,9 @@ def identify_record(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
+    others: Sequence[Record] = (),
 ) -> Estimate:
-    """Return the fit of a joint to one record; see `jointid.identify`.
+    """Return the fit of a joint to one record, or by IDIM to others, too; see `jointid.identify`.
 
     Raises:
         MethodError: the method does not fit the model, or an inertia is not positive.
@@ -226,10 +233,11 @@ def identify_record(
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
     chosen = method or default_method(model)()
     wanted = adjust_parameters(joint.parameters, parameters or {})
-    check_record(record)
+    for one in (record, *others):
+        check_record(one)
     _require_fit(chosen, joint, loop)
-    fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress))
-    said = find_record_warnings(record, fit.data.channels)
+    fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress, tuple(others)))
+    said = [note for one in (record, *others) for note in find_record_warnings(one, fit.data.channels)]
     for p in wanted:
         if p.quantity is Quantity.INERTIA and p.free and fit.values.get(p.name, 1.0) <= 0:
             raise MethodError(
@@ -239,7 +247,7 @@ def identify_record(
             )
     if {"motor_position", "load_position"} <= set(fit.data.channels):
         fit = replace(fit, checks=replace(fit.checks, encoder_lag=find_encoder_lag(record)))
-    return replace(fit, record=record).warn(*said)
+    return replace(fit, record=None if others else record).warn(*dict.fromkeys(said))
 
 
 def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:

@@ -117,26 +117,26 @@ class IDIM(Method):
             RecordError: a channel is missing or cannot be used.
             MethodError: the record does not determine the parameters, or instruments have no loop to come from.
         """
-        record, joint, loop = task.record, task.joint, task.loop
-        record.require(("torque",), "IDIM")
+        record, joint, loop, records = task.record, task.joint, task.loop, [task.record, *task.others]
+        for one in records:
+            one.require(("torque",), "IDIM")
         assert record.torque is not None
         sample_time, estimator = record.torque.sample_time, self.estimator or "ols"
         require_free(task.parameters)
         delay = loop.controller.law(sample_time).delay if loop else 0.0
         inverse = inverse_of_joint(joint, delay)
-        motion = inverse.measure([record], task.filtering)
-        by_loop = None
+        motions, by_loop = inverse.measure_logs([[one] for one in records], task.filtering), None
         if estimator == "iv" and loop is not None:
-            by_loop = [_simulate_joint(record, loop, motion, task.parameters)]
+            by_loop = [_simulate_joint(record, loop, motions[0], task.parameters)]
         known = {p.name: p for p in task.parameters}
         found = None
         if joint.model == "flexible":
             with suppress(MethodError):  # nothing tells it from the other forces
                 zeros = inverse_of_joint(joint, delay, zeros=True)
-                found = regress(zeros, [motion], estimator, known | {ENCODER_OFFSET.name: ENCODER_OFFSET}, by_loop)
+                found = regress(zeros, motions, estimator, known | {ENCODER_OFFSET.name: ENCODER_OFFSET}, by_loop)
                 found = found if found.shows_zeros else None
-        found = found or regress(inverse, [motion], estimator, known, by_loop)
-        solved, rows, filtering = found.solution, found.solution.rows, motion.filtering
+        found = found or regress(inverse, motions, estimator, known, by_loop)
+        solved, rows, filtering = found.solution, found.solution.rows, motions[0].filtering
         stated = (*task.parameters, *((ENCODER_OFFSET,) if ENCODER_OFFSET.name in rows.names else ()))
         parameters = tuple(p.fix(solved.held[p.name]) if p.name in solved.held else p for p in stated)
         free = [i for i, p in enumerate(parameters) if p.free]
@@ -144,10 +144,10 @@ class IDIM(Method):
         values = dict(zip(rows.names, map(float, solved.values), strict=True))
         read = ["torque", *(loop.controller.channels if loop is not None and by_loop is not None else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
-        noise = describe_noise_limit(filtering, motion.limit, sample_time, joint.model)
+        noise = describe_noise_limit(filtering, min(one.limit for one in motions), sample_time, joint.model)
         measured, predicted = found.torques
         made = build_estimate(
-            [record],
+            records,
             Params(
                 build_rows(parameters, values, std, joint.unit, [p.name for p in task.parameters], held=solved.held),
                 tuple(std),

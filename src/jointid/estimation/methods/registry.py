@@ -79,6 +79,7 @@ class Task:
         parameters: of the joint; free ones are estimated. One's own start replaces that of the method.
         filtering: how the signals are filtered.
         progress: receives the iterations.
+        others: records that are identified with the first in one fit, by IDIM.
     """
 
     record: Record
@@ -87,6 +88,7 @@ class Task:
     parameters: tuple[Parameter, ...]
     filtering: Filtering
     progress: Progress
+    others: tuple[Record, ...] = ()
 
 
 class Method(Protocol):

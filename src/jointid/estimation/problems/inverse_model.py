@@ -203,6 +203,13 @@ class Inverse:
     columns: Columns
     measure: Callable[[Sequence[Record], Filtering], MeasuredMotion]
 
+    def measure_logs(self, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
+        """Return the motion of each log, all filtered with the lowest cut-off of one of them."""
+        motions = [self.measure(log, filtering) for log in logs]
+        common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
+        pairs = zip(motions, logs, strict=True)
+        return [motion if motion.filtering == common else self.measure(log, common) for motion, log in pairs]
+
     def columns_along(self, motion: MeasuredMotion) -> FloatArray:
         """Return the columns of a motion, (samples, equations, parameters), not filtered."""
         return self.columns(motion.q, motion.v, motion.a)

@@ -8,7 +8,6 @@ friction fitted as the estimate's was: an opponent without friction would be non
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -71,12 +70,8 @@ def identify_robot(
     setup = robot if isinstance(model, Robot) else replace(model, robot=robot)
     parameters, simulated = robot_parameters(robot, whole=False), None
     inverse = inverse_of_robot(robot, parameters)
-    motions = [inverse.measure(log, filtering or Filtering()) for log in logs]
-    common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
-    motions = [
-        motion if motion.filtering == common else inverse.measure(log, common)
-        for motion, log in zip(motions, logs, strict=True)
-    ]
+    motions = inverse.measure_logs(logs, filtering or Filtering())
+    common = motions[0].filtering
     if estimator == "iv" and isinstance(setup, RobotLoop):
         simulated = [simulate_robot(setup, log, parameters) for log in logs]
     limits = {name: one for name, one in (known or {}).items() if name in parameters.names}
