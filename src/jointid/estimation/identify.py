@@ -45,17 +45,17 @@ WINDOW = 75_000
 
 _LONGEST = 60.0  # s of a window, unless it is given
 _PARTS = 3  # windows in what is taken of n joints at once
-_ROBOTS = Robot | RobotLoop | RobotDriveSide
+
+
+def _robot_of(model: Any) -> Robot | None:
+    """Return the robot that is modelled; None of a joint, or of several loops."""
+    return model if isinstance(model, Robot) else getattr(model, "robot", None)
 
 
 def _most(model: Any) -> tuple[float, int]:
     """Return the samples that are identified at once, and the number of joints."""
-    joints = len(_robot_of(model)) if isinstance(model, _ROBOTS) else 1
-    return (4 * LARGEST / joints if isinstance(model, _ROBOTS) else LARGEST), joints
-
-
-def _robot_of(model: Robot | RobotLoop | RobotDriveSide) -> Robot:
-    return model if isinstance(model, Robot) else model.robot
+    robot = _robot_of(model)
+    return (LARGEST, 1) if robot is None else (4 * LARGEST / len(robot), len(robot))
 
 
 def is_long(record: object, model: Any) -> bool:
@@ -125,11 +125,12 @@ def fit(
         )
     logs, loops, layout = _logs_of(record, model, method, known, several)
     read, by_loop = [one for log in logs for one in log], bool(loops) and isinstance(method, DIDIM | None)
-    warnings = _robot_warnings(logs, model) if isinstance(model, _ROBOTS) else ()
+    robot = _robot_of(model)
+    warnings = () if robot is None else _robot_warnings(logs, robot)
     if by_loop:
         read = torques_of(read, loops, method.outputs if isinstance(method, DIDIM) else ())
     each = [read[at : at + len(logs[0])] for at in range(0, len(read), len(logs[0]))]
-    if len(logs) > 1 and not isinstance(model, _ROBOTS):
+    if len(logs) > 1 and robot is None:
         require_distinct(read)
     if windows is not None:
         models: list[tuple[Any, Mapping[str, Parameter]]] = [(model, known)]
@@ -159,11 +160,11 @@ def _logs_of(
     Raises:
         RecordError, MethodError: records, model and method do not belong together.
     """
-    if isinstance(model, _ROBOTS):
-        if not isinstance(record, Sequence) or several:
+    if (robot := _robot_of(model)) is not None:
+        if isinstance(record, Record) or several:
             raise MethodError("A robot is identified from its joints' records; give these without `several`.")
-        require_friction(_robot_of(model), known)
-        _check_robot_records(record, _robot_of(model))
+        require_friction(robot, known)
+        _check_robot_records(record, robot)
         if method is not None:
             method.require_settings_of("robot")
         logs = [[*log] for log in each_log(record)]
@@ -201,7 +202,7 @@ def _fit_piece(
     Raises:
         MethodError: the method does not fit the model.
     """
-    if not isinstance(model, _ROBOTS):
+    if _robot_of(model) is None:
         first, *others = _flat(records)
         return identify_record(first, model, method, filtering, known, progress, others)
     simulated = DriveSideFit if isinstance(model, RobotDriveSide) else DIDIM
@@ -264,12 +265,12 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
         DriveSide(joint)  # which says what it does not take
 
 
-def _robot_warnings(logs: Sequence[Sequence[Record]], model: Robot | RobotLoop | RobotDriveSide) -> tuple[str, ...]:
+def _robot_warnings(logs: Sequence[Sequence[Record]], robot: Robot) -> tuple[str, ...]:
     """Return warnings on the records of a robot's joints, one sentence each, which names its joint."""
     found = (
         f"{name}: {said}"
         for log in logs
-        for name, record in zip(_robot_of(model).names, log, strict=False)
+        for name, record in zip(robot.names, log, strict=False)
         for said in find_record_warnings(record, record.channels)
     )
     return tuple(dict.fromkeys(found))

@@ -24,7 +24,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -354,9 +354,8 @@ def identify_windows(
             checks = replace(checks, agreement=replace(changes, segments=()))
             covariance = changes.widen(covariance, [p.name for p in problem.free])
         for k, (log,) in enumerate(logs):
-            assert isinstance(log, InMemory)
             said, std = ({}, {}) if changes is None else (changes.segments[k].values, changes.segments[k].std)
-            shares.append(_describe_record(together, k, log.record, solved, said, std))
+            shares.append(_describe_record(together, k, cast("InMemory", log).record, solved, said, std))
     # Of what is searched for by its logarithm, the changes are none of the parameter.
     elif len(spans) == 1 and (first.fit.robot is None or not np.any(first.fit.robot.parameters.logarithmic)):
         checks = replace(checks, drift=changes)
