@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeAlias, cast
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.position_forces import Motion
 from jointid.models.robots.base_parameters import inverse_columns
@@ -47,6 +46,9 @@ from jointid.records.signals.filtering import (
     thin_channel,
     window_torque,
 )
+
+if TYPE_CHECKING:
+    from jointid.estimation.robots.numbers import RobotParameters
 
 ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
 """The spring's force by the difference of two encoders' zeros, which acts on the load and against the motor.
