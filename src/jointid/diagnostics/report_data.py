@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from jointid.models.linear import OUTPUTS, frequency_response
 from jointid.records.record import Channel, Record
 from jointid.uncertainty.profile import ProfileInterval
 
+Profile: TypeAlias = ProfileInterval  # as pages draw it
 _PARTS = 8  # of the record, each as long as a window of the spectra; windows overlap by half
 _LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
 _SHORTEST = 64
