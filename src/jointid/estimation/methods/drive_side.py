@@ -21,6 +21,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,7 +41,6 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
-from jointid.estimation.problems.simulated import MotionLog
 from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
@@ -66,6 +66,9 @@ from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Step, solve
 from jointid.uncertainty.covariance import Influence
+
+if TYPE_CHECKING:
+    from jointid.estimation.problems.simulated import MotionLog
 
 _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
@@ -171,6 +174,8 @@ def motion_problem(
     around = () if setup.joint.model == "rigid" else _LOAD_PARAMETERS
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)
+    from jointid.estimation.problems.simulated import MotionLog  # which loads kernels
+
     log = MotionLog(motion.torque, filtering, motion, prescribed, PARTS)
     return DriveSideProblem((*parameters, *first, delay), motion.torque[:, 0], filtering, setup.joint, log)
 
