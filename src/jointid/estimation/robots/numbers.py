@@ -30,11 +30,11 @@ from jointid.models.robots.base_parameters import (
     name_sum,
     standard_symbols,
 )
-from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.derivatives import columns_of, mass_column
+from jointid.simulation.kernels.tables import IntArray
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,

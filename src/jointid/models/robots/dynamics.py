@@ -22,7 +22,6 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compile_kernel, inline_kernel
@@ -30,7 +29,6 @@ from jointid.models.robots.robot import Tree
 
 Vector: TypeAlias = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
-IntArray: TypeAlias = NDArray[np.int64]
 
 REVOLUTE = 0
 PARAMETERS = 10
