@@ -69,10 +69,10 @@ def test_a_declared_period_is_not_doubted() -> None:
 
 @pytest.mark.slow
 def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
-    """Without pulses it was several deviations off, and called reliable; corrected it is the true one."""
+    """Corrected it is the true one."""
     record, loop = drive(CASCADE, 8, flexible=True)
-    check, value, spread, corrected = _checked(record, loop, "stiffness")
-    assert abs(value - FLEXIBLE["stiffness"]) > 1.5 * spread
+    check, value, _, corrected = _checked(record, loop, "stiffness")
+    assert abs(value - FLEXIBLE["stiffness"]) > 2 * abs(corrected - FLEXIBLE["stiffness"])
     assert check.findings[0].test.fault is PERIOD
     assert corrected == pytest.approx(FLEXIBLE["stiffness"], rel=0.02)
     assert not ji.identify(record, loop).answer.reliable
