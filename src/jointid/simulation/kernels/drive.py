@@ -25,22 +25,22 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
+from jointid.simulation.kernels.control import SmallLaw, control_any, control_small, observe
 from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root, value_at
-from jointid.simulation.kernels.tables import CHATTERING, DIVERGED, FINISHED, TOO_STIFF, Feedback, SampledLoop, Trace
+from jointid.simulation.kernels.tables import CHATTERING, DIVERGED, FINISHED, TOO_STIFF, IntArray, SampledLoop, Trace
 
 State: TypeAlias = tuple[float, float, float, float]
 
 _MAP = 24  # one mode's map: five columns of four, then what its proofs need
-_MAP_ORDER = 14  # of its Taylor series
 # Longest Taylor step, as a fraction of 1/(fastest rate of the drive): the remainder of a series of the order `ORDER` is
 # at most 30 times the rounding error.
-_STEP = 0.25
+STEP = 0.25
 _EVENTS = 200  # per period; a physical drive has a handful
 _PIECES = 4096  # Taylor steps per period at most: a drive faster than that is no drive under this controller
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
 
 _SPRING = 4  # row of the event solver's scratch after the states: the spring's force
-_FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
+_FACTOR = np.array([1.0 / math.factorial(i) for i in range(ORDER + 1)])
 
 
 class Drive(NamedTuple):
@@ -62,7 +62,7 @@ class Drive(NamedTuple):
     offset2: float
 
 
-class _Motion(NamedTuple):
+class Motion(NamedTuple):
     """The drive in one mode, where it is linear; a mass at rest is one that no force can move."""
 
     mobility1: float
@@ -73,26 +73,8 @@ class _Motion(NamedTuple):
     force2: float
 
 
-class SmallLaw(NamedTuple):
-    """A feedback of two states at most, in its observer form: its output is its first state, and what it sees at once.
-
-    Numbers, which stay in registers; and few: of the states, z0' = own z0 + z1 and z1' = other z0.
-    """
-
-    own: float
-    other: float
-    b0: float
-    b1: float
-    e0: float
-    e1: float
-    d: float
-    limit: float
-    lag: int
-    before: float
-
-
 @inline_kernel
-def _motion(p: Drive, m1: int, m2: int) -> _Motion:
+def motion(p: Drive, m1: int, m2: int) -> Motion:
     """Return the drive in one mode."""
     mobility1, viscous1, force1 = 0.0, 0.0, 0.0
     if m1 != 0:
@@ -104,13 +86,21 @@ def _motion(p: Drive, m1: int, m2: int) -> _Motion:
         mobility2 = 1.0 / p.inertia2
         viscous2 = p.viscous2 if m2 > 0 else p.viscous2_back
         force2 = -p.offset2 - (p.coulomb2 if m2 > 0 else -p.coulomb2_back)
-    return _Motion(mobility1, mobility2, viscous1, viscous2, force1, force2)
+    return Motion(mobility1, mobility2, viscous1, viscous2, force1, force2)
 
 
 @inline_kernel
 def drive_of(d: FloatArray) -> Drive:
     """Return the drive of a row of coefficients, (14,) or more."""
     return Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
+
+
+@inline_kernel
+def accelerate(p: Drive, f: Motion, v1: float, stretch: float, v2: float, s: float) -> tuple[float, float]:
+    """Return the accelerations of both masses under a torque."""
+    spring = p.stiffness * stretch + p.damping * (v2 - v1)
+    a1 = (s + spring + f.force1 - f.viscous1 * v1) * f.mobility1
+    return a1, (f.force2 - spring - f.viscous2 * v2) * f.mobility2
 
 
 @inline_kernel
@@ -129,7 +119,7 @@ def _settle(p: Drive, x: State, s: float, mass: int) -> int:
 
 
 @inline_kernel
-def _fastest_rate(p: Drive) -> float:
+def fastest_rate(p: Drive) -> float:
     """Bound in 1/s on how fast the drive's own motion can change: spring plus damping."""
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
     viscous1 = max(abs(p.viscous1), abs(p.viscous1_back)) / p.inertia1
@@ -138,59 +128,30 @@ def _fastest_rate(p: Drive) -> float:
 
 
 @compile_kernel
-def _fill_map(m: FloatArray, b: int, p: Drive, m1: int, m2: int, h: float) -> None:
+def _fill_map(m: FloatArray, b: int, c: FloatArray, p: Drive, m1: int, m2: int, h: float) -> None:
     """Write the map of one mode over `h` seconds at m[b:], column by column, and the margins of its proofs.
 
     A column is what the motion adds to the positions, and its final velocities, when it starts from a unit of motor
-    velocity, stretch or load velocity, or from rest under a unit of torque or the constant forces. A step too long
-    for its Taylor series is halved first and the map doubled back.
+    velocity, stretch or load velocity, or from rest under a unit of torque or the constant forces.
     """
-    step, doublings = h, 0
-    while _fastest_rate(p) * step > _STEP and doublings < 60:
-        step *= 0.5
-        doublings += 1
-    f = _motion(p, m1, m2)
-    h1, h2 = step * f.mobility1, step * f.mobility2
-    stiff1, stiff2, damp1, damp2 = p.stiffness * h1, p.stiffness * h2, p.damping * h1, p.damping * h2
-    drag1, drag2 = f.viscous1 * h1, f.viscous2 * h2
+    f, pieces = motion(p, m1, m2), max(math.ceil(fastest_rate(p) * h / STEP), 1)
+    free = Motion(f.mobility1, f.mobility2, f.viscous1, f.viscous2, 0.0, 0.0)
     for column in range(5):
+        v1, v2 = 1.0 if column == 0 and m1 != 0 else 0.0, 1.0 if column == 2 and m2 != 0 else 0.0
+        begin = 1.0 if column == 1 else 0.0
+        x = 0.0, v1, begin, v2
+        for _ in range(pieces):
+            fill_series(c, p, f if column == 4 else free, x, 1.0 if column == 3 else 0.0, h / pieces, False, False)
+            x = value_at(c, 0, 1.0), value_at(c, 1, 1.0), value_at(c, 2, 1.0), value_at(c, 3, 1.0)
         at = b + 4 * column
-        v1 = 1.0 if column == 0 and m1 != 0 else 0.0
-        stretch = 1.0 if column == 1 else 0.0
-        v2 = 1.0 if column == 2 and m2 != 0 else 0.0
-        force1 = h1 if column == 3 else (h1 * f.force1 if column == 4 else 0.0)
-        force2 = h2 * f.force2 if column == 4 else 0.0
-        m[at], m[at + 1], m[at + 2], m[at + 3] = 0.0, v1, 0.0, v2
-        for k in range(1, _MAP_ORDER + 1):
-            m[at] += v1 * (step * _FACTOR[k])
-            m[at + 2] += v2 * (step * _FACTOR[k])
-            apart = v2 - v1
-            v1 = ((force1 + stiff1 * stretch) - drag1 * v1) + damp1 * apart
-            v2 = ((force2 - stiff2 * stretch) - drag2 * v2) - damp2 * apart
-            stretch = step * apart
-            force1, force2 = 0.0, 0.0
-            m[at + 1] += v1 * _FACTOR[k]
-            m[at + 3] += v2 * _FACTOR[k]
-    for _ in range(doublings):
-        q00, q01, q02, q03 = m[b], m[b + 1], m[b + 2], m[b + 3]
-        q10, q11, q12, q13 = m[b + 4], m[b + 5], m[b + 6], m[b + 7]
-        q20, q21, q22, q23 = m[b + 8], m[b + 9], m[b + 10], m[b + 11]
-        for column in range(5):
-            at = b + 4 * column
-            d0, v1, d2, v2 = m[at], m[at + 1], m[at + 2], m[at + 3]
-            stretch = (1.0 if column == 1 else 0.0) + (d2 - d0)
-            again = 1.0 if column > 2 else 0.0  # a force acts in the second half, too
-            m[at] = d0 + again * d0 + (q00 * v1 + q10 * stretch + q20 * v2)
-            m[at + 1] = again * v1 + (q01 * v1 + q11 * stretch + q21 * v2)
-            m[at + 2] = d2 + again * d2 + (q02 * v1 + q12 * stretch + q22 * v2)
-            m[at + 3] = again * v2 + (q03 * v1 + q13 * stretch + q23 * v2)
+        m[at], m[at + 1], m[at + 2], m[at + 3] = x[0], x[1], x[2] - begin, x[3]
     bend1, bend2, growth = _margins(p, f, m1, m2, h)
     m[b + 20], m[b + 21] = bend1 * growth, bend2 * growth
     m[b + 22], m[b + 23] = (bend1, bend2) if growth == 1.0 else (np.inf, np.inf)
 
 
 @inline_kernel
-def _margins(p: Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
+def _margins(p: Drive, f: Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
     """Return how far what must stay positive can bend from its chord in a period, per root energy; and its growth.
 
     While the torque is held, the energy of the rates of change, E = M1 a1^2 + M2 a2^2 + K (v2 - v1)^2, can only
@@ -230,7 +191,7 @@ def _holds(forwards: float, backwards: float, start: float, slope: float, end: f
 
 @inline_kernel
 def _calm(
-    p: Drive, f: _Motion, bend1: float, bend2: float, x: State, y: State, s: float, m1: int, m2: int, h: float
+    p: Drive, f: Motion, bend1: float, bend2: float, x: State, y: State, s: float, m1: int, m2: int, h: float
 ) -> tuple[bool, float]:
     """Prove that a period from `x` to `y` under a held torque `s` has no event; return that and the root energy at `x`.
 
@@ -241,8 +202,7 @@ def _calm(
     y0, y1, y2, y3 = y
     apart = x3 - x1
     spring, end = p.stiffness * (x2 - x0) + p.damping * apart, p.stiffness * (y2 - y0) + p.damping * (y3 - y1)
-    a1 = (s + spring + f.force1 - f.viscous1 * x1) * f.mobility1
-    a2 = (f.force2 - spring - f.viscous2 * x3) * f.mobility2
+    a1, a2 = accelerate(p, f, x1, x2 - x0, x3, s)
     slope = p.stiffness * apart + p.damping * (a2 - a1)  # of the spring's force
     j1 = (slope - f.viscous1 * a1) * f.mobility1
     j2 = (-slope - f.viscous2 * a2) * f.mobility2
@@ -263,7 +223,7 @@ def _calm(
 
 
 @inline_kernel
-def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
+def fill_series(c: FloatArray, p: Drive, f: Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
     """Fill c[state, order] with the Taylor series of the motion over a step of `h`, time counted in steps.
 
     A mass that has just come loose (`loose`) has, exactly, no velocity and no acceleration: rounding must not
@@ -290,9 +250,7 @@ def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, l
 
 
 @inline_kernel
-def _locate_first(
-    c: FloatArray, p: Drive, s: float, m1: int, m2: int, known1: int, known2: int
-) -> tuple[float, int, int]:
+def _locate_first(c: FloatArray, p: Drive, s: float, modes: IntArray, known: IntArray) -> tuple[float, int, int]:
     """Return when the first event is (2.0: not in this step), in steps, its mass, and the mode that comes loose to.
 
     A sliding mass stops when its velocity falls to zero; one at rest comes loose when the push on it leaves its cone,
@@ -303,22 +261,19 @@ def _locate_first(
     first, which, loose = 2.0, 0, 0
     for guard in range(4):
         mass, direction = guard // 2, 1 - 2 * (guard % 2)
-        mode, known = (m1, known1) if mass == 0 else (m2, known2)
-        if mode != 0:
-            if mode != direction:
-                continue
-            out, row, constant, sign = known, 1 + 2 * mass, 0.0, float(mode)
-            if known == 2 and mode * c[row, 2] <= 0.0:  # came loose at the edge but is pushed back: it never moved
-                if first > 0.0:
-                    first, which, loose = 0.0, mass, 0
-                continue
-        else:
-            out, row, sign = int(known == direction), _SPRING, float(-direction)
-            if mass == 0:
-                constant = (p.coulomb1 if direction > 0 else p.coulomb1_back) - direction * (s - p.offset1)
-            else:
-                sign = float(direction)
-                constant = (p.coulomb2 if direction > 0 else p.coulomb2_back) + direction * p.offset2
+        mode, row = modes[mass], 1 + 2 * mass
+        if mode == -direction:
+            continue
+        if mode != 0 and known[mass] == 2 and mode * c[row, 2] <= 0.0:  # came loose, but is pushed back: never moved
+            first, which, loose = 0.0, mass, 0
+            break
+        out, constant, sign = known[mass], 0.0, float(mode)
+        if mode == 0:
+            out, row, sign = int(known[mass] == direction), _SPRING, float(direction if mass == 1 else -direction)
+            push, forwards, backwards = s - p.offset1, p.coulomb1, p.coulomb1_back
+            if mass == 1:
+                push, forwards, backwards = -p.offset2, p.coulomb2, p.coulomb2_back
+            constant = (forwards if direction > 0 else backwards) - direction * push
         for i in range(ORDER + 1):
             c[SOUGHT, i] = sign * c[row, i]
         c[SOUGHT, 0] += constant
@@ -334,134 +289,50 @@ def _locate_first(
 
 @inline_kernel
 def _travel(
-    c: FloatArray, p: Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
-    tape: FloatArray, row: int, part: int,
-) -> tuple[State, int, int, int, int]:  # fmt: skip
-    """Move `x` over `h` seconds under a held torque `s` with every event located.
+    c: FloatArray, p: Drive, x: FloatArray, modes: IntArray, known: IntArray, s: float, h: float, tape: FloatArray,
+    row: int, part: int,
+) -> tuple[int, int]:  # fmt: skip
+    """Move `x` and its modes over `h` seconds under a held torque `s` with every event located.
 
-    Return modes, events and Taylor steps. The number of events is negative when there are
-    more than a physical drive can have. Each step is a row of the tape, from `row` on, as far as it goes.
+    Return events and Taylor steps. The number of events is negative when there are more than a physical drive can have.
+    Each step is a row of the tape, from `row` on, as far as it goes. For `known` see `_locate_first`.
     """
-    x0, x1, x2, x3 = x
-    known1 = 1 if m1 != 0 and x1 == 0.0 else 0
-    known2 = 1 if m2 != 0 and x3 == 0.0 else 0
-    events, steps = 0, 0
-    done = 0.0
+    longest, events, steps, done = STEP / fastest_rate(p), 0, 0, 0.0
+    for mass in range(2):
+        known[mass] = 1 if modes[mass] != 0 and x[1 + 2 * mass] == 0.0 else 0
     while done < h and events >= 0:
         remaining = h - done
-        pieces = 1 if remaining <= longest else math.ceil(remaining / longest)
+        pieces = max(math.ceil(remaining / longest), 1)
         step = remaining / pieces
+        loose1, loose2 = modes[0] != 0 and known[0] == 2, modes[1] != 0 and known[1] == 2
+        fill_series(c, p, motion(p, modes[0], modes[1]), (x[0], x[1], x[2], x[3]), s, step, loose1, loose2)
+        first, mass, loose = _locate_first(c, p, s, modes, known)
+        t, taped, mode = min(first, 1.0), row + steps, modes[mass]
         steps += 1
-        loose1, loose2 = m1 != 0 and known1 == 2, m2 != 0 and known2 == 2
-        _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
-        first, mass, loose = _locate_first(c, p, s, m1, m2, known1, known2)
-        t = min(first, 1.0)
-        taped = row + steps - 1
         if taped < tape.shape[0]:
-            tape[taped, 0], tape[taped, 1], tape[taped, 2], tape[taped, 3] = part, t * step, m1, m2
-            tape[taped, 4], tape[taped, 5], tape[taped, 6], tape[taped, 7] = x0, x1, x2, x3
+            tape[taped, 0], tape[taped, 1], tape[taped, 2], tape[taped, 3] = part, t * step, modes[0], modes[1]
+            tape[taped, 4], tape[taped, 5], tape[taped, 6], tape[taped, 7] = x[0], x[1], x[2], x[3]
             tape[taped, 8], tape[taped, 9] = -1.0, 0.0
-        back1, back2 = loose1, loose2  # came loose, and is pushed back at once
+        back = t == 0.0 and mode != 0 and known[mass] == 2  # came loose, and is pushed back at once
         if t > 0.0:
-            x0, x1, x2, x3 = value_at(c, 0, t), value_at(c, 1, t), value_at(c, 2, t), value_at(c, 3, t)
+            for i in range(4):
+                x[i] = value_at(c, i, t)
             done = h if pieces == 1 and t == 1.0 else done + t * step
-            known1, known2 = 0, 0
-            back1, back2 = False, False
+            known[0], known[1] = 0, 0
         if first <= 1.0:
-            stopped = (m1 != 0 and not back1) if mass == 0 else (m2 != 0 and not back2)
-            if mass == 0:
-                if stopped:
-                    x1 = 0.0
-                m1, known1 = mode_after(m1, loose, back1, _settle(p, (x0, x1, x2, x3), s, 0))
-            else:
-                if stopped:
-                    x3 = 0.0
-                m2, known2 = mode_after(m2, loose, back2, _settle(p, (x0, x1, x2, x3), s, 1))
+            stopped = mode != 0 and not back
+            if stopped:
+                x[1 + 2 * mass] = 0.0
+            settled = _settle(p, (x[0], x[1], x[2], x[3]), s, mass)
+            modes[mass], known[mass] = settled, abs(settled)
+            if mode == 0:
+                modes[mass], known[mass] = loose, 2
+            elif back or settled == mode:  # stopped where rounding says it may go on: at rest, at that edge of its cone
+                modes[mass], known[mass] = 0, mode
             if stopped and taped < tape.shape[0]:
-                tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
+                tape[taped, 8], tape[taped, 9] = mass, modes[mass]
             events = events + 1 if events < _EVENTS else -1
-    return (x0, x1, x2, x3), m1, m2, events, steps
-
-
-@inline_kernel
-def mode_after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
-    """Return the mode of a mass after its event, and its `known` state (see `_locate_first`)."""
-    after, known = settled, 1 if settled != 0 else 0
-    if mode == 0:
-        after, known = loose, 2
-    elif back or settled == mode:  # stopped where rounding says it may go on: at rest, at that edge of its cone
-        after, known = 0, mode
-    return after, known
-
-
-@inline_kernel
-def observe(feedback: Feedback, nz: int, lag: int, before: float) -> tuple[SmallLaw, FloatArray]:
-    """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
-    A, C, d = feedback.A[0], feedback.C[0], feedback.D[0, 0, 0]
-    seen, trace = np.zeros((2, nz)), 0.0
-    for i in range(nz):
-        trace += A[0, i, i]
-    for i in range(nz):
-        seen[0, i] = C[0, 0, i]
-        seen[1, i] = -trace * C[0, 0, i]
-        for other in range(nz):
-            seen[1, i] += C[0, 0, other] * A[0, other, i]
-    b0, b1, e0, e1 = 0.0, 0.0, 0.0, 0.0
-    for i in range(nz):
-        b0, b1 = b0 + seen[0, i] * feedback.Bq[0, 0, i], b1 + seen[1, i] * feedback.Bq[0, 0, i]
-        e0, e1 = e0 + seen[0, i] * feedback.F[0, 0, i, 0], e1 + seen[1, i] * feedback.F[0, 0, i, 0]
-    determinant = A[0, 0, 0] * A[0, 1, 1] - A[0, 0, 1] * A[0, 1, 0] if nz == 2 else 0.0
-    limit = feedback.limits[0, 0]
-    return SmallLaw(trace, -determinant, b0, b1, e0, e1, d, limit, lag, before), seen
-
-
-@inline_kernel
-def control_any(
-    feedback: Feedback, joint: int, w: FloatArray, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray,
-    cut: FloatArray,
-) -> None:  # fmt: skip
-    """Evaluate a joint's law: write what its elements put out and what limits and gates took; move its states.
-
-    At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
-    """
-    phase, nz = k % feedback.A.shape[1], z.shape[1]
-    for i in range(cut.size):
-        value = w[joint, i, k] + feedback.D[joint, phase, i] * q
-        for j in range(nz):
-            value += feedback.C[joint, phase, i, j] * z[joint, j]
-        for j in range(i):
-            value += feedback.E[joint, phase, i, j] * cut[j]
-        out[i], cut[i] = value, 0.0
-        if feedback.gates[joint, i] >= 0:
-            if value * cut[feedback.gates[joint, i]] < 0.0:
-                out[i], cut[i] = 0.0, -value
-        elif abs(value) > feedback.limits[joint, i]:
-            out[i] = math.copysign(feedback.limits[joint, i], value)
-            cut[i] = out[i] - value
-    for i in range(nz):
-        value = feedback.Bq[joint, phase, i] * q
-        if feedback.driven.shape[1] > 0:
-            value += feedback.driven[joint, k, i]
-        for j in range(nz):
-            value += feedback.A[joint, phase, i, j] * z[joint, j]
-        for j in range(cut.size):
-            value += feedback.F[joint, phase, i, j] * cut[j]
-        new[i] = value
-    for i in range(nz):
-        z[joint, i] = new[i]
-
-
-@inline_kernel
-def _control(law: SmallLaw, w: float, q: float, z: tuple[float, float]) -> tuple[float, int, tuple[float, float]]:
-    """Return the controller's output, whether it is at its limit, and the next state of its feedback."""
-    raw = (w + z[0]) + law.d * q
-    z0, z1 = law.b0 * q + (law.own * z[0] + z[1]), law.b1 * q + law.other * z[0]
-    command, clipped = raw, 0
-    if not abs(raw) <= law.limit:  # a branch: the limit stays out of the chain of operations from state to state
-        command, clipped = min(max(raw, -law.limit), law.limit), 1
-        z0 += law.e0 * (command - raw)
-        z1 += law.e1 * (command - raw)
-    return command, clipped, (z0, z1)
+    return events, steps
 
 
 @inline_kernel
@@ -492,7 +363,7 @@ def _glide(
     stretch = x2 - x0
     while k < w.size:
         at = np.uint64(k)  # Numba looks for negative indices among the signed
-        command, limited, z = _control(law, w[at], x0, z)
+        command, limited, z = control_small(law, w[at], x0, z)
         clipped += limited
         u[at] = command
         s = law.before
@@ -556,13 +427,11 @@ def run(
     part_length = 0.0
     for part in range(parts):
         part_length = max(part_length, lengths[part])
-    fastest = _fastest_rate(p)
-    longest = _STEP / fastest
-    if part_length > _PIECES * longest:
+    if part_length * fastest_rate(p) > _PIECES * STEP:
         return TOO_STIFF
     maps = np.empty(parts * 9 * _MAP)
     filled = np.zeros(9, dtype=np.bool_)
-    c = np.empty(ROOM)
+    c, going, known = np.empty(ROOM), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
     new, out, cut = np.empty(nz), np.zeros(w.shape[1]), np.zeros(w.shape[1])
     x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
     m1 = 0 if x1 == 0.0 else (1 if x1 > 0.0 else -1)
@@ -585,15 +454,11 @@ def run(
             b = mode * _MAP
             if not filled[mode]:
                 filled[mode] = True
-                _fill_map(maps, b, p, m1, m2, lengths[0])
-            if m1 != 0 and m2 != 0:
-                k, limited, start, memory = _glide(
-                    False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
-                )  # fmt: skip
-            else:
-                k, limited, start, memory = _glide(
-                    True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
-                )  # fmt: skip
+                _fill_map(maps, b, c, p, m1, m2, lengths[0])
+            resting = m1 == 0 or m2 == 0
+            k, limited, start, memory = _glide(
+                resting, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
+            )
             x0, x1, x2, x3 = start
             clipped += limited
             if keep:
@@ -626,14 +491,14 @@ def run(
             if not filled[mode]:
                 filled[mode] = True
                 for other in range(parts):
-                    _fill_map(maps, (9 * other + mode) * _MAP, p, m1, m2, lengths[other])
+                    _fill_map(maps, (9 * other + mode) * _MAP, c, p, m1, m2, lengths[other])
             b = (9 * part + mode) * _MAP
             y0, y1, y2, y3 = x0, 0.0, x2, 0.0
             for column, size in enumerate((x1, x2 - x0, x3, s, 1.0)):
                 at = b + 4 * column
                 y0, y1 = y0 + maps[at] * size, y1 + maps[at + 1] * size
                 y2, y3 = y2 + maps[at + 2] * size, y3 + maps[at + 3] * size
-            f = _motion(p, m1, m2)
+            f = motion(p, m1, m2)
             last = s
             calm, bound = _calm(
                 p, f, maps[b + 20], maps[b + 21], (x0, x1, x2, x3), (y0, y1, y2, y3), s, m1, m2, lengths[part]
@@ -642,9 +507,9 @@ def run(
                 x0, x1, x2, x3 = y0, y1, y2, y3
             else:
                 bound = np.inf
-                (x0, x1, x2, x3), m1, m2, found, used = _travel(
-                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part
-                )
+                x[0], x[1], x[2], x[3], going[0], going[1] = x0, x1, x2, x3, m1, m2
+                found, used = _travel(c, p, x, going, known, s, lengths[part], tape, steps, k * parts + part)
+                x0, x1, x2, x3, m1, m2 = x[0], x[1], x[2], x[3], going[0], going[1]
                 events += max(found, 0)
                 steps += used
                 if found < 0:

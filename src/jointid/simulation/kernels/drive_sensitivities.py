@@ -18,27 +18,29 @@ length: only then the compiler knows that nothing overlaps, and keeps to vector 
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.drive import SmallLaw, observe
-from jointid.simulation.kernels.tables import LANES, Feedback, IntArray, Moved, SampledLoop, Slopes, Trace
+from jointid.simulation.kernels.control import NOTHING, OFTEN, SmallLaw, aligned_zeros, control_slopes, observe
+from jointid.simulation.kernels.drive import (
+    STEP,
+    Drive,
+    Motion,
+    State,
+    accelerate,
+    drive_of,
+    fastest_rate,
+    fill_series,
+    motion,
+)
+from jointid.simulation.kernels.polynomial import ORDER, ROOM, value_at
+from jointid.simulation.kernels.tables import LANES, IntArray, Moved, SampledLoop, Slopes, Trace
 
-Motion: TypeAlias = tuple[float, float, float, float, float]
-
-
-_ORDER = 11  # of the Taylor series
-_STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
-_LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
-NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
-OFTEN = 64  # periods after which that is checked
 _WIDE = 4 * LANES  # of the derivatives of a state
-_FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
 # torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
@@ -46,86 +48,75 @@ _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 # force of the motor and of the load in the modes they are in: beside what is written, where the compiler sees that
 # nothing overlaps.
 _S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
-POSITION, MEMORY = _S, _Z  # of the motor, the first of the state; of a law of two states
-_SPRING, _INERTIA, _SIDE, SCRATCH = (LANES * row for row in (17, 19, 21, 25))
+_SPRING, _INERTIA, _SIDE, _SCRATCH = (LANES * row for row in (17, 19, 21, 25))
 
 
 @compile_kernel
 def _propagate(
-    q: FloatArray, h: float, mode: int, steady: float, s: float, motion: Motion, spring: FloatArray, side: FloatArray,
-    dside: FloatArray,
-) -> Motion:  # fmt: skip
-    """Move one piece of a motion, and its derivatives in the scratch, over `h` seconds; return the motion.
+    q: FloatArray, c: FloatArray, p: Drive, f: Motion, m1: int, m2: int, steady: float, x: State, s: float, h: float,
+    seeds: FloatArray,
+) -> State:  # fmt: skip
+    """Move one piece of a motion, and its derivatives in the scratch, over `h` seconds; return the motion's end.
 
-    A motion is what the motor has travelled, its velocity, the stretch, what the load has travelled, its velocity.
-    `steady` is 1 where the constant forces act and 0 for the response to anything else.
+    The constant forces act for a `steady` of 1; it is 0 for the response to anything else. Derivatives follow the
+    Taylor series of the motion, term by term.
     """
-    one, two = mode // 3, mode % 3
-    K, F = spring[0], spring[1]
-    h1, h2 = h * side[0, 0, one], h * side[1, 0, two]
-    drag1, drag2 = side[0, 1, one] * h1, side[1, 1, two] * h2
-    d1, v1, stretch, d2, v2 = motion
-    moves1, moves2 = 1.0 if h1 > 0.0 else 0.0, 1.0 if h2 > 0.0 else 0.0
+    back1, back2, way1, way2 = 1 if m1 < 0 else 0, 1 if m2 < 0 else 0, -steady * m1, -steady * m2
+    h1, h2 = h * f.mobility1, h * f.mobility2
+    drag1, drag2 = f.viscous1 * h1, f.viscous2 * h2
+    moves1, moves2 = 1.0 if m1 != 0 else 0.0, 1.0 if m2 != 0 else 0.0
+    fill_series(c, p, f, x, s, h, False, False)
     for j in range(LANES):
-        q[_SIDE + j], q[_SIDE + LANES + j] = dside[0, 0, one, j], dside[0, 1, one, j]
-        q[_SIDE + 2 * LANES + j], q[_SIDE + 3 * LANES + j] = dside[1, 0, two, j], dside[1, 1, two, j]
+        q[_SIDE + j], q[_SIDE + 2 * LANES + j] = seeds[4 + back1, j], seeds[8 + back2, j]
+        q[_SIDE + LANES + j] = way1 * seeds[6 + back1, j] - steady * seeds[12, j]
+        q[_SIDE + 3 * LANES + j] = way2 * seeds[10 + back2, j] - steady * seeds[13, j]
     for j in range(LANES):
         dv1, dv2 = moves1 * q[_S + LANES + j], moves2 * q[_S + 3 * LANES + j]
         q[_W + LANES + j] = q[_S + 2 * LANES + j] - q[_S + j]
         q[_W + j], q[_W + 2 * LANES + j] = dv1, dv2
         q[_S + LANES + j], q[_S + 3 * LANES + j] = dv1, dv2
-    end1, end2, end = v1, v2, stretch
     first = 1.0
-    for k in range(1, _ORDER + 1):
+    for k in range(1, ORDER + 1):
         # What waits for the term before is added last: from one term to the next there is a chain of three operations.
-        apart = v2 - v1
-        pull = K * stretch + F * apart
-        new1 = h1 * pull + (h1 * (first * (s + steady * side[0, 2, one])) - drag1 * v1)
-        new2 = (h2 * (first * steady * side[1, 2, two]) - drag2 * v2) - h2 * pull
-        moved, rate, steadily = h * _FACTOR[k], _FACTOR[k], first * steady
+        share = 1.0 / k
+        v1, stretch, v2 = c[1, k - 1], c[2, k - 1] - c[0, k - 1], c[3, k - 1]
+        apart, new1, new2, moved, to1, to2 = v2 - v1, c[1, k], c[3, k], h * share, h1 * share, h2 * share
+        slow1, slow2 = drag1 * share, drag2 * share
         for j in range(LANES):
             dv1, dstretch, dv2 = q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j]
             dapart = dv2 - dv1
-            dpull = F * dapart + K * dstretch
+            dpull = p.damping * dapart + p.stiffness * dstretch
             given = q[_SPRING + j] * stretch + q[_SPRING + LANES + j] * apart
-            push1 = ((given + first * q[_DS + j]) + steadily * q[_SIDE + LANES + j]) - q[_SIDE + j] * v1
-            push2 = (steadily * q[_SIDE + 3 * LANES + j] - q[_SIDE + 2 * LANES + j] * v2) - given
-            to1 = h1 * dpull + ((h1 * push1 - q[_INERTIA + j] * new1) - drag1 * dv1)
-            to2 = ((h2 * push2 - q[_INERTIA + LANES + j] * new2) - drag2 * dv2) - h2 * dpull
+            push1 = (given + first * (q[_DS + j] + q[_SIDE + LANES + j])) - q[_SIDE + j] * v1
+            push2 = (first * q[_SIDE + 3 * LANES + j] - q[_SIDE + 2 * LANES + j] * v2) - given
+            next1 = to1 * dpull + ((to1 * push1 - q[_INERTIA + j] * new1) - slow1 * dv1)
+            next2 = ((to2 * push2 - q[_INERTIA + LANES + j] * new2) - slow2 * dv2) - to2 * dpull
             q[_S + j] += moved * dv1
-            q[_S + LANES + j] += rate * to1
+            q[_S + LANES + j] += next1
             q[_S + 2 * LANES + j] += moved * dv2
-            q[_S + 3 * LANES + j] += rate * to2
-            q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j] = to1, h * dapart, to2
-        d1 += moved * v1
-        d2 += moved * v2
-        end += moved * apart
-        end1 += rate * new1
-        end2 += rate * new2
-        v1, v2, stretch = new1, new2, h * apart
+            q[_S + 3 * LANES + j] += next2
+            q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j] = next1, moved * dapart, next2
         first = 0.0
-    return d1, end1, end, d2, end2
+    return value_at(c, 0, 1.0), value_at(c, 1, 1.0), value_at(c, 2, 1.0), value_at(c, 3, 1.0)
 
 
 @compile_kernel
 def _fill(
-    q: FloatArray, h: float, rate: float, mode: int, b: int, phi: FloatArray, M: FloatArray, spring: FloatArray,
-    side: FloatArray, dside: FloatArray,
+    q: FloatArray, c: FloatArray, h: float, p: Drive, mode: int, b: int, phi: FloatArray, M: FloatArray,
+    seeds: FloatArray,
 ) -> None:  # fmt: skip
     """Write the map of a mode over `h` seconds at phi[b], and its derivatives at M[b], one input after the other."""
-    one, two = mode // 3, mode % 3
-    pieces = max(math.ceil(rate * h / _STEP), 1)
+    m1, m2 = mode // 3 - 1, mode % 3 - 1
+    f, pieces = motion(p, m1, m2), max(math.ceil(fastest_rate(p) * h / STEP), 1)
+    free = Motion(f.mobility1, f.mobility2, f.viscous1, f.viscous2, 0.0, 0.0)
     for i in range(_INPUTS):
         q[:_SPRING] = 0.0
-        v1 = 1.0 if i == 0 and side[0, 0, one] > 0.0 else 0.0
-        v2 = 1.0 if i == 2 and side[1, 0, two] > 0.0 else 0.0
-        motion = 0.0, v1, 1.0 if i == 1 else 0.0, 0.0, v2
+        v1, v2 = 1.0 if i == 0 and m1 != 0 else 0.0, 1.0 if i == 2 and m2 != 0 else 0.0
+        begin, steady = 1.0 if i == 1 else 0.0, 1.0 if i == 4 else 0.0
+        x = 0.0, v1, begin, v2
         for _ in range(pieces):
-            motion = _propagate(
-                q, h / pieces, mode, 1.0 if i == 4 else 0.0, 1.0 if i == 3 else 0.0, motion, spring, side, dside
-            )
-        phi[b, 4 * i], phi[b, 4 * i + 1] = motion[0], motion[1]
-        phi[b, 4 * i + 2], phi[b, 4 * i + 3] = motion[3], motion[4]
+            x = _propagate(q, c, p, f if i == 4 else free, m1, m2, steady, x, 1.0 if i == 3 else 0.0, h / pieces, seeds)
+        phi[b, 4 * i], phi[b, 4 * i + 1], phi[b, 4 * i + 2], phi[b, 4 * i + 3] = x[0], x[1], x[2] - begin, x[3]
         assign(M[b, _WIDE * i : _WIDE * (i + 1)], q[_S : _S + _WIDE])
 
 
@@ -202,32 +193,23 @@ def _glide(
     return k
 
 
-@inline_kernel
-def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -> float:
-    """Return the acceleration of a mass in a mode under the torque and the spring's force."""
-    return (force + side[mass, 2, m] - side[mass, 1, m] * v) * side[mass, 0, m]
-
-
 @compile_kernel
 def _through_events(
-    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, spring: FloatArray, side: FloatArray,
-    dside: FloatArray,
+    q: FloatArray, c: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, p: Drive,
+    seeds: FloatArray,
 ) -> int:  # fmt: skip
     """Move the derivatives through the pieces of a part with events, from a row of the tape; return the next row."""
     while row < rows and tape[row, 0] == part:
-        one, two = int(tape[row, 2]) + 1, int(tape[row, 3]) + 1
-        motion = tape[row, 4], tape[row, 5], tape[row, 6] - tape[row, 4], tape[row, 6], tape[row, 7]
+        m1, m2, mass, after = int(tape[row, 2]), int(tape[row, 3]), int(tape[row, 8]), int(tape[row, 9])
+        x, f = (tape[row, 4], tape[row, 5], tape[row, 6], tape[row, 7]), motion(p, m1, m2)
         if tape[row, 1] > 0.0:
-            motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dside)
-        mass = int(tape[row, 8])
+            x = _propagate(q, c, p, f, m1, m2, 1.0, x, s, tape[row, 1], seeds)
         if mass >= 0:
-            _, v1, stretch, _, v2 = motion
-            force = spring[0] * stretch + spring[1] * (v2 - v1)
-            push, v, m = (s + force, v1, one) if mass == 0 else (-force, v2, two)
-            before = _acceleration(side, mass, m, push, v)
-            after = _acceleration(side, mass, int(tape[row, 9]) + 1, push, v)
+            then = motion(p, after if mass == 0 else m1, after if mass == 1 else m2)
+            slowing = accelerate(p, f, x[1], x[2] - x[0], x[3], s)[mass]
+            goes_on = accelerate(p, then, x[1], x[2] - x[0], x[3], s)[mass]
             # Friction grows where a mass turns round, so the ratio is between 0 and 1; grazing leaves 0/0.
-            ratio = min(max(after / before, 0.0), 1.0) if before != 0.0 else 0.0
+            ratio = min(max(goes_on / slowing, 0.0), 1.0) if slowing != 0.0 else 0.0
             at = _S + (LANES if mass == 0 else 3 * LANES)
             for j in range(LANES):
                 q[at + j] *= ratio
@@ -236,19 +218,7 @@ def _through_events(
 
 
 @inline_kernel
-def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimits: FloatArray) -> SmallLaw:
-    """Write the first derivatives of the states of a law of two at most and of its limit; return that law."""
-    law, seen = observe(feedback, nz, 0, 0.0)
-    for i in range(seen.shape[1]):
-        for j in range(LANES):
-            q[_Z + j] += seen[0, i] * Z[i, j]
-            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
-    assign(q[_LIMIT : _LIMIT + LANES], dlimits[0])
-    return law
-
-
-@inline_kernel
-def control_small(
+def _control(
     q: FloatArray, law: SmallLaw, u: float, limit: float, explicit: FloatArray, first_explicit: int, at: int,
     du: FloatArray,
 ) -> None:  # fmt: skip
@@ -273,92 +243,6 @@ def control_small(
             q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + law.other * z0
             q[_OUT + j] = out
     _write_output(q, row, du)
-
-
-@compile_kernel
-def control_slopes(
-    laws: Feedback, axis: int, own: int, cut: FloatArray, moved: FloatArray, dz: FloatArray, fresh: FloatArray,
-    raw: FloatArray, taken: FloatArray, explicit: FloatArray, first: int, dlimits: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
-    """Write the derivatives of the output of any law in a period of its own, and move those of its states, `dz`.
-
-    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes. `moved` are those
-    of the motor's position, `cut` is what limits and gates take away; `fresh`, `raw` and `taken` are scratch.
-    """
-    phase, elements, states, count = own % laws.A.shape[1], cut.size, len(dz), moved.size
-    A, F, C, E = laws.A[axis, phase], laws.F[axis, phase], laws.C[axis, phase], laws.E[axis, phase]
-    for e in range(elements):
-        for c in range(count):
-            raw[e, c] = laws.D[axis, phase, e] * moved[c]
-        for i in range(explicit.shape[2]):
-            raw[e, first + i] += explicit[own, e, i]
-        for s in range(states):
-            weight = C[e, s]
-            if weight != 0.0:
-                for c in range(count):
-                    raw[e, c] += weight * dz[s, c]
-        for other in range(e):
-            weight = E[e, other]
-            if cut[other] != 0.0 and weight != 0.0:
-                for c in range(count):
-                    raw[e, c] += weight * taken[other, c]
-        if cut[e] != 0.0:
-            sign = -math.copysign(1.0, cut[e]) if laws.gates[axis, e] < 0 else 0.0
-            for c in range(count):
-                taken[e, c] = sign * dlimits[e, c] - raw[e, c]
-        if e == laws.output[axis]:
-            for c in range(count):
-                out[c] = raw[e, c] + (taken[e, c] if cut[e] != 0.0 else 0.0)
-    for s in range(states):
-        for c in range(count):
-            fresh[s, c] = laws.Bq[axis, phase, s] * moved[c]
-        for other in range(states):
-            weight = A[s, other]
-            if weight != 0.0:
-                for c in range(count):
-                    fresh[s, c] += weight * dz[other, c]
-        for e in range(elements):
-            weight = F[s, e]
-            if cut[e] != 0.0 and weight != 0.0:
-                for c in range(count):
-                    fresh[s, c] += weight * taken[e, c]
-    for s in range(states):
-        assign(dz[s], fresh[s])
-
-
-@inline_kernel
-def _fill_modes(drive: FloatArray, seeds: FloatArray, side: FloatArray, dside: FloatArray) -> None:
-    """Write a drive by the modes of its masses, and the derivatives of that.
-
-    The first is (mass 2, what 3, mode 3): mobility, viscous coefficient and constant force going backwards, at rest,
-    forwards; the second, of the last two, (mass 2, what 2, mode 3, columns).
-    """
-    for mass in range(2):
-        for mode, back, sign in ((0, 1, 1.0), (2, 0, -1.0)):
-            viscous, coulomb, offset = 4 + 4 * mass + back, 6 + 4 * mass + back, 12 + mass
-            side[mass, 0, mode], side[mass, 1, mode] = 1.0 / drive[mass], drive[viscous]
-            side[mass, 2, mode] = sign * drive[coulomb] - drive[offset]
-            for j in range(LANES):
-                dside[mass, 0, mode, j] = seeds[viscous, j]
-                dside[mass, 1, mode, j] = sign * seeds[coulomb, j] - seeds[offset, j]
-
-
-@inline_kernel
-def _rate(drive: FloatArray, side: FloatArray) -> float:
-    """Bound in 1/s on how fast a drive's own motion can change."""
-    inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
-    rate = math.sqrt(drive[2] * (inverse1 + inverse2)) + drive[3] * (inverse1 + inverse2)
-    rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
-    rate += max(abs(side[1, 1, 0]), abs(side[1, 1, 2])) * inverse2
-    return rate
-
-
-@inline_kernel
-def aligned_zeros(size: int) -> FloatArray:
-    """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
-    room = np.zeros(size + _LINE)
-    first = (-(room.ctypes.data // 8)) % _LINE
-    return room[first : first + size]
 
 
 @compile_kernel
@@ -391,13 +275,11 @@ def follow(
     explicit, first_explicit, dlimits = moved.explicit[0], moved.first, moved.limits[0]
     Z, du, dstates = moved.dz[0], slopes.command[0], slopes.states
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[2], feedback.limits.size
-    side, dside, spring = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, LANES)), drive[2:4]
-    _fill_modes(drive, seeds, side, dside)
-    rate = _rate(drive, side)
+    p, c = drive_of(drive), np.zeros(ROOM)
     phi = np.empty((9 * parts, 4 * _INPUTS))
     M = aligned_zeros(9 * parts * _INPUTS * _WIDE).reshape((9 * parts, _INPUTS * _WIDE))
     filled = np.zeros(9 * parts, dtype=np.bool_)
-    q, scratch, fresh = aligned_zeros(SCRATCH), aligned_zeros(SCRATCH), np.zeros((nz, LANES))
+    q, scratch, fresh = aligned_zeros(_SCRATCH), aligned_zeros(_SCRATCH), np.zeros((nz, LANES))
     raw, taken = np.zeros((elements, LANES)), np.zeros((elements, LANES))
     for one in (q, scratch):
         for i in range(2):
@@ -408,7 +290,12 @@ def follow(
         assign(q[_S + 2 * i * LANES : _S + (2 * i + 1) * LANES], moved.dq[i])
         assign(q[_S + (2 * i + 1) * LANES : _S + (2 * i + 2) * LANES], moved.dv[i])
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
-    law, limit = begin_small(q, feedback, nz if small else 0, Z, dlimits), feedback.limits[0, 0]
+    (law, seen), limit = observe(feedback, nz if small else 0, 0, 0.0), feedback.limits[0, 0]
+    for i in range(seen.shape[1]):
+        for j in range(LANES):
+            q[_Z + j] += seen[0, i] * Z[i, j]
+            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
+    assign(q[_LIMIT : _LIMIT + LANES], dlimits[0])
     delayed = delays.shape[0] > 0
     keep = dstates.shape[0] > 0
     plain = small and parts == 1 and lags[0] == 0 and not keep and not delayed
@@ -427,11 +314,11 @@ def follow(
                 end = min(end, int(tape[row, 0]))
             if not filled[mode]:
                 filled[mode] = True
-                _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
+                _fill(scratch, c, lengths[0], p, mode, mode, phi, M, seeds)
             k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
         if small:
-            control_small(q, law, u[k], limit, explicit, first_explicit, k, du)
+            _control(q, law, u[k], limit, explicit, first_explicit, k, du)
         else:
             control_slopes(
                 feedback, 0, k, excess[k], q[_S : _S + LANES], Z, fresh, raw, taken, explicit, first_explicit, dlimits,
@@ -451,19 +338,18 @@ def follow(
                     for j in range(LANES):
                         dstates[at, i, j] = q[_S + i * LANES + j]
             if delayed and s != last:
-                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1)
-                was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
-                kick = _acceleration(side, 0, was, last + force, x1)
-                kick -= _acceleration(side, 0, mode // 3, s + force, x1)
+                was = 1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0)
+                kick = accelerate(p, motion(p, was, 0), x1, x2 - x0, x3, last)[0]
+                kick -= accelerate(p, motion(p, mode // 3 - 1, 0), x1, x2 - x0, x3, s)[0]
                 for i in range(delays.shape[0]):
                     q[_S + LANES + delays[i, 0]] += kick
             last = s
             if row < rows and tape[row, 0] == at:
-                row = _through_events(q, at, row, s, tape, rows, spring, side, dside)
+                row = _through_events(q, c, at, row, s, tape, rows, p, seeds)
             else:
                 b = 9 * part + mode
                 if not filled[b]:
                     filled[b] = True
-                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dside)
+                    _fill(scratch, c, lengths[part], p, mode, b, phi, M, seeds)
                 _step(q, phi, M, b, x1, x2 - x0, x3, s)
         k += 1

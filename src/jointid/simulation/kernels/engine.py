@@ -14,12 +14,6 @@ a link is that of the shaft that its motor turns, so that friction and springs a
 Between two events this is smooth, and integrated by the classical method of order 4. A step is a share of the time in
 which the fastest part of the motion turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
 
-What winds up over a displacement is a state w of its own, by the law of P. R. Dahl (Solid friction damping of
-mechanical vibrations, AIAA Journal 14, 1976). With the direction d of the motion, and the displacement x since the
-step began, it has a closed form, and is as exact as the motion::
-
-    w' = (v - d v w) / s                w = d - (d - w0) exp(-d x / s)
-
 The events are a mass that stops, one that comes loose, a deflection that reverses where the spring has a slider, and
 the edges of a friction's bands and of a spring's pieces. The integrator locates them itself, so they do not lower its
 order. Masses that stand still are decided together: the accelerations minimise ``a' M a / 2 - f' a + sum Fc |a_i|``
@@ -37,41 +31,29 @@ from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.drive import control_any
+from jointid.simulation.kernels.control import control_any
+from jointid.simulation.kernels.laws import fastest_rate, friction, place_force, spring_torque, take_piece, wind
 from jointid.simulation.kernels.tables import (
     BEGIN,
     CHATTERING,
-    COS,
     COULOMB,
     COULOMB_BACK,
     COULOMB_DRIFT,
     CUBIC,
-    DAMPING,
     DIVERGED,
     EVENT,
     FINISHED,
     FREE,
-    HELD,
     HIGH,
     INERTIA,
     LENGTH,
-    MASS,
     NOT_POSITIVE,
     OFFSET,
     PART,
     PER_TORQUE,
-    RATE,
-    SIN,
     SLIDING,
-    SLIPS,
-    SPRING,
     STATE,
-    STIFFNESS,
     TOO_STIFF,
-    VISCOUS,
-    VISCOUS_BACK,
-    VISCOUS_DRIFT,
-    WAVE,
     WHERE,
     WINDING,
     IndexArray,
@@ -89,31 +71,7 @@ _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
 _ROOT = 1e-12  # of a step: where an event is located to
 _CLOSER = 80  # steps at most to locate it
 _WOUND_UP = 1e-8  # of a limit: what is nearer to it than that is at it
-_WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: above it cannot be told from Coulomb's
-
-
-@inline_kernel
-def winding(w: float, way: float, x: float, rate: float) -> float:
-    """Return the wound-up share after a displacement, from `w` before it."""
-    if w == way or rate == 0.0:
-        return w
-    return w - (way - w) * math.expm1(min(-way * x * rate, 1.0))
-
-
-@inline_kernel
-def spring_torque(
-    stiffness: float, cubic: float, damping: float, slips: float, e: float, rate: float, w: float
-) -> float:
-    """Return the torque of a spring, without what the line of its piece has at no deflection."""
-    return (stiffness + cubic * e * e) * e + damping * rate + slips * w
-
-
-@inline_kernel
-def place_force(cosine: float, sine: float, rate: float, wave: float, q: float) -> tuple[float, float]:
-    """Return a force that follows a position, and its slope."""
-    cos, sin = math.cos(wave * q), math.sin(wave * q)
-    return cosine * cos + sine * sin + rate * q, wave * (sine * cos - cosine * sin) + rate
 
 
 @inline_kernel
@@ -132,38 +90,26 @@ def accelerate(
     """
     nd = q.size
     for i in range(nd):
-        held[i] = drive[i]
+        held[i] = drive[i] - mass[i, OFFSET]
     if tree is not None:
         for i in range(bias.size):
             held[i] -= bias[i]
     for j in range(places.shape[0]):
         i = int(places[j, WHERE])
-        held[i] -= place_force(places[j, COS], places[j, SIN], places[j, RATE], places[j, WAVE], q[i])[0]
+        held[i] -= place_force(places, j, q[i])
     for s in range(pairs.shape[0]):
         one, two = pairs[s, 0], pairs[s, 1]
-        torque = spring[s, HELD] + spring_torque(
-            spring[s, STIFFNESS], spring[s, CUBIC], spring[s, DAMPING], spring[s, SLIPS], q[two] - q[one],
-            v[two] - v[one], w[nd + s],
-        )  # fmt: skip
-        held[one] += torque
-        held[two] -= torque
-        pull[s] = torque
+        pull[s] = spring_torque(spring, s, q[two] - q[one], v[two] - v[one], w[nd + s])
+        held[one] += pull[s]
+        held[two] -= pull[s]
     for i in range(nd):
-        mode, speed = modes[i], v[i]
-        push = held[i] - mass[i, OFFSET]
-        way = speed if mode == FREE else mode
-        back = way < 0.0 or (way == 0.0 and push < 0.0)
-        coulomb, viscous = mass[i, COULOMB], mass[i, VISCOUS]
-        if back:
-            coulomb, viscous = mass[i, COULOMB_BACK], mass[i, VISCOUS_BACK]
-        coulomb += mass[i, COULOMB_DRIFT] * time
-        if mass[i, PER_TORQUE] != 0.0:
-            carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
-            coulomb += mass[i, PER_TORQUE] * abs(carried)
-        push -= (viscous + mass[i, VISCOUS_DRIFT] * time) * speed
-        push -= coulomb * (w[i] if mass[i, WINDING] > 0.0 else mode)
-        grip[i], held[i] = coulomb, push
-        a[i] = push * mobility[i] if mode != 0.0 else 0.0
+        mode = modes[i]
+        way = v[i] if mode == FREE else mode
+        back = 1 if way < 0.0 or (way == 0.0 and held[i] < 0.0) else 0
+        carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
+        grip[i], drag = friction(mass, i, back, carried, time)
+        held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, WINDING] > 0.0 else mode)
+        a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
     positive = True
     if tree is not None:
         positive = _solve_links(bias.size, M, L, modes, held, a)
@@ -208,7 +154,6 @@ def settle(
     mass: FloatArray, modes: FloatArray, v: FloatArray, a: FloatArray, held: FloatArray, grip: FloatArray, turns: bool
 ) -> bool:
     """Let a mass at rest begin to move, or stay; return whether a mode has changed. `turns` lets what winds up turn."""
-    changed = False
     for i in range(v.size):
         mode = modes[i]
         if v[i] != 0.0 or mode == FREE:
@@ -220,113 +165,74 @@ def settle(
         elif mode != 0.0 and mode * a[i] <= 0.0:
             mode = 0.0
         if mode != modes[i]:
-            modes[i], changed = mode, True
-            break
-    return changed
-
-
-@inline_kernel
-def _turn_sliders(spring: FloatArray, pairs: IndexArray, modes: FloatArray, v: FloatArray, a: FloatArray) -> None:
-    """Set the directions of deflections at rest by their accelerations."""
-    for s in range(pairs.shape[0]):
-        one, two = pairs[s, 0], pairs[s, 1]
-        if spring[s, SLIDING] > 0.0 and v[two] == v[one] and modes[v.size + s] * (a[two] - a[one]) < 0.0:
-            modes[v.size + s] = -modes[v.size + s]
-
-
-@inline_kernel
-def _fastest_rate(
-    mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, mobility: FloatArray,
-    modes: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
-) -> float:  # fmt: skip
-    """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
-    nd, square, rate = q.size, 0.0, 0.0
-    for i in range(nd):
-        rate += max(abs(mass[i, VISCOUS]), abs(mass[i, VISCOUS_BACK])) * mobility[i]
-        left = abs(modes[i] - w[i])
-        if mass[i, WINDING] > 0.0 and left > _WINDS:
-            square += grip[i] * left * mass[i, WINDING] * mobility[i]
-            rate += abs(v[i]) * mass[i, WINDING]
-    for s in range(pairs.shape[0]):
-        one, two = pairs[s, 0], pairs[s, 1]
-        e, both = q[two] - q[one], mobility[one] + mobility[two]
-        stiffness = spring[s, STIFFNESS] + max(3.0 * spring[s, CUBIC] * e * e, 0.0)
-        left = abs(modes[nd + s] - w[nd + s])
-        if spring[s, SLIDING] > 0.0 and left > _WINDS:
-            stiffness += spring[s, SLIPS] * spring[s, SLIDING] * left
-            rate += abs(v[two] - v[one]) * spring[s, SLIDING]
-        square += stiffness * both
-        rate += spring[s, DAMPING] * both
-    for j in range(places.shape[0]):
-        i = int(places[j, WHERE])
-        slope = abs(places[j, WAVE]) * (abs(places[j, COS]) + abs(places[j, SIN])) + abs(places[j, RATE])
-        square += slope * mobility[i]
-        rate += abs(places[j, WAVE] * v[i])
-    return math.sqrt(square) + rate
+            modes[i] = mode
+            return True
+    return False
 
 
 @inline_kernel
 def _enter(
-    i: int, masses: FloatArray, springs: FloatArray, at: IntArray, mass: FloatArray, spring: FloatArray,
-    bounds: FloatArray,
+    i: int, masses: FloatArray, springs: FloatArray, modes: FloatArray, at: IntArray, mass: FloatArray,
+    spring: FloatArray, bounds: FloatArray,
 ) -> None:  # fmt: skip
     """Take the numbers and the bounds of the band that a mass's speed is in, or of the piece of a spring."""
-    nd = masses.shape[0]
-    if i < nd:
-        band = at[i]
-        assign(mass[i], masses[i, band])
-        bounds[i, 0], bounds[i, 1] = masses[i, band - 1, HIGH] if band > 0 else -np.inf, masses[i, band, HIGH]
-    else:
+    nd, low, high = masses.shape[0], -np.inf, np.inf
+    if i >= nd:
         s, p = i - nd, abs(at[i])
-        assign(spring[s], springs[s, p])
-        spring[s, HELD] *= -1.0 if at[i] < 0 else 1.0
+        take_piece(springs, s, at[i], spring)
         low, high = springs[s, p, BEGIN], springs[s, p + 1, BEGIN] if p + 1 < springs.shape[1] else np.inf
-        bounds[i, 0], bounds[i, 1] = (low, high) if at[i] > 0 else (-high, high if at[i] == 0 else -low)
+        if at[i] <= 0:
+            low, high = -high, high if p == 0 else -low
+    else:
+        assign(mass[i], masses[i, at[i]])
+        if modes[i] != FREE and mass[i, WINDING] == 0.0:
+            low, high = masses[i, at[i] - 1, HIGH] if at[i] > 0 else -np.inf, mass[i, HIGH]
+    bounds[i, 0], bounds[i, 1] = low, high
 
 
 @inline_kernel
 def _watch(
-    watched: IntArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray, v: FloatArray,
-    held: FloatArray, grip: FloatArray, guards: FloatArray,
+    mass: FloatArray, spring: FloatArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray,
+    v: FloatArray, held: FloatArray, grip: FloatArray, guards: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the watched guards, each positive until its event.
+    """Fill the guards, each positive until its event, and infinite without one.
 
     First those of masses, a speed or what can hold one beyond its push; of springs, the rates of deflections; then as
     many for the bounds of bands and pieces.
     """
     nd, every = v.size, modes.size
-    for k in range(watched.size):
-        which = watched[k]
-        i = which if which < every else which - every
-        mode, value = modes[i], 0.0
-        if i < nd:
-            value = mode * v[i] if mode != 0.0 or which >= every else _HOLD * grip[i] - abs(held[i])
-        else:
-            one, two = pairs[i - nd, 0], pairs[i - nd, 1]
-            value = mode * (v[two] - v[one]) if which < every else q[two] - q[one]
-        guards[k] = value if which < every else min(value - bounds[i, 0], bounds[i, 1] - value)
+    for i in range(nd):
+        mode = modes[i]
+        guards[i] = mode * v[i] if mode != 0.0 else _HOLD * grip[i] - abs(held[i])
+        guards[every + i] = min(mode * v[i] - bounds[i, 0], bounds[i, 1] - mode * v[i])
+        if mode == FREE:
+            guards[i] = np.inf
+    for s in range(pairs.shape[0]):
+        i, one, two = nd + s, pairs[s, 0], pairs[s, 1]
+        guards[i] = modes[i] * (v[two] - v[one]) if spring[s, SLIDING] > 0.0 else np.inf
+        guards[every + i] = min(q[two] - q[one] - bounds[i, 0], bounds[i, 1] - (q[two] - q[one]))
 
 
 @inline_kernel
 def _find_first(
-    watched: IntArray, modes: FloatArray, h: float, guards: FloatArray, ends: FloatArray, a: FloatArray,
-    a1: FloatArray, known: int, dips: bool,
+    modes: FloatArray, h: float, guards: FloatArray, ends: FloatArray, a: FloatArray, a1: FloatArray, known: int,
+    dips: bool,
 ) -> tuple[int, float]:  # fmt: skip
-    """Return the place of the apparently first event's guard, and where: 1 if it shows at the end.
+    """Return the guard of the apparently first event, and where: 1 if it shows at the end.
 
     Less than 1 is the bottom of a dip, on demand, of a speed that is positive at both ends. No guard, -1, if there is
     no event but a known one.
     """
     first, found, where = 2.0, -1, 1.0
-    for k in range(watched.size):
-        i, start, end = watched[k], guards[k], ends[k]
-        if k == known:
+    for i in range(guards.size):
+        start, end = guards[i], ends[i]
+        if i == known:
             continue
         if end < 0.0 or (end == 0.0 and start > 0.0):
             place = start / (start - end)
             if place < first:
-                first, found, where = place, k, 1.0
-        elif dips and i < a.size and modes[i] != 0.0 and start > 0.0:
+                first, found, where = place, i, 1.0
+        elif dips and i < a.size and modes[i] != 0.0 and 0.0 < start < np.inf:
             down, up = modes[i] * a[i] * h, modes[i] * a1[i] * h
             if down < 0.0 < up and min(start, end) < 0.15 * (up - down):
                 # The cubic through both ends: where it is lowest, and how low.
@@ -334,7 +240,7 @@ def _find_first(
                 place = -down / (c2 + math.sqrt(max(c2 * c2 - 3.0 * c3 * down, 0.0)))
                 lowest = start + place * (down + place * (c2 + place * c3))
                 if 0.0 < place < 1.0 and lowest < 0.0 and place < first:
-                    first, found, where = place, k, place
+                    first, found, where = place, i, place
     return found, where
 
 
@@ -342,15 +248,15 @@ def _find_first(
 def _begin(
     masses: FloatArray, springs: FloatArray, pairs: IndexArray, links: int, mobility: FloatArray, longest: float,
     q: FloatArray, v: FloatArray, w: FloatArray, modes: FloatArray, at: IntArray,
-) -> IntArray:  # fmt: skip
-    """Fill modes, bands and pieces at the first sample; return the guards that are to be watched."""
-    nd, count, watched = v.size, 0, np.empty(2 * modes.size, dtype=np.int64)
+) -> None:  # fmt: skip
+    """Fill modes, bands and pieces at the first sample."""
+    nd = v.size
     for i in range(nd):
         largest, modes[i] = max(masses[i, 0, COULOMB], masses[i, 0, COULOMB_BACK]), FREE
         sticks = math.sqrt(largest * masses[i, 0, WINDING] * mobility[i]) * longest
-        if links == 0 and not sticks < _STICKS:
-            masses[i, 0, WINDING] = 0.0
         for band in range(masses.shape[1]):
+            if links == 0 and not sticks < _STICKS:
+                masses[i, band, WINDING] = 0.0
             grows = masses[i, band, COULOMB_DRIFT] != 0.0 or masses[i, band, PER_TORQUE] > 0.0
             if grows or max(masses[i, band, COULOMB], masses[i, band, COULOMB_BACK]) > 0.0:
                 modes[i] = 0.0
@@ -361,25 +267,12 @@ def _begin(
             modes[i] = math.copysign(1.0, v[i]) if modes[i] == 0.0 and v[i] != 0.0 else modes[i]
             while modes[i] != FREE and abs(v[i]) > masses[i, at[i], HIGH]:
                 at[i] += 1
-        if modes[i] != FREE:
-            watched[count] = i
-            count += 1
-        if modes[i] != FREE and masses[i, 0, WINDING] == 0.0 and masses.shape[1] > 1:
-            watched[count] = modes.size + i
-            count += 1
     for s in range(pairs.shape[0]):
         e, rate = q[pairs[s, 1]] - q[pairs[s, 0]], v[pairs[s, 1]] - v[pairs[s, 0]]
         modes[nd + s] = math.copysign(1.0, rate)
         for p in range(1, springs.shape[1]):
             if abs(e) > springs[s, p, BEGIN]:
                 at[nd + s] = p if e > 0.0 else -p
-        if springs[s, 0, SLIDING] > 0.0:
-            watched[count] = nd + s
-            count += 1
-        if springs.shape[1] > 1:
-            watched[count] = modes.size + nd + s
-            count += 1
-    return watched[:count]
 
 
 @inline_kernel
@@ -418,6 +311,28 @@ def _write_row(
         row[begin + i], row[begin + every + i], row[begin + 2 * every + i] = modes[i], at[i], w[i]
 
 
+@inline_kernel
+def _go_to_stage(
+    stage: int, d: float, q: FloatArray, v: FloatArray, a: FloatArray, second: FloatArray, third: FloatArray,
+    a1: FloatArray, q1: FloatArray, v1: FloatArray,
+) -> None:  # fmt: skip
+    """Write the state of a stage, from the accelerations of those before; the last is the end of the step."""
+    half = 0.5 * d
+    for i in range(q.size):
+        if stage == 0:
+            q1[i], v1[i] = q[i] + half * v[i], v[i] + half * a[i]
+        elif stage == 1:
+            second[i] = a1[i]
+            q1[i], v1[i] = q[i] + half * (v[i] + half * a[i]), v[i] + half * a1[i]
+        elif stage == 2:
+            third[i] = a1[i]
+            q1[i], v1[i] = q[i] + d * (v[i] + half * second[i]), v[i] + d * a1[i]
+        else:
+            between = second[i] + third[i]
+            q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
+            v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
+
+
 @compile_kernel
 def run(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
@@ -449,47 +364,39 @@ def run(
     nd, ns, links, parts, clock = masses.shape[0], pairs.shape[0], inertials.shape[0], lengths.size, command.shape[1]
     axes, outputs = motors.size, feedback.output
     # Each has an array of its own: of rows of one Numba counts the references in every step.
-    q, v, a, held, grip, drive = np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd)
-    q1, v1, a1, held1, grip1, mobility = (
-        np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd), np.zeros(nd)
-    )  # fmt: skip
-    second, third, pull, pull1 = np.zeros(nd), np.zeros(nd), np.zeros(ns), np.zeros(ns)
-    w, w1, modes = np.zeros(nd + ns), np.zeros(nd + ns), np.zeros(nd + ns)
-    at = np.zeros(nd + ns, dtype=np.int64)
-    mass, spring, bounds = np.zeros((nd, MASS + 1)), np.zeros((ns, SPRING)), np.zeros((nd + ns, 2))
+    q, v, w, a, held, grip = place.copy(), speed.copy(), np.zeros(nd + ns), np.zeros(nd), np.zeros(nd), np.zeros(nd)
+    q1, v1, w1, a1, held1, grip1 = q.copy(), v.copy(), w.copy(), a.copy(), a.copy(), a.copy()
+    drive, mobility, second, third = a.copy(), a.copy(), a.copy(), a.copy()
+    pull, modes, at, bounds = np.zeros(ns), w.copy(), np.zeros(nd + ns, dtype=np.int64), np.zeros((nd + ns, 2))
+    mass, spring = masses[:, 0].copy(), springs[:, 0].copy()
+    guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, L, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
     fresh, out, cut = np.empty(z.shape[1]), np.zeros(w_in.shape[1]), np.zeros(w_in.shape[1])
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
-    for i in range(nd):
-        coupled = coupled or (carriers[i] < 0 and masses[i, 0, PER_TORQUE] > 0.0)
     for part in range(parts):
         period += lengths[part]
         longest = max(longest, lengths[part])
     for i in range(nd):
-        q[i], v[i], w[i] = place[i], speed[i], wound[i]
-        mobility[i] = 1.0 / masses[i, 0, INERTIA] if i >= links else 0.0
+        w[i] = wound[i]
+        mobility[i] = 1.0 / mass[i, INERTIA] if i >= links else 0.0
+        coupled = coupled or (carriers[i] < 0 and mass[i, PER_TORQUE] > 0.0)
     for j in range(axes):
         drive[motors[j]] = before[j]
-    watched = _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
-    guards, ends, fastest, winds, cubic = np.zeros(watched.size), np.zeros(watched.size), rate, False, False
-    for i in range(nd):
-        winds = winds or masses[i, 0, WINDING] > 0.0
-    for s in range(ns):
-        winds, cubic = winds or springs[s, 0, SLIDING] > 0.0, cubic or springs[s, 0, CUBIC] != 0.0
-    varies = winds or cubic or places.shape[0] > 0  # how fast the motion changes by itself, between two events
+    _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
+    winds, varies = False, places.shape[0] > 0  # how fast the motion changes by itself, between two events
     for i in range(nd + ns):
-        _enter(i, masses, springs, at, mass, spring, bounds)
+        _enter(i, masses, springs, modes, at, mass, spring, bounds)
+    for i in range(nd):
+        winds = winds or mass[i, WINDING] > 0.0
+    for s in range(ns):
+        winds, varies = winds or spring[s, SLIDING] > 0.0, varies or spring[s, CUBIC] != 0.0
+    varies = varies or winds
     if tree is not None:
         equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
         for i in range(links):
             M[i, i] += mass[i, INERTIA]
-    if not accelerate(
-        mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive, 0.0, q, v, w, a, held,
-        grip, pull,
-    ):  # fmt: skip
-        return NOT_POSITIVE
-    events, steps, rows, status, k = 0, 0, 1, FINISHED, 0
+    events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
     if tape.shape[0] > 0:
         _write_row(tape[0], -1, 0.0, -1, modes, at, q, v, w, a, a)
     while k < clock and status == FINISHED:
@@ -511,7 +418,7 @@ def run(
         counts[3] += 1 if limited else 0
         time, before_period = k * period, events
         for part in range(parts):
-            left, settles = lengths[part], coupled
+            left, settles = lengths[part], coupled or k == 0
             for i in range(nd):
                 settles = settles or modes[i] == 0.0 or v[i] == 0.0
             for j in range(axes):
@@ -529,41 +436,31 @@ def run(
                         break
                     if not settle(mass, modes, v, a, held, grip, turn <= nd):
                         break
-                if settles:
-                    _turn_sliders(spring, pairs, modes, v, a)
+                for s in range(ns if settles else 0):  # a deflection at rest goes where its ends accelerate to
+                    one, two = pairs[s, 0], pairs[s, 1]
+                    if spring[s, SLIDING] > 0.0 and v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0:
+                        modes[nd + s] = -modes[nd + s]
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
-                    fastest = _fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
+                    fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
                 if not steps_left <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
                     status = TOO_STIFF
                 if status != FINISHED:
                     break
                 h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)
-                settles, known, dips, begins, looks, tries = False, -1, False, False, True, 0
+                known, dips, looks, tries = -1, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
-                _watch(watched, pairs, modes, bounds, q, v, held, grip, guards)
+                _watch(mass, spring, pairs, modes, bounds, q, v, held, grip, guards)
                 while True:
                     d = share * h
                     for stage in range(4):
-                        for i in range(nd):
-                            if stage == 0:
-                                q1[i], v1[i] = q[i] + 0.5 * d * v[i], v[i] + 0.5 * d * a[i]
-                            elif stage == 1:
-                                second[i] = a1[i]
-                                q1[i], v1[i] = q[i] + 0.5 * d * (v[i] + 0.5 * d * a[i]), v[i] + 0.5 * d * a1[i]
-                            elif stage == 2:
-                                third[i] = a1[i]
-                                q1[i], v1[i] = q[i] + d * (v[i] + 0.5 * d * second[i]), v[i] + d * a1[i]
-                            else:
-                                between = second[i] + third[i]
-                                q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
-                                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
+                        _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
                         for i in range(nd if winds else 0):
-                            w1[i] = winding(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
+                            w1[i] = wind(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
                         for s in range(ns if winds else 0):
                             one, two = pairs[s, 0], pairs[s, 1]
                             e = (q1[two] - q1[one]) - (q[two] - q[one])
-                            w1[nd + s] = winding(w[nd + s], modes[nd + s], e, spring[s, SLIDING])
+                            w1[nd + s] = wind(w[nd + s], modes[nd + s], e, spring[s, SLIDING])
                         if tree is not None:
                             equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
                             for i in range(links):
@@ -571,7 +468,7 @@ def run(
                         then = time + (0.5 * d if stage < 2 else d)
                         if not accelerate(
                             mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive,
-                            then, q1, v1, w1, a1, held1, grip1, pull1,
+                            then, q1, v1, w1, a1, held1, grip1, pull,
                         ):  # fmt: skip
                             status = NOT_POSITIVE
                             break
@@ -579,36 +476,25 @@ def run(
                         break
                     steps += 1
                     tries += 1
-                    _watch(watched, pairs, modes, bounds, q1, v1, held1, grip1, ends)
+                    _watch(mass, spring, pairs, modes, bounds, q1, v1, held1, grip1, ends)
                     if looks:  # at first, and where an event is located, since another may come before
-                        found, where = _find_first(watched, modes, d, guards, ends, a, a1, known, tries == 1)
+                        found, where = _find_first(modes, d, guards, ends, a, a1, known, tries == 1)
                         if found < 0 or tries > _CLOSER:
                             break
-                        known, looks, low, high, kept = found, False, 0.0, share, 0
+                        known, looks, dips, low, high, kept = found, False, where < 1.0, 0.0, share, 0
                         above, below = guards[known], ends[known]
-                        begins = not above > 0.0  # a guard that begins at 0 is divided by the time since
-                        if begins:
-                            i = watched[known]
-                            below /= share
-                            above = modes[i] * a[i] * h if i < nd else above
-                        if where < 1.0:
-                            share, dips = where, True
+                        if dips:
+                            share = where
                             continue
-                    else:
-                        value = ends[known]
-                        if dips and value > 0.0:  # a dip that the cubic has, but not the motion
+                    elif ends[known] > 0.0:
+                        if dips:  # the cubic dips, but not the motion
                             known, looks, dips = -1, True, False
                             continue
-                        value = value / share if begins else value
-                        if value > 0.0:
-                            low, above = share, value
-                            below = 0.5 * below if kept > 0 else below
-                            kept = 1
-                        else:
-                            high, below = share, value
-                            above = 0.5 * above if kept < 0 else above
-                            kept = 0 if dips else -1
-                        dips = False
+                        below *= 0.5 if kept > 0 else 1.0
+                        low, above, kept = share, ends[known], 1
+                    else:
+                        above *= 0.5 if kept < 0 else 1.0
+                        high, below, kept, dips = share, ends[known], 0 if dips else -1, False
                     if high - low <= _ROOT or below == 0.0 or tries > _CLOSER:
                         share, looks = high, True
                         continue
@@ -617,9 +503,8 @@ def run(
                     share = min(max(share, low + 0.3 * _ROOT), high - 0.3 * _ROOT)
                 if status != FINISHED:
                     break
-                d, event = share * h, watched[known] if known >= 0 else -1
                 if rows < tape.shape[0]:
-                    _write_row(tape[rows], k * parts + part, d, event, modes, at, q, v, w, a, a1)
+                    _write_row(tape[rows], k * parts + part, d, known, modes, at, q, v, w, a, a1)
                 rows += 1
                 for i in range(nd):
                     q[i], v[i], a[i], held[i], grip[i] = q1[i], v1[i], a1[i], held1[i], grip1[i]
@@ -627,11 +512,12 @@ def run(
                     w[i] = modes[i] if abs(modes[i] - w1[i]) < _WOUND_UP else w1[i]
                 time += d
                 left = 0.0 if share == 1.0 and h == left else left - d
-                if event >= 0:
-                    events, settles = events + 1, True
-                    _go_on(event, mass, pairs, modes, bounds, at, q, v, held)
-                    if event >= nd + ns:
-                        _enter(event - nd - ns, masses, springs, at, mass, spring, bounds)
+                settles = known >= 0
+                if settles:
+                    events += 1
+                    _go_on(known, mass, pairs, modes, bounds, at, q, v, held)
+                    if known >= nd + ns:
+                        _enter(known - nd - ns, masses, springs, modes, at, mass, spring, bounds)
                     if events - before_period > _EVENTS:
                         status = CHATTERING
         k += 1 if status == FINISHED else 0

@@ -15,10 +15,9 @@ from jointid.common.compiled import compile_kernel, inline_kernel
 ORDER = 10  # of the polynomials
 _DEPTH = 40  # of the halvings that isolate a root
 
-# Rows of the scratch: five are the caller's own; the function whose root is sought and its slope, then the stack of
-# halved intervals, each with its ends in two more columns.
-SOUGHT = 5
-_SLOPE, _STACK = 6, 7
+# Rows of the scratch: five are the caller's own; the function whose root is sought, then the stack of halved intervals,
+# each with its ends in two more columns.
+SOUGHT, _STACK = 5, 6
 _LOW, _HIGH = ORDER + 1, ORDER + 2
 ROOM = (_STACK + _DEPTH, ORDER + 3)
 
@@ -52,44 +51,24 @@ def first_root(c: FloatArray) -> float:
 
     A start below zero is a root at 0. Newton, kept inside a shrinking bracket.
     """
-    start, slope = c[SOUGHT, 0], c[SOUGHT, 1]
-    total, size, slopes, slope_size = slope, abs(slope), 0.0, 0.0
-    c[_SLOPE, 0], c[_SLOPE, ORDER] = slope, 0.0
-    for i in range(2, ORDER + 1):
-        value = c[SOUGHT, i]
-        rise = i * value
-        total += value
-        size += abs(value)
-        slopes += rise
-        slope_size += abs(rise)
-        c[_SLOPE, i - 1] = rise
-    root, low, high, t = 2.0, 0.0, 1.0, 2.0
+    start, lowest, root = c[SOUGHT, 0], c[SOUGHT, 0], 2.0
+    for i in range(1, ORDER + 1):
+        lowest += min(c[SOUGHT, i], 0.0)
     if start < 0.0:
         root = 0.0
-    elif start + 0.5 * (total - size) > 0.0 or slope + 0.5 * (slopes - slope_size) >= 0.0:
-        pass  # positive throughout, or rising throughout
-    elif slope + 0.5 * (slopes + slope_size) < 0.0:  # falling throughout: one root or none
-        if start + total < 0.0:
-            # The root of the leading parabola starts Newton a step ahead.
-            t = 2.0 * start / (math.sqrt(max(slope * slope - 4.0 * start * c[SOUGHT, 2], 0.0)) - slope)
-            t = min(t, 1.0)
-    else:
+    elif lowest <= 0.0:
         low, high = _isolate(c)
         t = 0.5 * (low + high)
-    if t <= 1.0:
-        for _ in range(100):
-            value, slope = value_at(c, SOUGHT, t), value_at(c, _SLOPE, t)
-            if value < 0.0:
-                high = t
-            else:
-                low = t
+        for _ in range(100 if t <= 1.0 else 0):
+            value, slope = c[SOUGHT, ORDER], 0.0
+            for i in range(ORDER - 1, -1, -1):
+                value, slope = c[SOUGHT, i] + t * value, value + t * slope
+            low, high = (low, t) if value < 0.0 else (t, high)
             new = t - value / slope if slope != 0.0 else t + 1.0
             root = min(max(new, low), high)
-            if abs(new - t) <= 1e-9:  # Newton squares the error: the next step would be under the rounding
+            if abs(new - t) <= 1e-9 or high - low <= 1e-16:  # Newton squares the error: the next is under the rounding
                 break
             t = new if low < new < high else 0.5 * (low + high)
-            if high - low <= 1e-16:
-                break
     return root
 
 

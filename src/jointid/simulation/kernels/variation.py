@@ -5,11 +5,11 @@ The run has left a tape of its steps. Along each the deviations of all masses ob
     M da + C dv + K dq = G
 
 with M, C and K the derivatives of the equations of motion by acceleration, velocity and position, and G, negative, by
-the parameters and by the motors' torques. They are taken at the mean of the step. The masses of a joint then follow a
-Taylor series of order 4; those of a tree the implicit midpoint rule, of order 2. What winds up has the derivative of
-its closed form. A mass at rest stays there. An event moves in time with what it takes to zero, so velocities jump
-(M. A. Aizerman and F. R. Gantmacher: On the stability of periodic motions, Journal of Applied Mathematics and
-Mechanics 22, 1958)::
+the parameters and by the motors' torques. They are taken at both ends of the step, about its mean motion. The masses of
+a joint then follow a Taylor series of order 4; those of a tree the implicit midpoint rule, of order 2. What winds up
+has the derivative of its closed form. A mass at rest stays there. An event moves in time with what it takes to zero, so
+velocities jump (M. A. Aizerman and F. R. Gantmacher: On the stability of periodic motions, Journal of Applied
+Mathematics and Mechanics 22, 1958)::
 
     dv+ = dv- + (a+ - a-) dv_i- / a_i-
 
@@ -30,24 +30,18 @@ from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.drive_sensitivities import (
-    MEMORY,
-    NOTHING,
-    OFTEN,
-    POSITION,
-    SCRATCH,
-    aligned_zeros,
-    begin_small,
-    control_slopes,
-    control_small,
+from jointid.simulation.kernels.control import NOTHING, OFTEN, aligned_zeros, control_slopes
+from jointid.simulation.kernels.laws import (
+    friction,
+    friction_partials,
+    place_partials,
+    spring_partials,
+    spring_torque,
+    take_piece,
+    wind_partials,
 )
-from jointid.simulation.kernels.engine import place_force, spring_torque, winding
 from jointid.simulation.kernels.tables import (
     BEGIN,
-    COS,
-    COULOMB,
-    COULOMB_DRIFT,
-    CUBIC,
     DAMPING,
     EVENT,
     FREE,
@@ -57,19 +51,11 @@ from jointid.simulation.kernels.tables import (
     LENGTH,
     MASS,
     MASSES,
-    OFFSET,
     PART,
-    PER_TORQUE,
-    RATE,
-    SIN,
     SLIDING,
     SLIPS,
     SPRINGS,
     STATE,
-    STIFFNESS,
-    VISCOUS,
-    VISCOUS_DRIFT,
-    WAVE,
     WHERE,
     WINDING,
     IndexArray,
@@ -81,139 +67,128 @@ from jointid.simulation.kernels.tables import (
     Slopes,
 )
 
-# Rows of a joint's derivatives, LANES long: positions and velocities of the masses; the forces that are given on masses
-# and in springs in the middle of a step, their rates, and what is wound up otherwise; how far the masses have gone.
-_Q, _V, _GIVEN, _RATE, _GONE = (LANES * row for row in (0, 3, 6, 11, 21))
+# A block of a joint's derivatives: positions of the masses, or a derivative of these by time, then the forces given on
+# masses and in springs as a step begins, or their rates; each row is LANES long.
+_BLOCK = LANES * (2 * MASSES + SPRINGS)
+_BLOCKS = 6
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
-# takes; of masses, then of springs, how the derivative of what is wound up enters the force, what of it is left at the
-# end, what it gains with the place and with the rate of winding; of springs stiffness and damping, the torque and its
-# rate.
-_GOES, _DRAG, _STIFF, _TAKES, _HALF, _WINDS, _LEFT, _GAINS, _TURNS, _PULL, _DAMP, _PULLED, _GROWS = range(13)
-_FACTORS = 13
-# Rows of the mean motion of a step.
-_PLACE, _SPEED, _CHANGE, _JERK = range(4)
+# takes; of springs stiffness and damping; of both the stiffness of what winds up, what of it is left at the end, what
+# it gains with the place and with the rate of winding, and how its derivative enters the force at both ends.
+_GOES, _DRAG, _STIFF, _TAKES, _PULL, _DAMP, _WINDS, _LEFT, _GAINS, _TURNS, _ENTERS, _FACTORS = (
+    0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
+)  # fmt: skip
+_PLACE, _SPEED, _CHANGE = range(3)  # rows of the motion
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
 Three: TypeAlias = tuple[float, float, float]
 
 
 @inline_kernel
-def _wind(f: FloatArray, i: int, w: float, way: float, x: float, rate: float, force: float) -> float:
-    """Write the factors of what is wound up in a step; return that of its rate in the force, half way through."""
-    f[_HALF, i], f[_WINDS, i], f[_LEFT, i], f[_GAINS, i], f[_TURNS, i] = 0.0, 0.0, 0.0, 0.0, 0.0
-    if w == way:
-        return 0.0
-    half, left = math.exp(min(-0.5 * way * x * rate, 1.0)), math.exp(min(-way * x * rate, 1.0))
-    slope = (way - w) * way
-    f[_HALF, i], f[_WINDS, i], f[_LEFT, i] = force * half, force * slope * half * rate, left
-    f[_GAINS, i], f[_TURNS, i] = slope * left * rate, slope * left * x
-    return force * slope * half
+def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray, change: FloatArray) -> None:
+    """Fill the means of positions, velocities and accelerations over a step, and by how much they change in it."""
+    h, then = tape[row, LENGTH], row + 1
+    for i in range(nd):
+        q, v, a = tape[row, STATE + i], tape[row, STATE + nd + i], tape[row, STATE + 2 * nd + i]
+        q1, v1, a1 = tape[then, STATE + i], tape[then, STATE + nd + i], tape[row, STATE + 3 * nd + i]
+        change[_PLACE, i], change[_SPEED, i], change[_CHANGE, i] = q1 - q, v1 - v, a1 - a
+        mean[_PLACE, i] = 0.5 * (q + q1) - h / 12.0 * (v1 - v)
+        mean[_SPEED, i], mean[_CHANGE, i] = (q1 - q) / h, (v1 - v) / h
 
 
 @inline_kernel
-def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray) -> None:
-    """Fill the means of positions, velocities, accelerations and their rates over a step, from its row and the next."""
-    h, inverse, then = tape[row, LENGTH], 1.0 / tape[row, LENGTH], row + 1
-    for i in range(nd):
-        q, v = tape[row, STATE + i], tape[row, STATE + nd + i]
-        q1, v1 = tape[then, STATE + i], tape[then, STATE + nd + i]
-        middle = 0.5 * (q + q1) + 0.125 * h * (v - v1)
-        mean[_PLACE, i], mean[_SPEED, i] = (q + 4.0 * middle + q1) / 6.0, (q1 - q) * inverse
-        mean[_CHANGE, i] = (v1 - v) * inverse
-        mean[_JERK, i] = (tape[row, STATE + 3 * nd + i] - tape[row, STATE + 2 * nd + i]) * inverse
+def _wind(f: FloatArray, x: int, end: int, w: float, way: float, gone: float, rate: float, force: float) -> float:
+    """Write the factors of what winds up in a step at one of its ends; return the partial of the force by the rate."""
+    left, slope = wind_partials(w, way, end * gone, rate)
+    f[_ENTERS + end, x] = force * left
+    f[_WINDS, x] += 0.5 * force * slope * rate
+    f[_LEFT, x], f[_GAINS, x], f[_TURNS, x] = left, slope * rate, slope * end * gone
+    return force * slope * end * gone
 
 
 @inline_kernel
 def _fill_factors(
-    masses: FloatArray, springs: FloatArray, pairs: IndexArray, carriers: IntArray, tape: FloatArray, row: int,
-    mean: FloatArray, drive: FloatArray, time: float, first: int, f: FloatArray, k: FloatArray, later: FloatArray,
+    masses: FloatArray, springs: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray,
+    tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray, time: float, first: int,
+    mass: FloatArray, spring: FloatArray, torque: FloatArray, f: FloatArray, k: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the factors of a step, a row of the tape, and those of the numbers in the forces, with their rates.
+    """Fill the factors of a step, a row of the tape, and the partials of the forces by their numbers at both ends.
 
-    The second are taken as they are in the middle of the step, and change linearly in it. `first` is the column of the
-    first spring among the factors.
+    Partials have rows for masses, springs and places as the step begins, then as many as it ends. `first` is the column
+    of the first spring among the factors.
     """
-    nd, ns, h = masses.shape[0], pairs.shape[0], tape[row, LENGTH]
+    nd, ns, h, half = masses.shape[0], pairs.shape[0], tape[row, LENGTH], k.shape[0] // 2
     modes, at, wound = STATE + 4 * nd, STATE + 5 * nd + ns, STATE + 6 * nd + 2 * ns
-    for s in range(ns):
-        one, two, piece, x = pairs[s, 0], pairs[s, 1], int(tape[row, at + nd + s]), first + s
-        p, side = np.uint64(abs(piece)), (0.0 if piece == 0 else math.copysign(1.0, piece))
-        e, de = mean[_PLACE, two] - mean[_PLACE, one], mean[_SPEED, two] - mean[_SPEED, one]
-        dde = mean[_CHANGE, two] - mean[_CHANGE, one]
-        w, way = tape[row, wound + nd + s], tape[row, modes + nd + s]
-        slides, slips, damping = springs[s, p, SLIDING], springs[s, p, SLIPS], springs[s, p, DAMPING]
-        half = winding(w, way, 0.5 * de * h, slides)
-        turns = slides * (de - abs(de) * half)
-        pull = springs[s, p, STIFFNESS] + 3.0 * springs[s, p, CUBIC] * e * e
-        f[_PULLED, x] = side * springs[s, p, HELD] + spring_torque(
-            springs[s, p, STIFFNESS], springs[s, p, CUBIC], damping, slips, e, de, half
-        )
-        f[_GROWS, x] = pull * de + damping * dde + slips * turns
-        f[_WINDS, x], k[x, SLIDING] = 0.0, 0.0
-        if slips > 0.0:
-            k[x, SLIDING] = 0.5 * _wind(f, x, w, way, de * h, slides, slips) * de * h
-        f[_PULL, x], f[_DAMP, x] = pull + f[_WINDS, x], damping
-        k[x, STIFFNESS], k[x, DAMPING], k[x, CUBIC], k[x, SLIPS], k[x, HELD] = e, de, e * e * e, half, side
-        later[x, STIFFNESS], later[x, DAMPING], later[x, CUBIC], later[x, SLIPS] = de, dde, 3.0 * e * e * de, turns
     for i in range(nd):
-        mode, speed, rate, band = tape[row, modes + i], mean[_SPEED, i], mean[_CHANGE, i], np.uint64(tape[row, at + i])
-        carried, grows = drive[i], 0.0
-        if carriers[i] >= 0:
-            carried, grows = f[_PULLED, first + carriers[i]], f[_GROWS, first + carriers[i]]
-        way = math.copysign(1.0, speed) if mode == FREE else mode
-        back, moves = (1 if way < 0.0 else 0), (1.0 if mode != 0.0 else 0.0)
-        # A torque that goes through 0 within the step: the mean of its size, and of its sign.
-        low, high = carried - 0.5 * h * grows, carried + 0.5 * h * grows
-        sign, size = math.copysign(1.0, carried), abs(carried)
-        if low * high < 0.0:
-            sign, size = (abs(high) - abs(low)) / (high - low), (high * high + low * low) / (2.0 * abs(high - low))
-        share, turns, winds, x = way, 0.0, masses[i, 0, WINDING], speed * h
-        grip = masses[i, band, COULOMB + back] + masses[i, 0, COULOMB_DRIFT] * time + masses[i, 0, PER_TORQUE] * size
-        f[_STIFF, i], k[i, WINDING] = 0.0, 0.0
-        if winds > 0.0:
-            share = winding(tape[row, wound + i], mode, 0.5 * x, winds)
-            turns = winds * (speed - abs(speed) * share)
-            gain = _wind(f, i, tape[row, wound + i], mode, x, winds, -grip)
-            f[_STIFF, i], k[i, WINDING] = f[_WINDS, i], 0.5 * gain * x
-        f[_GOES, i] = moves
-        f[_DRAG, i] = masses[i, band, VISCOUS + back] + masses[i, 0, VISCOUS_DRIFT] * time
-        f[_TAKES, i] = 1.0 + share * masses[i, 0, PER_TORQUE] * sign
-        k[i, INERTIA], later[i, INERTIA], k[i, OFFSET] = -rate, -mean[_JERK, i], -1.0
-        k[i, VISCOUS + back], later[i, VISCOUS + back] = -speed, -rate
-        k[i, VISCOUS + 1 - back], later[i, VISCOUS + 1 - back] = 0.0, 0.0
-        k[i, COULOMB + back], later[i, COULOMB + back] = -share, -turns
-        k[i, COULOMB + 1 - back], later[i, COULOMB + 1 - back] = 0.0, 0.0
-        k[i, VISCOUS_DRIFT], later[i, VISCOUS_DRIFT] = -speed * time, -(rate * time + speed)
-        k[i, COULOMB_DRIFT], later[i, COULOMB_DRIFT] = -share * time, -(turns * time + share)
-        k[i, PER_TORQUE], later[i, PER_TORQUE] = -share * size, -(turns * size + share * sign * grows)
-
-
-@inline_kernel
-def _fill_places(
-    places: FloatArray, first: int, mean: FloatArray, f: FloatArray, k: FloatArray, later: FloatArray
-) -> None:
-    """Fill the factors of the numbers of forces that follow a position, and add the stiffness of these."""
-    for force in range(places.shape[0]):
-        i, x, wave = int(places[force, WHERE]), first + force, places[force, WAVE]
-        place, speed = mean[_PLACE, i], mean[_SPEED, i]
-        cos, sin = math.cos(wave * place), math.sin(wave * place)
-        f[_STIFF, i] -= place_force(places[force, COS], places[force, SIN], places[force, RATE], wave, place)[1]
-        k[x, COS], k[x, SIN], k[x, RATE] = -cos, -sin, -place
-        later[x, COS], later[x, SIN], later[x, RATE] = speed * wave * sin, -speed * wave * cos, -speed
+        assign(mass[i], masses[i, int(tape[row, at + i])])
+    for s in range(ns):
+        take_piece(springs, s, int(tape[row, at + nd + s]), spring)
+    for i in range(_FACTORS):
+        for x in range(f.shape[1]):
+            f[i, x] = 0.0
+    for end in range(2):
+        side = end - 0.5
+        for s in range(ns):
+            one, two, x, to, piece = pairs[s, 0], pairs[s, 1], first + s, end * half + first + s, tape[row, at + nd + s]
+            rate, w = mean[_SPEED, two] - mean[_SPEED, one], tape[row + end, wound + nd + s]
+            e = mean[_PLACE, two] - mean[_PLACE, one] + side * (change[_PLACE, two] - change[_PLACE, one])
+            de = rate + side * (change[_SPEED, two] - change[_SPEED, one])
+            torque[s] = spring_torque(spring, s, e, de, w)
+            f[_PULL, x] += 0.5 * spring_partials(spring, s, e, de, w, k, to)
+            f[_DAMP, x] = spring[s, DAMPING]
+            k[to, HELD], k[to, SLIDING] = 0.0 if piece == 0.0 else math.copysign(1.0, piece), 0.0
+            if spring[s, SLIPS] > 0.0:
+                begun, way = tape[row, wound + nd + s], tape[row, modes + nd + s]
+                k[to, SLIDING] = _wind(f, x, end, begun, way, rate * h, spring[s, SLIDING], spring[s, SLIPS])
+        for i in range(nd):
+            mode, speed, to = tape[row, modes + i], mean[_SPEED, i], end * half + i
+            way = math.copysign(1.0, speed) if mode == FREE else mode
+            back, share, then = 1 if way < 0.0 else 0, way, time + end * h
+            carried = torque[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
+            grip, drag = friction(mass, i, back, carried, then)
+            k[to, INERTIA], k[to, WINDING] = -mean[_CHANGE, i] - side * change[_CHANGE, i], 0.0
+            if mass[i, WINDING] > 0.0:
+                share = tape[row + end, wound + i]
+                k[to, WINDING] = _wind(f, i, end, tape[row, wound + i], mode, speed * h, mass[i, WINDING], -grip)
+            speed += side * change[_SPEED, i]
+            f[_GOES, i] = 1.0 if mode != 0.0 else 0.0
+            f[_DRAG, i] += 0.5 * drag
+            f[_TAKES, i] += 0.5 * (1.0 - friction_partials(mass, i, back, share, speed, carried, then, k, to))
+        for j in range(places.shape[0]):
+            i, to = int(places[j, WHERE]), (end + 1) * half - places.shape[0] + j
+            f[_STIFF, i] += 0.5 * place_partials(places, j, mean[_PLACE, i] + side * change[_PLACE, i], k, to)
+    for i in range(nd):
+        f[_STIFF, i] += f[_WINDS, i]
+    for s in range(ns):
+        f[_PULL, first + s] += f[_WINDS, first + s]
 
 
 @inline_kernel
 def _add_seeds(
-    seeds: Seeds, row: int, band: int, to: int, winds: int, f: FloatArray, k: FloatArray, later: FloatArray,
+    seeds: Seeds, row: int, band: int, to: int, winds: int, h: float, f: FloatArray, k: FloatArray,
     given: FloatArray, rate: FloatArray, turned: FloatArray,
 ) -> None:  # fmt: skip
     """Add what parameters change in a law; `winds` is the number of which something is wound up otherwise."""
+    then = row + k.shape[0] // 2
     for e in range(seeds.begin[row, band], seeds.begin[row, band + 1]):
         number, c, value = seeds.numbers[e], seeds.columns[e], seeds.values[e]
         given[to, c] += k[row, number] * value
-        rate[to, c] += later[row, number] * value
+        rate[to, c] += (k[then, number] - k[row, number]) / h * value
         if number == winds:
             turned[to, c] += f[_TURNS, row] * value
+
+
+@inline_kernel
+def _stretch(d: FloatArray, pairs: IndexArray, nd: int, x: int, c: int) -> float:
+    """Return a derivative of a mass's place, or of a spring's deflection."""
+    return float(d[x, c] if x < nd else d[pairs[x - nd, 1], c] - d[pairs[x - nd, 0], c])
+
+
+@inline_kernel
+def _flush(values: FloatArray) -> None:
+    """Set what is next to nothing to 0."""
+    for i in range(values.shape[0]):
+        for c in range(values.shape[1]):
+            values[i, c] = values[i, c] if abs(values[i, c]) > NOTHING else 0.0
 
 
 @compile_kernel
@@ -258,47 +233,38 @@ def _three(of: FloatArray, row: int, begin: int) -> Three:
 def _move(h: float, f: FloatArray, mobility: FloatArray, s: FloatArray) -> None:
     """Move the derivatives of a joint over a step: a Taylor series of their linear equation about its beginning.
 
-    The loop is long on purpose, so that the compiler makes vectors of the lanes.
+    Block by block the next derivative by time, so that the compiler makes vectors of the lanes. How far the masses have
+    gone is in the third block.
     """
-    back, h2, h3, h4 = 0.5 * h, h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
+    h2, h3, h4 = h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
     goes, drag, stiff, takes = _three(f, _GOES, 0), _three(f, _DRAG, 0), _three(f, _STIFF, 0), _three(f, _TAKES, 0)
     moves0, moves1, moves2 = goes[0] * mobility[0], goes[1] * mobility[1], goes[2] * mobility[2]
     pull0, pull1 = f[_PULL, MASSES], f[_PULL, MASSES + 1]
     damp0, damp1 = f[_DAMP, MASSES], f[_DAMP, MASSES + 1]
-    for j in range(LANES):
-        q0, q1, q2 = s[_Q + j], s[_Q + LANES + j], s[_Q + 2 * LANES + j]
-        # A velocity that was not let begin does not come back.
-        v0, v1, v2 = goes[0] * s[_V + j], goes[1] * s[_V + LANES + j], goes[2] * s[_V + 2 * LANES + j]
-        # What is given at the beginning, from the middle of the step and its rate.
-        r0, r1, r2 = s[_RATE + j], s[_RATE + LANES + j], s[_RATE + 2 * LANES + j]
-        t0, t1 = s[_RATE + 3 * LANES + j], s[_RATE + 4 * LANES + j]
-        g0, g1 = s[_GIVEN + j] - back * r0, s[_GIVEN + LANES + j] - back * r1
-        g2 = s[_GIVEN + 2 * LANES + j] - back * r2
-        d0, d1 = s[_GIVEN + 3 * LANES + j] - back * t0, s[_GIVEN + 4 * LANES + j] - back * t1
-        # The derivatives of the velocities by time: the first, the second, the third, the fourth.
-        near, far = pull0 * (q1 - q0) + damp0 * (v1 - v0) + d0, pull1 * (q2 - q1) + damp1 * (v2 - v1) + d1
-        a0 = moves0 * (((stiff[0] * q0 - drag[0] * v0) + g0) + near)
-        a1 = moves1 * (((stiff[1] * q1 - drag[1] * v1) + g1) + (far - takes[1] * near))
-        a2 = moves2 * (((stiff[2] * q2 - drag[2] * v2) + g2) - takes[2] * far)
-        near, far = pull0 * (v1 - v0) + damp0 * (a1 - a0) + t0, pull1 * (v2 - v1) + damp1 * (a2 - a1) + t1
-        b0 = moves0 * (((stiff[0] * v0 - drag[0] * a0) + r0) + near)
-        b1 = moves1 * (((stiff[1] * v1 - drag[1] * a1) + r1) + (far - takes[1] * near))
-        b2 = moves2 * (((stiff[2] * v2 - drag[2] * a2) + r2) - takes[2] * far)
-        near, far = pull0 * (a1 - a0) + damp0 * (b1 - b0), pull1 * (a2 - a1) + damp1 * (b2 - b1)
-        c0 = moves0 * ((stiff[0] * a0 - drag[0] * b0) + near)
-        c1 = moves1 * ((stiff[1] * a1 - drag[1] * b1) + (far - takes[1] * near))
-        c2 = moves2 * ((stiff[2] * a2 - drag[2] * b2) - takes[2] * far)
-        near, far = pull0 * (b1 - b0) + damp0 * (c1 - c0), pull1 * (b2 - b1) + damp1 * (c2 - c1)
-        e0 = moves0 * ((stiff[0] * b0 - drag[0] * c0) + near)
-        e1 = moves1 * ((stiff[1] * b1 - drag[1] * c1) + (far - takes[1] * near))
-        e2 = moves2 * ((stiff[2] * b2 - drag[2] * c2) - takes[2] * far)
-        m0, m1 = (h * v0 + h2 * a0) + (h3 * b0 + h4 * c0), (h * v1 + h2 * a1) + (h3 * b1 + h4 * c1)
-        m2 = (h * v2 + h2 * a2) + (h3 * b2 + h4 * c2)
-        s[_GONE + j], s[_GONE + LANES + j], s[_GONE + 2 * LANES + j] = m0, m1, m2
-        s[_Q + j], s[_Q + LANES + j], s[_Q + 2 * LANES + j] = q0 + m0, q1 + m1, q2 + m2
-        s[_V + j] = v0 + ((h * a0 + h2 * b0) + (h3 * c0 + h4 * e0))
-        s[_V + LANES + j] = v1 + ((h * a1 + h2 * b1) + (h3 * c1 + h4 * e1))
-        s[_V + 2 * LANES + j] = v2 + ((h * a2 + h2 * b2) + (h3 * c2 + h4 * e2))
+    for j in range(LANES):  # a velocity that was not let begin does not come back
+        s[_BLOCK + j] *= goes[0]
+        s[_BLOCK + LANES + j] *= goes[1]
+        s[_BLOCK + 2 * LANES + j] *= goes[2]
+    for order in range(_BLOCKS - 2):
+        x = order * _BLOCK
+        for j in range(x, x + LANES):
+            q0, q1, q2 = s[j], s[LANES + j], s[2 * LANES + j]
+            v0, v1, v2 = s[_BLOCK + j], s[_BLOCK + LANES + j], s[_BLOCK + 2 * LANES + j]
+            near = pull0 * (q1 - q0) + damp0 * (v1 - v0) + s[6 * LANES + j]
+            far = pull1 * (q2 - q1) + damp1 * (v2 - v1) + s[7 * LANES + j]
+            s[2 * _BLOCK + j] = moves0 * (((stiff[0] * q0 - drag[0] * v0) + s[3 * LANES + j]) + near)
+            s[2 * _BLOCK + LANES + j] = moves1 * (
+                ((stiff[1] * q1 - drag[1] * v1) + s[4 * LANES + j]) + (far - takes[1] * near)
+            )
+            s[2 * _BLOCK + 2 * LANES + j] = moves2 * (
+                ((stiff[2] * q2 - drag[2] * v2) + s[5 * LANES + j]) - takes[2] * far
+            )
+    for j in range(MASSES * LANES):
+        v, a, b, c, e = s[_BLOCK + j], s[2 * _BLOCK + j], s[3 * _BLOCK + j], s[4 * _BLOCK + j], s[5 * _BLOCK + j]
+        gone = (h * v + h2 * a) + (h3 * b + h4 * c)
+        s[j] += gone
+        s[_BLOCK + j] = v + ((h * a + h2 * b) + (h3 * c + h4 * e))
+        s[2 * _BLOCK + j] = gone
 
 
 @inline_kernel
@@ -464,23 +430,20 @@ def follow(
     lags, every, post, lengths, laws = loop.lags, loop.every, loop.post, loop.lengths, loop.feedback
     command, states, moved_links, dz = slopes.command, slopes.states, slopes.links, moved.dz
     n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), moved.dq.shape[1]
-    parts, steps, states_of_law, elements = lags.shape[1], torques.shape[1], dz.shape[1], excess.shape[2]
+    parts, steps, elements = lags.shape[1], torques.shape[1], excess.shape[2]
     controlled, prescribed = command.shape[2] > 0, moved_links.shape[1] > 0
     md, ms = (MASSES, SPRINGS) if tree is None else (nd, ns)
-    every_row, last_row = md + ms, len(tape) - 1
-    begin, end = 2 * md, 2 * md + 3 * every_row
-    s = aligned_zeros((end + md) * count)
-    x = s.reshape((end + md, count))
-    dq, dv, given, rate = x[:md], x[md:begin], x[begin : begin + every_row], x[begin + every_row : end - every_row]
-    turned, gone, dw, dtau = x[end - every_row : end], x[end:], np.zeros((every_row, count)), np.zeros((axes, count))
+    forces, last_row, block, size = md + ms, len(tape) - 1, (2 * md + ms) * count, md * count
+    s = aligned_zeros(_BLOCKS * block)
+    dq, given = s[:size].reshape((md, count)), s[size:block].reshape((forces, count))
+    dv, rate = s[block : block + size].reshape((md, count)), s[block + size : 2 * block].reshape((forces, count))
+    gone, turned = s[2 * block : 2 * block + size].reshape((md, count)), np.zeros((forces, count))
+    dw, dtau = np.zeros((forces, count)), np.zeros((axes, count))
     lead, gained, bent = np.zeros(count), np.zeros((md, count)), np.zeros((md, count))
-    fresh, raw, taken = np.zeros((states_of_law, count)), np.zeros((elements, count)), np.zeros((elements, count))
-    mean, drive, mobility = np.zeros((4, md)), np.zeros(md), np.zeros(md)
-    f, k, later = (
-        np.zeros((_FACTORS, every_row)),
-        np.zeros((every_row + len(places), MASS)),
-        np.zeros((every_row + len(places), MASS)),
-    )
+    fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
+    mean, change, drive, mobility = np.zeros((3, md)), np.zeros((3, md)), np.zeros(md), np.zeros(md)
+    mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
+    f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), MASS))
     room, Y, M, K, C = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     of_links, left, rows = np.zeros((n, 10 * n)), np.zeros((md, md)), np.zeros((md, count))
     kicks, of_edge, jumps = np.zeros((n, len(seeds.delays))), np.zeros((n, n)), np.zeros(axes, dtype=np.bool_)
@@ -494,31 +457,21 @@ def follow(
             for side in range(2):
                 if pairs[i, side] == rotors[j]:
                     ties[j], ends[j] = md + i, pairs[i, 1 - side]
-    # A joint's law of two states at most has numbers that stay in registers.
-    small = tree is None and controlled and states_of_law <= 2 and laws.D.size == 1
-    scratch = aligned_zeros(SCRATCH)
-    law = begin_small(scratch, laws, states_of_law if small else 0, dz[0], moved.limits[0, :, :LANES])
-    limit = laws.limits[0, 0]
     period, row = np.sum(lengths), 1
     for step in range(steps):
         if step % OFTEN == 0:
-            for i in range(2 * md * count):
-                s[i] = s[i] if abs(s[i]) > NOTHING else 0.0
-            for i in range(2 * LANES):
-                scratch[MEMORY + i] = scratch[MEMORY + i] if abs(scratch[MEMORY + i]) > NOTHING else 0.0
+            _flush(s.reshape((1, s.size)))
         for j in range(axes if controlled else 0):
             own = step // every[j]
             if step % every[j] != 0:  # this controller holds
                 assign(command[j, step], command[j, step - 1])
                 continue
-            if small:
-                assign(scratch[POSITION : POSITION + LANES], dq[0])
-                control_small(scratch, law, torques[0, step], limit, moved.explicit[0], moved.first, step, command[0])
-            else:
-                control_slopes(
-                    laws, j, own, excess[j, own], dq[rotors[j]], dz[j], fresh, raw, taken, moved.explicit[j],
-                    moved.first, moved.limits[j], command[j, step],
-                )  # fmt: skip
+            control_slopes(
+                laws, j, own, excess[j, own], dq[rotors[j]], dz[j], fresh, raw, taken, moved.explicit[j], moved.first,
+                moved.limits[j], command[j, step],
+            )  # fmt: skip
+            if step % OFTEN == 0:
+                _flush(dz[j])
         for i in range(len(seeds.pushes)):
             j = seeds.pushes[i, 1]
             if step % every[j] == 0:  # one that holds has it from its last period
@@ -546,7 +499,7 @@ def follow(
                     for c in range(count):
                         gained[i, c], gone[i, c] = -dv[i, c], 0.0
                 if h > 0.0:
-                    _mean_motion(tape, row, nd, mean)
+                    _mean_motion(tape, row, nd, mean, change)
                     if tree is not None:
                         place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
                         linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
@@ -554,27 +507,23 @@ def follow(
                         _shift_edges(masses, rotors, seeds.delays, tape, last, row, jumps, M, of_edge, kicks, dv)
                         edge = False
                     _fill_factors(
-                        masses, springs, pairs, carriers, tape, row, mean, drive, time + 0.5 * h, md, f, k, later
-                    )
-                    _fill_places(places, every_row, mean, f, k, later)
-                    for i in range(begin * count, end * count):
-                        s[i] = 0.0
+                        masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, md, mass,
+                        spring, torque, f, k,
+                    )  # fmt: skip
+                    for i in range(forces):
+                        for c in range(count):
+                            given[i, c], rate[i, c], turned[i, c] = 0.0, 0.0, 0.0
                     bands = STATE + 5 * nd + ns
-                    for i in range(nd):
-                        _add_seeds(seeds, i, int(tape[row, bands + i]), i, WINDING, f, k, later, given, rate, turned)
-                        if f[_HALF, i] != 0.0 or f[_WINDS, i] != 0.0:
-                            for c in range(count):
-                                given[i, c] += f[_HALF, i] * dw[i, c] - f[_WINDS, i] * dq[i, c]
-                    for spring in range(ns):
-                        i, piece = md + spring, int(abs(tape[row, bands + nd + spring]))
-                        one, two = pairs[spring, 0], pairs[spring, 1]
-                        _add_seeds(seeds, i, piece, i, SLIDING, f, k, later, given, rate, turned)
-                        if f[_HALF, i] != 0.0 or f[_WINDS, i] != 0.0:
-                            for c in range(count):
-                                stretched = dq[two, c] - dq[one, c]
-                                given[i, c] += f[_HALF, i] * dw[i, c] - f[_WINDS, i] * stretched
+                    for i in range(nd + ns):
+                        x, number = (i, WINDING) if i < nd else (md + i - nd, SLIDING)
+                        _add_seeds(seeds, x, int(abs(tape[row, bands + i])), x, number, h, f, k, given, rate, turned)
+                        fades = (f[_ENTERS + 1, x] - f[_ENTERS, x]) / h
+                        for c in range(count if f[_ENTERS, x] != 0.0 or f[_WINDS, x] != 0.0 else 0):
+                            given[x, c] += f[_ENTERS, x] * dw[x, c] - f[_WINDS, x] * _stretch(dq, pairs, nd, i, c)
+                            rate[x, c] += fades * dw[x, c]
                     for i in range(len(places)):
-                        _add_seeds(seeds, every_row + i, 0, int(places[i, WHERE]), -1, f, k, later, given, rate, turned)
+                        to = int(places[i, WHERE])
+                        _add_seeds(seeds, forces + i, 0, to, -1, h, f, k, given, rate, turned)
                     for j in range(axes if controlled else 0):
                         r = rotors[j]
                         for c in range(count):
@@ -592,20 +541,18 @@ def follow(
                                 assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
                         elif len(seeds.links) > 0:
                             regressor(tree, place, speed, turn, Y)
+                        for i in range(forces):  # as in the middle of the step
+                            for c in range(count):
+                                given[i, c] += 0.5 * h * rate[i, c]
                         for e in range(len(seeds.links)):
                             for i in range(n):
                                 given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
                         _move_tree(h, masses, pairs, f, M, K, C, left, rows, dq, dv, given, gone)
-                    for i in range(nd):
-                        if masses[i, 0, WINDING] > 0.0:
-                            for c in range(count):
-                                dw[i, c] = f[_LEFT, i] * dw[i, c] + (f[_GAINS, i] * gone[i, c] + turned[i, c])
-                    for spring in range(ns):
-                        i, one, two = md + spring, pairs[spring, 0], pairs[spring, 1]
-                        if springs[spring, 0, SLIDING] > 0.0 or f[_TURNS, i] != 0.0:
-                            for c in range(count):
-                                stretched = gone[two, c] - gone[one, c]
-                                dw[i, c] = f[_LEFT, i] * dw[i, c] + (f[_GAINS, i] * stretched + turned[i, c])
+                    for i in range(nd + ns):
+                        x, winds = (i, mass[i, WINDING]) if i < nd else (md + i - nd, spring[i - nd, SLIDING])
+                        for c in range(count if winds > 0.0 or f[_TURNS, x] != 0.0 else 0):
+                            gains = f[_GAINS, x] * _stretch(gone, pairs, nd, i, c) + turned[x, c]
+                            dw[x, c] = f[_LEFT, x] * dw[x, c] + gains
                 time += h
                 for i in range(nd if prescribed else 0):
                     for c in range(count):

@@ -1,0 +1,145 @@
+"""The laws of friction, springs and forces of a position, compiled: of each its force and the partials of that.
+
+A law is a row of numbers (`kernels.tables`), in which its force is linear but for a winding length and a wave. The
+simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, by
+the law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976). With the direction d of
+the motion, and the displacement x since the step began, it has a closed form, and is as exact as the motion::
+
+    w' = (v - d v w) / s                w = d - (d - w0) exp(-d x / s)
+"""
+
+from __future__ import annotations
+
+import math
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiled import assign, inline_kernel
+from jointid.simulation.kernels.tables import (
+    COS,
+    COULOMB,
+    COULOMB_DRIFT,
+    CUBIC,
+    DAMPING,
+    HELD,
+    OFFSET,
+    PER_TORQUE,
+    RATE,
+    SIN,
+    SLIDING,
+    SLIPS,
+    STIFFNESS,
+    VISCOUS,
+    VISCOUS_BACK,
+    VISCOUS_DRIFT,
+    WAVE,
+    WHERE,
+    WINDING,
+    IndexArray,
+)
+
+_WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
+
+
+@inline_kernel
+def take_piece(springs: FloatArray, s: int, piece: int, spring: FloatArray) -> None:
+    """Take the numbers of a spring in a piece of its deflection, negative of a negative one."""
+    assign(spring[s], springs[s, abs(piece)])
+    spring[s, HELD] *= -1.0 if piece < 0 else 1.0
+
+
+@inline_kernel
+def wind(w: float, way: float, x: float, rate: float) -> float:
+    """Return the wound-up share after a displacement, from `w` before it."""
+    if w == way or rate == 0.0:
+        return w
+    return w - (way - w) * math.expm1(min(-way * x * rate, 1.0))
+
+
+@inline_kernel
+def wind_partials(w: float, way: float, x: float, rate: float) -> tuple[float, float]:
+    """Return the partials of what is wound up after a displacement: by `w`, and by the product of `x` and the rate."""
+    if w == way:
+        return 0.0, 0.0
+    left = math.exp(min(-way * x * rate, 1.0))
+    return left, (way - w) * way * left
+
+
+@inline_kernel
+def spring_torque(spring: FloatArray, s: int, e: float, de: float, w: float) -> float:
+    """Return the torque of a spring at a deflection, its rate, and what is wound up."""
+    line = (spring[s, STIFFNESS] + spring[s, CUBIC] * e * e) * e + spring[s, DAMPING] * de
+    return float(spring[s, HELD] + line + spring[s, SLIPS] * w)
+
+
+@inline_kernel
+def spring_partials(spring: FloatArray, s: int, e: float, de: float, w: float, k: FloatArray, row: int) -> float:
+    """Write the partials of a spring's torque by its numbers into a row of `k`; return that by the deflection."""
+    k[row, STIFFNESS], k[row, DAMPING], k[row, CUBIC], k[row, SLIPS] = e, de, e * e * e, w
+    return float(spring[s, STIFFNESS] + 3.0 * spring[s, CUBIC] * e * e)
+
+
+@inline_kernel
+def friction(mass: FloatArray, i: int, back: int, carried: float, time: float) -> tuple[float, float]:
+    """Return the Coulomb force and the viscous coefficient of a mass that carries a torque; `back` is 1 backwards."""
+    grip = mass[i, COULOMB + back] + mass[i, COULOMB_DRIFT] * time + mass[i, PER_TORQUE] * abs(carried)
+    return grip, mass[i, VISCOUS + back] + mass[i, VISCOUS_DRIFT] * time
+
+
+@inline_kernel
+def friction_partials(
+    mass: FloatArray, i: int, back: int, share: float, v: float, carried: float, time: float, k: FloatArray, row: int
+) -> float:
+    """Write the partials of friction's force on a mass by its numbers into a row of `k`; return that by the torque.
+
+    The share of the Coulomb force that acts is 1 or -1, or what is wound up.
+    """
+    k[row, VISCOUS + 1 - back], k[row, COULOMB + 1 - back] = 0.0, 0.0
+    k[row, OFFSET], k[row, VISCOUS + back], k[row, VISCOUS_DRIFT] = -1.0, -v, -v * time
+    k[row, COULOMB + back], k[row, COULOMB_DRIFT], k[row, PER_TORQUE] = -share, -share * time, -share * abs(carried)
+    return float(-share * mass[i, PER_TORQUE] * math.copysign(1.0, carried))
+
+
+@inline_kernel
+def place_force(places: FloatArray, j: int, q: float) -> float:
+    """Return a force that follows a position."""
+    cos, sin = math.cos(places[j, WAVE] * q), math.sin(places[j, WAVE] * q)
+    return float(places[j, COS] * cos + places[j, SIN] * sin + places[j, RATE] * q)
+
+
+@inline_kernel
+def place_partials(places: FloatArray, j: int, q: float, k: FloatArray, row: int) -> float:
+    """Write the partials of the opposite of such a force by its numbers into a row of `k`; return that by the place."""
+    cos, sin = math.cos(places[j, WAVE] * q), math.sin(places[j, WAVE] * q)
+    k[row, COS], k[row, SIN], k[row, RATE] = -cos, -sin, -q
+    return float(places[j, WAVE] * (places[j, COS] * sin - places[j, SIN] * cos) - places[j, RATE])
+
+
+@inline_kernel
+def fastest_rate(
+    mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, mobility: FloatArray,
+    modes: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
+) -> float:  # fmt: skip
+    """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
+    nd, square, rate = q.size, 0.0, 0.0
+    for i in range(nd):
+        rate += max(abs(mass[i, VISCOUS]), abs(mass[i, VISCOUS_BACK])) * mobility[i]
+        left = abs(modes[i] - w[i])
+        if mass[i, WINDING] > 0.0 and left > _WINDS:
+            square += grip[i] * left * mass[i, WINDING] * mobility[i]
+            rate += abs(v[i]) * mass[i, WINDING]
+    for s in range(pairs.shape[0]):
+        one, two = pairs[s, 0], pairs[s, 1]
+        e, both = q[two] - q[one], mobility[one] + mobility[two]
+        stiffness = spring[s, STIFFNESS] + max(3.0 * spring[s, CUBIC] * e * e, 0.0)
+        left = abs(modes[nd + s] - w[nd + s])
+        if spring[s, SLIDING] > 0.0 and left > _WINDS:
+            stiffness += spring[s, SLIPS] * spring[s, SLIDING] * left
+            rate += abs(v[two] - v[one]) * spring[s, SLIDING]
+        square += stiffness * both
+        rate += spring[s, DAMPING] * both
+    for j in range(places.shape[0]):
+        i = int(places[j, WHERE])
+        slope = abs(places[j, WAVE]) * (abs(places[j, COS]) + abs(places[j, SIN])) + abs(places[j, RATE])
+        square += slope * mobility[i]
+        rate += abs(places[j, WAVE] * v[i])
+    return math.sqrt(square) + rate
