@@ -234,6 +234,7 @@ def _run_lines(
             room.array("tape", (taped, TAPE)),
             np.zeros(4, dtype=np.int64),
         )
+        trace.excess[:] = 0.0
         x = np.zeros((2, 2))
         x[: start.places.size] = np.column_stack([start.places, start.speeds])
         before, states = float(start.before[0]), start.states.copy()

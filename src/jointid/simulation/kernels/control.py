@@ -17,42 +17,32 @@ _LINE = 8  # numbers of a cache line
 
 
 class SmallLaw(NamedTuple):
-    """A feedback of two states at most, in its observer form: its output is its first state, and what it sees at once.
+    """A feedback of one element, one phase and two states at most, as numbers, which stay in registers."""
 
-    Numbers, which stay in registers; and few: of the states, z0' = own z0 + z1 and z1' = other z0.
-    """
-
-    own: float
-    other: float
+    a00: float
+    a01: float
+    a10: float
+    a11: float
     b0: float
     b1: float
-    e0: float
-    e1: float
+    c0: float
+    c1: float
+    f0: float
+    f1: float
     d: float
     limit: float
-    lag: int
-    before: float
 
 
 @inline_kernel
-def observe(feedback: Feedback, nz: int, lag: int, before: float) -> tuple[SmallLaw, FloatArray]:
-    """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
-    A, C, d = feedback.A[0], feedback.C[0], feedback.D[0, 0, 0]
-    seen, trace = np.zeros((2, nz)), 0.0
+def small_law(feedback: Feedback, nz: int) -> SmallLaw:
+    """Return a feedback of two states at most as numbers, filled up with zeros."""
+    A, b, c, f = np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.zeros(2)
     for i in range(nz):
-        trace += A[0, i, i]
-    for i in range(nz):
-        seen[0, i] = C[0, 0, i]
-        seen[1, i] = -trace * C[0, 0, i]
-        for other in range(nz):
-            seen[1, i] += C[0, 0, other] * A[0, other, i]
-    b0, b1, e0, e1 = 0.0, 0.0, 0.0, 0.0
-    for i in range(nz):
-        b0, b1 = b0 + seen[0, i] * feedback.Bq[0, 0, i], b1 + seen[1, i] * feedback.Bq[0, 0, i]
-        e0, e1 = e0 + seen[0, i] * feedback.F[0, 0, i, 0], e1 + seen[1, i] * feedback.F[0, 0, i, 0]
-    determinant = A[0, 0, 0] * A[0, 1, 1] - A[0, 0, 1] * A[0, 1, 0] if nz == 2 else 0.0
-    limit = feedback.limits[0, 0]
-    return SmallLaw(trace, -determinant, b0, b1, e0, e1, d, limit, lag, before), seen
+        b[i], c[i], f[i] = feedback.Bq[0, 0, i], feedback.C[0, 0, 0, i], feedback.F[0, 0, i, 0]
+        for j in range(nz):
+            A[i, j] = feedback.A[0, 0, i, j]
+    d, limit = feedback.D[0, 0, 0], feedback.limits[0, 0]
+    return SmallLaw(A[0, 0], A[0, 1], A[1, 0], A[1, 1], b[0], b[1], c[0], c[1], f[0], f[1], d, limit)
 
 
 @inline_kernel
@@ -89,19 +79,6 @@ def control_any(
         new[i] = value
     for i in range(nz):
         z[joint, i] = new[i]
-
-
-@inline_kernel
-def control_small(law: SmallLaw, w: float, q: float, z: tuple[float, float]) -> tuple[float, int, tuple[float, float]]:
-    """Return the controller's output, whether it is at its limit, and the next state of its feedback."""
-    raw = (w + z[0]) + law.d * q
-    z0, z1 = law.b0 * q + (law.own * z[0] + z[1]), law.b1 * q + law.other * z[0]
-    command, clipped = raw, 0
-    if not abs(raw) <= law.limit:  # a branch: the limit stays out of the chain of operations from state to state
-        command, clipped = min(max(raw, -law.limit), law.limit), 1
-        z0 += law.e0 * (command - raw)
-        z1 += law.e1 * (command - raw)
-    return command, clipped, (z0, z1)
 
 
 @compile_kernel

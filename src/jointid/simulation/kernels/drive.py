@@ -25,7 +25,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.control import SmallLaw, control_any, control_small, observe
+from jointid.simulation.kernels.control import SmallLaw, control_any, small_law
 from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root, value_at
 from jointid.simulation.kernels.tables import CHATTERING, DIVERGED, FINISHED, TOO_STIFF, IntArray, SampledLoop, Trace
 
@@ -337,8 +337,9 @@ def _travel(
 
 @inline_kernel
 def _glide(
-    resting: bool, p: Drive, law: SmallLaw, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
-    m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
+    resting: bool, p: Drive, law: SmallLaw, lag: int, before: float, w: FloatArray, post: FloatArray, u: FloatArray,
+    excess: FloatArray, states: FloatArray, m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State,
+    bound: float, last: float, k: int,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while a chord shows that nothing happens; `resting` if a mass stands still.
 
@@ -363,14 +364,22 @@ def _glide(
     stretch = x2 - x0
     while k < w.size:
         at = np.uint64(k)  # Numba looks for negative indices among the signed
-        command, limited, z = control_small(law, w[at], x0, z)
-        clipped += limited
+        raw = (w[at] + law.d * x0) + (law.c0 * z[0] + law.c1 * z[1])
+        command = raw
+        z0 = law.b0 * x0 + (law.a00 * z[0] + law.a01 * z[1])
+        z1 = law.b1 * x0 + (law.a10 * z[0] + law.a11 * z[1])
+        if not abs(raw) <= law.limit:  # a branch: the limit stays out of the chain of operations from state to state
+            command = min(max(raw, -law.limit), law.limit)
+            z0, z1, clipped = z0 + law.f0 * (command - raw), z1 + law.f1 * (command - raw), clipped + 1
+            if excess.shape[0] > 0:
+                excess[at, 0] = command - raw
+        z = z0, z1
         u[at] = command
-        s = law.before
-        if law.lag == 0:
+        s = before
+        if lag == 0:
             s = command + post[at]
-        elif k >= law.lag:
-            s = u[np.uint64(k - law.lag)] + post[np.uint64(k - law.lag)]
+        elif k >= lag:
+            s = u[np.uint64(k - lag)] + post[np.uint64(k - lag)]
         if keep:
             states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x0, d1 * x1, x2, d2 * x3
         y0 = (x0 + (p00 * x1 + p02 * x3)) + ((f0 + p01 * stretch) + g0 * s)
@@ -441,10 +450,9 @@ def run(
     status = FINISHED
     alone = feedback.D.size == 1 and feedback.driven.shape[1] == 0  # one phase, one element
     simple = parts == 1 and nz <= 2 and alone
-    (law, seen), sole, first, second = observe(feedback, nz if simple else 0, lags[0], before), w[0, 0], 0.0, 0.0
-    for i in range(seen.shape[1]):
-        first, second = first + seen[0, i] * z[0, i], second + seen[1, i] * z[0, i]
-    memory = first, second
+    law, sole, memory = small_law(feedback, nz if simple else 0), w[0, 0], (0.0, 0.0)
+    if simple and nz > 0:
+        memory = z[0, 0], z[0, nz - 1] if nz > 1 else 0.0
     bound, last = np.inf, 0.0
     k = 0
     while k < n and status == FINISHED:
@@ -457,8 +465,9 @@ def run(
                 _fill_map(maps, b, c, p, m1, m2, lengths[0])
             resting = m1 == 0 or m2 == 0
             k, limited, start, memory = _glide(
-                resting, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
-            )
+                resting, p, law, lags[0], before, sole, post, u, excess, states, maps, b, m1, m2, memory, start, bound,
+                last, k,
+            )  # fmt: skip
             x0, x1, x2, x3 = start
             clipped += limited
             if keep:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.control import NOTHING, OFTEN, SmallLaw, aligned_zeros, control_slopes, observe
+from jointid.simulation.kernels.control import NOTHING, OFTEN, SmallLaw, aligned_zeros, control_slopes, small_law
 from jointid.simulation.kernels.drive import (
     STEP,
     Drive,
@@ -43,12 +43,12 @@ _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constan
 _WIDE = 4 * LANES  # of the derivatives of a state
 
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
-# torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
-# change in the output; last those of stiffness and damping, of the inertias, and of viscous coefficient and constant
+# torque that acts, of a Taylor series, of two states of the law, and of its output; then what parameters change in
+# the output; last those of stiffness and damping, of the inertias, and of viscous coefficient and constant
 # force of the motor and of the load in the modes they are in: beside what is written, where the compiler sees that
 # nothing overlaps.
-_S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
-_SPRING, _INERTIA, _SIDE, _SCRATCH = (LANES * row for row in (17, 19, 21, 25))
+_S, _T, _DS, _W, _Z, _OUT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15))
+_SPRING, _INERTIA, _SIDE, _SCRATCH = (LANES * row for row in (16, 18, 20, 24))
 
 
 @compile_kernel
@@ -179,14 +179,14 @@ def _glide(
         for j in range(LANES):
             a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
             z0, z1 = q[_Z + j], q[_Z + LANES + j]
-            d = (law.d * a0 + q[_EXPLICIT + j]) + z0
+            d = (law.d * a0 + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
             a = a2 - a0
             q[_S + j] = ((((q[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
             q[_S + LANES + j] = (((q[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
             q[_S + 2 * LANES + j] = ((((q[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
             q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
-            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
-            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
+            q[_Z + j] = law.b0 * a0 + (law.a00 * z0 + law.a01 * z1)
+            q[_Z + LANES + j] = law.b1 * a0 + (law.a10 * z0 + law.a11 * z1)
             q[_OUT + j] = d
         _write_output(q, at, du)
         k += 1
@@ -215,34 +215,6 @@ def _through_events(
                 q[at + j] *= ratio
         row += 1
     return row
-
-
-@inline_kernel
-def _control(
-    q: FloatArray, law: SmallLaw, u: float, limit: float, explicit: FloatArray, first_explicit: int, at: int,
-    du: FloatArray,
-) -> None:  # fmt: skip
-    """Write the derivatives of the output u of a law of two states at most, and move those of its states."""
-    row = np.uint64(at)
-    saturated = 0.0 if abs(u) < limit else math.copysign(1.0, u)
-    for i in range(explicit.shape[2]):
-        q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
-    if saturated == 0.0:
-        for j in range(LANES):
-            position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-            q[_OUT + j] = (law.d * position + q[_EXPLICIT + j]) + z0
-            q[_Z + j] = law.b0 * position + (law.own * z0 + z1)
-            q[_Z + LANES + j] = law.b1 * position + law.other * z0
-    else:
-        for j in range(LANES):
-            position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-            raw = (law.d * position + q[_EXPLICIT + j]) + z0
-            out = saturated * q[_LIMIT + j]
-            cut = out - raw
-            q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.own * z0 + z1)
-            q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + law.other * z0
-            q[_OUT + j] = out
-    _write_output(q, row, du)
 
 
 @compile_kernel
@@ -290,12 +262,11 @@ def follow(
         assign(q[_S + 2 * i * LANES : _S + (2 * i + 1) * LANES], moved.dq[i])
         assign(q[_S + (2 * i + 1) * LANES : _S + (2 * i + 2) * LANES], moved.dv[i])
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
-    (law, seen), limit = observe(feedback, nz if small else 0, 0, 0.0), feedback.limits[0, 0]
-    for i in range(seen.shape[1]):
-        for j in range(LANES):
-            q[_Z + j] += seen[0, i] * Z[i, j]
-            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
-    assign(q[_LIMIT : _LIMIT + LANES], dlimits[0])
+    law, limit, dz = small_law(feedback, nz if small else 0), feedback.limits[0, 0], Z
+    if small:
+        dz = q[_Z : _Z + nz * LANES].reshape((nz, LANES))
+        for i in range(nz):
+            assign(dz[i], Z[i])
     delayed = delays.shape[0] > 0
     keep = dstates.shape[0] > 0
     plain = small and parts == 1 and lags[0] == 0 and not keep and not delayed
@@ -317,13 +288,10 @@ def follow(
                 _fill(scratch, c, lengths[0], p, mode, mode, phi, M, seeds)
             k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
-        if small:
-            _control(q, law, u[k], limit, explicit, first_explicit, k, du)
-        else:
-            control_slopes(
-                feedback, 0, k, excess[k], q[_S : _S + LANES], Z, fresh, raw, taken, explicit, first_explicit, dlimits,
-                du[k],
-            )  # fmt: skip
+        control_slopes(
+            feedback, 0, k, excess[k], q[_S : _S + LANES], dz, fresh, raw, taken, explicit, first_explicit, dlimits,
+            du[k],
+        )  # fmt: skip
         for part in range(parts):
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
