@@ -88,6 +88,13 @@ def test_a_load_that_begins_to_swing_in_motion_has_the_derivative_of_differences
     assert error_beside_differences((found,), *at, back=0.0) < 1e-4
 
 
+def test_a_gap_of_nothing_is_a_linear_spring() -> None:
+    case = prismatic(1)
+    loop, values = _nothing_more(case, "symmetric", "backlash")
+    exact, found = (simulate(one, prepare(one, case.clean), values).torque for one in (case.loop, loop))
+    assert np.abs(found - exact).max() < 1e-6 * np.abs(exact).max()
+
+
 def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -> None:
     law, values = (
         FRICTIONS["load-dependent"],

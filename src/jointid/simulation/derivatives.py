@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -118,7 +118,7 @@ def differentiate(kept: Run, keys: Keys, *, positions: bool = False) -> tuple[li
         return nothing, still
     own = [key for key in keys if key not in of_law]
     order = [*own, *of_law]  # the law's own columns come last in a block
-    wide = LANES if experiment.tree is None else max(len(keys), 1)
+    wide = LANES if kept.lines is not None else max(len(keys), 1)
     commands, moved = [], []
     for first in range(0, max(len(keys), 1), wide):
         command, states = _propagate(kept, order[first : first + wide], positions)
@@ -215,7 +215,7 @@ def _follow(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
     (n, elements, _), count = experiment.sampled.w.shape, first.places.shape[1]
-    width = LANES if experiment.tree is None else count
+    width = LANES if kept.lines is not None else count
     command = np.zeros((n, clock.steps, width))
     rows = clock.steps * clock.lengths.size if positions else 0
     states = _ROOM.array("moved", (rows, 4, width))
@@ -240,8 +240,8 @@ def _follow(
         from jointid.simulation.kernels.variation import follow
 
         packed = pack_seeds(
-            kept.plant, experiment.tree, numbers.blocks(keys), links=numbers.links(keys), delays=delays,
-            pushes=pushes[0], pushed=pushes[1],
+            kept.plant, numbers.blocks(keys), links=numbers.links(keys), delays=delays, pushes=pushes[0],
+            pushed=pushes[1],
         )  # fmt: skip
         follow(
             kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
@@ -284,24 +284,11 @@ def _explicit(kept: Run, name: str) -> tuple[FloatArray, FloatArray]:
             f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
             "declare another."
         )
-    held, width = _cut(kept, inputs), steps[1] - steps[0]
+    held, width = np.asarray(kept.excess[0]), steps[1] - steps[0]
     above, below = (respond(law, inputs, _start_states(law, inputs, kept), held) for law in (high, low))
     with np.errstate(invalid="ignore"):
         limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
     return (above - below) / width, limits
-
-
-def _cut(kept: Run, inputs: FloatArray) -> FloatArray:
-    """Return the excess over limits and gates, (periods, elements)."""
-    law = kept.experiment.axis.law
-    if law.limits.size > 1 or law.phases > 1 or kept.experiment.axis.driven.size:
-        return np.asarray(kept.excess[0])
-    if not np.any(law.F):
-        return np.zeros_like(kept.excess[0])
-    # One limit that is fed back: what it cut off is the difference of the output from the law's own.
-    output: FloatArray = kept.command[0, :, np.newaxis]
-    back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
-    return np.asarray(output - respond(back, inputs, _start_states(law, inputs, kept), output))
 
 
 def _start_states(law: SampledLaw, inputs: FloatArray, kept: Run) -> FloatArray:

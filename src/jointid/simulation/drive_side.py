@@ -26,7 +26,7 @@ from jointid.models.joints import Joint
 from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.kernels.tables import LANES, STATE, IntArray, Moved, Slopes
+from jointid.simulation.kernels.tables import STATE, IntArray, Moved, Slopes
 from jointid.simulation.plant import HEAVY, pack_seeds
 from jointid.simulation.robot_numbers import Bools, NumberOf
 from jointid.simulation.simulate import (
@@ -233,21 +233,17 @@ def differentiate_drive_side(run: DriveSideRun, keys: Keys) -> FloatArray:
     parts, n = prescribed.direction.shape
     if not count or not len(run.tape):
         return np.zeros((parts, n, count))
-    wide = LANES if prescribed.tree is None else count
-    if count > wide:
-        blocks = [differentiate_drive_side(run, keys[i : i + wide]) for i in range(0, count, wide)]
-        return np.concatenate(blocks, axis=2)
-    dq, dv = _slopes_at_start(run, keys, wide)
-    found = np.zeros((n, parts + 1, wide))
-    moved = Moved(dq, dv, np.zeros((n, 0, wide)), np.zeros((n, 0, 1, 0)), wide, np.zeros((n, 1, wide)))
+    dq, dv = _slopes_at_start(run, keys)
+    found = np.zeros((n, parts + 1, count))
+    moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
     plant = heavy.plant
-    seeds = pack_seeds(plant, prescribed.tree, heavy.blocks(keys), links=heavy.links(keys))
+    seeds = pack_seeds(plant, heavy.blocks(keys), links=heavy.links(keys))
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command[:, np.newaxis], prescribed.step), np.zeros(n),
         run.command, np.zeros((n, 0, 1)), run.tape, seeds, moved,
-        Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, wide)), found),
+        Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), found),
     )  # fmt: skip
-    return found[:, :parts, :count].transpose(1, 0, 2)
+    return found[:, :parts].transpose(1, 0, 2)
 
 
 def moves_links(key: Any, numbers: Numbers) -> bool:
@@ -284,12 +280,12 @@ def _begin(prescribed: PrescribedMotion, numbers: Numbers) -> tuple[FloatArray, 
     return start, places, speeds
 
 
-def _slopes_at_start(run: DriveSideRun, keys: Keys, wide: int) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the first positions and velocities, (masses, wide) each."""
+def _slopes_at_start(run: DriveSideRun, keys: Keys) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of the first positions and velocities, (masses, keys) each."""
     prescribed, numbers = run.prescribed, run.numbers
-    dq, dv = np.zeros((2, numbers.count, wide))
+    dq, dv = np.zeros((2, numbers.count, len(keys)))
     if prescribed.tree is not None:
-        dq[:, : len(keys)], _ = _steady(prescribed, numbers).slopes(run.start, keys)
+        dq[:], _ = _steady(prescribed, numbers).slopes(run.start, keys)
         for c, place in enumerate(keys):
             if place.of is NumberOf.BESIDE:
                 (dv if place.column else dq)[place.row, c] = 1.0

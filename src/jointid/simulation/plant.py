@@ -15,7 +15,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.friction import Friction
 from jointid.models.joints import Joint, RigidJoint
-from jointid.models.robots.robot import Tree
 from jointid.models.springs import Spring
 from jointid.simulation.kernels.tables import (
     BEGIN,
@@ -24,10 +23,8 @@ from jointid.simulation.kernels.tables import (
     COULOMB_DRIFT,
     HIGH,
     INERTIA,
-    MASSES,
     PER_TORQUE,
     SLIPS,
-    SPRINGS,
     WAVE,
     WINDING,
     Plant,
@@ -43,6 +40,7 @@ NO_LINKS = np.zeros((1, 0, 10))
 """The inertials of a joint, which stands in no tree; and what no motor feels of any."""
 HEAVY = 1e18
 """Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
+_THIN = 1e-300  # m or rad: the width of a piece of none, in which a joint would never get on
 
 
 def lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], prefix: str = "") -> AnyArray:
@@ -60,8 +58,16 @@ def lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
     slides = slider / slips if slips != 0.0 else (math.nan if slider != 0.0 else 0.0)
     return np.array(
         [
-            [p.stiffness, p.damping, cubic, slips, slides, p.torque - p.stiffness * p.deflection, p.deflection]
-            for p in law.pieces(values)
+            [
+                p.stiffness,
+                p.damping,
+                cubic,
+                slips,
+                slides,
+                p.torque - p.stiffness * p.deflection,
+                p.deflection + i * _THIN,
+            ]
+            for i, p in enumerate(law.pieces(values))
         ]
     )
 
@@ -225,9 +231,8 @@ class JointNumbers:
             if name not in self.names:
                 continue
             moved = self.with_value(name, complex(self.values[name], IMAGINARY)).plant
-            places = moved.places[:, np.newaxis, :WAVE]
-            for first, rows in ((0, moved.masses[..., :HIGH]), (MASSES, moved.springs), (MASSES + SPRINGS, places)):
-                found += [(column, first + row, slope(own)) for row, own in enumerate(rows)]
+            rows = [*moved.masses[..., :HIGH], *moved.springs, *moved.places[:, np.newaxis, :WAVE]]
+            found += [(column, row, slope(own)) for row, own in enumerate(rows)]
         return found
 
     @staticmethod
@@ -244,14 +249,13 @@ def names_of(joint: Joint) -> frozenset[str]:
 
 
 def pack_seeds(
-    plant: Plant, tree: Tree | None, blocks: Blocks, *, links: Sequence[tuple[int, ...]] = (),
+    plant: Plant, blocks: Blocks, *, links: Sequence[tuple[int, ...]] = (),
     delays: Sequence[tuple[int, ...]] = (), pushes: Sequence[tuple[int, ...]] = (), pushed: FloatArray | None = None,
 ) -> Seeds:  # fmt: skip
     """Return the derivatives of a plant's numbers as `kernels.variation` takes them.
 
     Args:
         plant: whose numbers they are.
-        tree: of its links, or None.
         blocks: column of a parameter, row of `Seeds.begin`, and the derivatives, (bands, numbers).
         links: see `Seeds`, as what follows.
         delays: the same.
@@ -263,7 +267,7 @@ def pack_seeds(
         for column, row, block in blocks
         for band, number in np.argwhere(block)
     )
-    rows = len(plant.places) + (MASSES + SPRINGS if tree is None else len(plant.masses) + len(plant.pairs))
+    rows = len(plant.masses) + len(plant.pairs) + len(plant.places)
     bands = max(plant.masses.shape[1], plant.springs.shape[1])
     keys = [row * bands + band for row, band, *_ in found]
     begin = np.searchsorted(keys, bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1))

@@ -182,10 +182,15 @@ def _positive(start: float, slope: float, end: float, margin: float) -> bool:
 
 
 @inline_kernel
-def _holds(forwards: float, backwards: float, start: float, slope: float, end: float, margin: float) -> bool:
-    """Prove that the push on a mass at rest stays within its cone."""
-    return _positive(forwards - start, -slope, forwards - end, margin) and _positive(
-        backwards + start, slope, backwards + end, margin
+def _stays(
+    mode: int, v: float, slope: float, end: float, forwards: float, backwards: float, push: float, rate: float,
+    push_end: float, margin: float,
+) -> bool:  # fmt: skip
+    """Prove that a mass goes on in its mode: the velocity keeps its sign, or the push stays within the cone."""
+    if mode != 0:
+        return mode * end > 0.0 and _positive(mode * v, mode * slope, mode * end, margin)
+    return _positive(forwards - push, -rate, forwards - push_end, margin) and _positive(
+        backwards + push, rate, backwards + push_end, margin
     )
 
 
@@ -209,16 +214,10 @@ def _calm(
     root = math.sqrt(p.inertia1 * (p.inertia1 * a1 * a1 + p.inertia2 * a2 * a2 + p.stiffness * apart * apart))
     third = math.sqrt(p.inertia1 * (p.inertia1 * j1 * j1 + p.inertia2 * j2 * j2 + p.stiffness * (a2 - a1) ** 2))
     third *= 4.0 / 3.0 * h
-    if m1 != 0:
-        calm = m1 * y1 > 0.0 and _positive(m1 * x1, m1 * a1 * h, m1 * y1, bend1 * third)
-    else:
-        push = s - p.offset1
-        calm = _holds(p.coulomb1, p.coulomb1_back, push + spring, slope * h, push + end, bend1 * third)
-    if m2 != 0:
-        calm = calm and m2 * y3 > 0.0 and _positive(m2 * x3, m2 * a2 * h, m2 * y3, bend2 * third)
-    else:
-        push = -p.offset2
-        calm = calm and _holds(p.coulomb2, p.coulomb2_back, push - spring, -slope * h, push - end, bend2 * third)
+    push1, push2, rate = s - p.offset1, -p.offset2, slope * h
+    calm = _stays(
+        m1, x1, a1 * h, y1, p.coulomb1, p.coulomb1_back, push1 + spring, rate, push1 + end, bend1 * third
+    ) and _stays(m2, x3, a2 * h, y3, p.coulomb2, p.coulomb2_back, push2 - spring, -rate, push2 - end, bend2 * third)
     return calm, root
 
 

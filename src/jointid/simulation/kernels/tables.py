@@ -16,7 +16,6 @@ FINISHED, DIVERGED, TOO_STIFF, CHATTERING, NOT_POSITIVE = range(5)
 """How a run ended; the last: the mass matrix is not positive definite in a pose."""
 LANES = 8
 """Columns followed at a time: one vector of a wide machine, two of others."""
-MASSES, SPRINGS = 3, 2  # of a joint at most: its rows are as many
 
 # Columns of a mass in a band of its speed: inertia, constant friction, viscous coefficients and Coulomb forces of both
 # directions, the inverse of the displacement over which the latter wind up (0 of one that sticks), what both grow by
@@ -126,8 +125,7 @@ class Trace(NamedTuple):
 
     Attributes:
         u: (periods,) the torque that acts.
-        excess: (periods, elements) what limits and gates took away; or (0, elements). Not of a law of one limit, at
-            most two states and one phase, where `u` says it.
+        excess: (periods, elements) what limits and gates took away, 0 before; or (0, elements).
         states: (periods * parts, 4) states at the start of every part; or (0, 4).
         modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
         tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted above the rows, too.

@@ -5,11 +5,10 @@ The run has left a tape of its steps. Along each the deviations of all masses ob
     M da + C dv + K dq = G
 
 with M, C and K the derivatives of the equations of motion by acceleration, velocity and position, and G, negative, by
-the parameters and by the motors' torques. They are taken at both ends of the step, about its mean motion. The masses of
-a joint then follow a Taylor series of order 4; those of a tree the implicit midpoint rule, of order 2. What winds up
-has the derivative of its closed form. A mass at rest stays there. An event moves in time with what it takes to zero, so
-velocities jump (M. A. Aizerman and F. R. Gantmacher: On the stability of periodic motions, Journal of Applied
-Mathematics and Mechanics 22, 1958)::
+the parameters and by the motors' torques. They are taken at both ends of the step, about its mean motion, and followed
+by a Taylor series of order 4. What winds up has the derivative of its closed form. A mass at rest stays there. An event
+moves in time with what it takes to zero, so velocities jump (M. A. Aizerman and F. R. Gantmacher: On the stability of
+periodic motions, Journal of Applied Mathematics and Mechanics 22, 1958)::
 
     dv+ = dv- + (a+ - a-) dv_i- / a_i-
 
@@ -20,7 +19,6 @@ are linear between limits, and where one acts its element follows the limit.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +28,7 @@ from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.control import NOTHING, OFTEN, aligned_zeros, control_slopes
+from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes
 from jointid.simulation.kernels.laws import (
     friction,
     friction_partials,
@@ -38,6 +36,7 @@ from jointid.simulation.kernels.laws import (
     spring_partials,
     spring_torque,
     take_piece,
+    wind,
     wind_partials,
 )
 from jointid.simulation.kernels.tables import (
@@ -47,14 +46,11 @@ from jointid.simulation.kernels.tables import (
     FREE,
     HELD,
     INERTIA,
-    LANES,
     LENGTH,
     MASS,
-    MASSES,
     PART,
     SLIDING,
     SLIPS,
-    SPRINGS,
     STATE,
     WHERE,
     WINDING,
@@ -67,20 +63,15 @@ from jointid.simulation.kernels.tables import (
     Slopes,
 )
 
-# A block of a joint's derivatives: positions of the masses, or a derivative of these by time, then the forces given on
-# masses and in springs as a step begins, or their rates; each row is LANES long.
-_BLOCK = LANES * (2 * MASSES + SPRINGS)
-_BLOCKS = 6
+# A block of derivatives: positions of the masses, or a derivative of these by time, then the forces given on masses and
+# in springs as a step begins, or their rates.
+_ORDER = 4
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
-# takes; of springs stiffness and damping; of both the stiffness of what winds up, what of it is left at the end, what
-# it gains with the place and with the rate of winding, and how its derivative enters the force at both ends.
-_GOES, _DRAG, _STIFF, _TAKES, _PULL, _DAMP, _WINDS, _LEFT, _GAINS, _TURNS, _ENTERS, _FACTORS = (
-    0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
-)  # fmt: skip
+# takes; of springs stiffness and damping; of both the stiffness of what winds up, how its derivative enters the force,
+# what of it is left at the end, and what it gains with the place and with the rate of winding.
+_GOES, _DRAG, _STIFF, _TAKES, _PULL, _DAMP, _WINDS, _ENTERS, _LEFT, _GAINS, _TURNS, _FACTORS = range(12)
 _PLACE, _SPEED, _CHANGE = range(3)  # rows of the motion
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
-
-Three: TypeAlias = tuple[float, float, float]
 
 
 @inline_kernel
@@ -96,25 +87,25 @@ def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray, change: 
 
 
 @inline_kernel
-def _wind(f: FloatArray, x: int, end: int, w: float, way: float, gone: float, rate: float, force: float) -> float:
-    """Write the factors of what winds up in a step at one of its ends; return the partial of the force by the rate."""
-    left, slope = wind_partials(w, way, end * gone, rate)
-    f[_ENTERS + end, x] = force * left
+def _wind(f: FloatArray, x: int, w: float, way: float, gone: float, rate: float, force: float) -> float:
+    """Add half the factors of what winds up in a step; return the partial of the force by the rate in its middle."""
+    half, slope = wind_partials(w, way, 0.5 * gone, rate)
+    f[_ENTERS, x] += 0.5 * force * half
     f[_WINDS, x] += 0.5 * force * slope * rate
-    f[_LEFT, x], f[_GAINS, x], f[_TURNS, x] = left, slope * rate, slope * end * gone
-    return force * slope * end * gone
+    left, slope_left = wind_partials(w, way, gone, rate)
+    f[_LEFT, x], f[_GAINS, x], f[_TURNS, x] = left, slope_left * rate, slope_left * gone
+    return 0.5 * force * slope * gone
 
 
 @inline_kernel
 def _fill_factors(
     masses: FloatArray, springs: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray,
-    tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray, time: float, first: int,
+    tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray, time: float,
     mass: FloatArray, spring: FloatArray, torque: FloatArray, f: FloatArray, k: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the factors of a step, a row of the tape, and the partials of the forces by their numbers at both ends.
 
-    Partials have rows for masses, springs and places as the step begins, then as many as it ends. `first` is the column
-    of the first spring among the factors.
+    Partials have rows for masses, springs and places as the step begins, then as many as it ends.
     """
     nd, ns, h, half = masses.shape[0], pairs.shape[0], tape[row, LENGTH], k.shape[0] // 2
     modes, at, wound = STATE + 4 * nd, STATE + 5 * nd + ns, STATE + 6 * nd + 2 * ns
@@ -128,17 +119,18 @@ def _fill_factors(
     for end in range(2):
         side = end - 0.5
         for s in range(ns):
-            one, two, x, to, piece = pairs[s, 0], pairs[s, 1], first + s, end * half + first + s, tape[row, at + nd + s]
-            rate, w = mean[_SPEED, two] - mean[_SPEED, one], tape[row + end, wound + nd + s]
+            one, two, x, to, piece = pairs[s, 0], pairs[s, 1], nd + s, end * half + nd + s, tape[row, at + nd + s]
+            gone, way, begun = (mean[_SPEED, two] - mean[_SPEED, one]) * h, tape[row, modes + nd + s], wound + nd + s
+            w = wind(tape[row, begun], way, 0.5 * gone, spring[s, SLIDING])
+            w += side * (tape[row + 1, begun] - tape[row, begun])
             e = mean[_PLACE, two] - mean[_PLACE, one] + side * (change[_PLACE, two] - change[_PLACE, one])
-            de = rate + side * (change[_SPEED, two] - change[_SPEED, one])
+            de = gone / h + side * (change[_SPEED, two] - change[_SPEED, one])
             torque[s] = spring_torque(spring, s, e, de, w)
             f[_PULL, x] += 0.5 * spring_partials(spring, s, e, de, w, k, to)
             f[_DAMP, x] = spring[s, DAMPING]
             k[to, HELD], k[to, SLIDING] = 0.0 if piece == 0.0 else math.copysign(1.0, piece), 0.0
             if spring[s, SLIPS] > 0.0:
-                begun, way = tape[row, wound + nd + s], tape[row, modes + nd + s]
-                k[to, SLIDING] = _wind(f, x, end, begun, way, rate * h, spring[s, SLIDING], spring[s, SLIPS])
+                k[to, SLIDING] = _wind(f, x, tape[row, begun], way, gone, spring[s, SLIDING], spring[s, SLIPS])
         for i in range(nd):
             mode, speed, to = tape[row, modes + i], mean[_SPEED, i], end * half + i
             way = math.copysign(1.0, speed) if mode == FREE else mode
@@ -147,8 +139,9 @@ def _fill_factors(
             grip, drag = friction(mass, i, back, carried, then)
             k[to, INERTIA], k[to, WINDING] = -mean[_CHANGE, i] - side * change[_CHANGE, i], 0.0
             if mass[i, WINDING] > 0.0:
-                share = tape[row + end, wound + i]
-                k[to, WINDING] = _wind(f, i, end, tape[row, wound + i], mode, speed * h, mass[i, WINDING], -grip)
+                w, winds = tape[row, wound + i], mass[i, WINDING]
+                share = wind(w, mode, 0.5 * speed * h, winds) + side * (tape[row + 1, wound + i] - w)
+                k[to, WINDING] = _wind(f, i, w, mode, speed * h, winds, -grip)
             speed += side * change[_SPEED, i]
             f[_GOES, i] = 1.0 if mode != 0.0 else 0.0
             f[_DRAG, i] += 0.5 * drag
@@ -158,8 +151,8 @@ def _fill_factors(
             f[_STIFF, i] += 0.5 * place_partials(places, j, mean[_PLACE, i] + side * change[_PLACE, i], k, to)
     for i in range(nd):
         f[_STIFF, i] += f[_WINDS, i]
-    for s in range(ns):
-        f[_PULL, first + s] += f[_WINDS, first + s]
+    for i in range(nd, nd + ns):
+        f[_PULL, i] += f[_WINDS, i]
 
 
 @inline_kernel
@@ -223,129 +216,94 @@ def _solve(A: FloatArray, rows: FloatArray) -> None:
                     rows[i, c] -= factor * rows[k, c]
 
 
-@inline_kernel
-def _three(of: FloatArray, row: int, begin: int) -> Three:
-    """Return three numbers of a row, which then stay in registers."""
-    return of[row, begin], of[row, begin + 1], of[row, begin + 2]
-
-
-@inline_kernel
-def _move(h: float, f: FloatArray, mobility: FloatArray, s: FloatArray) -> None:
-    """Move the derivatives of a joint over a step: a Taylor series of their linear equation about its beginning.
-
-    Block by block the next derivative by time, so that the compiler makes vectors of the lanes. How far the masses have
-    gone is in the third block.
-    """
-    h2, h3, h4 = h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
-    goes, drag, stiff, takes = _three(f, _GOES, 0), _three(f, _DRAG, 0), _three(f, _STIFF, 0), _three(f, _TAKES, 0)
-    moves0, moves1, moves2 = goes[0] * mobility[0], goes[1] * mobility[1], goes[2] * mobility[2]
-    pull0, pull1 = f[_PULL, MASSES], f[_PULL, MASSES + 1]
-    damp0, damp1 = f[_DAMP, MASSES], f[_DAMP, MASSES + 1]
-    for j in range(LANES):  # a velocity that was not let begin does not come back
-        s[_BLOCK + j] *= goes[0]
-        s[_BLOCK + LANES + j] *= goes[1]
-        s[_BLOCK + 2 * LANES + j] *= goes[2]
-    for order in range(_BLOCKS - 2):
-        x = order * _BLOCK
-        for j in range(x, x + LANES):
-            q0, q1, q2 = s[j], s[LANES + j], s[2 * LANES + j]
-            v0, v1, v2 = s[_BLOCK + j], s[_BLOCK + LANES + j], s[_BLOCK + 2 * LANES + j]
-            near = pull0 * (q1 - q0) + damp0 * (v1 - v0) + s[6 * LANES + j]
-            far = pull1 * (q2 - q1) + damp1 * (v2 - v1) + s[7 * LANES + j]
-            s[2 * _BLOCK + j] = moves0 * (((stiff[0] * q0 - drag[0] * v0) + s[3 * LANES + j]) + near)
-            s[2 * _BLOCK + LANES + j] = moves1 * (
-                ((stiff[1] * q1 - drag[1] * v1) + s[4 * LANES + j]) + (far - takes[1] * near)
-            )
-            s[2 * _BLOCK + 2 * LANES + j] = moves2 * (
-                ((stiff[2] * q2 - drag[2] * v2) + s[5 * LANES + j]) - takes[2] * far
-            )
-    for j in range(MASSES * LANES):
-        v, a, b, c, e = s[_BLOCK + j], s[2 * _BLOCK + j], s[3 * _BLOCK + j], s[4 * _BLOCK + j], s[5 * _BLOCK + j]
-        gone = (h * v + h2 * a) + (h3 * b + h4 * c)
-        s[j] += gone
-        s[_BLOCK + j] = v + ((h * a + h2 * b) + (h3 * c + h4 * e))
-        s[2 * _BLOCK + j] = gone
-
-
-@inline_kernel
-def _move_tree(
-    h: float, masses: FloatArray, pairs: IndexArray, f: FloatArray, M: FloatArray, K: FloatArray, C: FloatArray,
-    left: FloatArray, rows: FloatArray, dq: FloatArray, dv: FloatArray, given: FloatArray, gone: FloatArray,
-) -> None:  # fmt: skip
-    """Move the derivatives of a tree over a step, by the implicit midpoint rule.
-
-    The unknowns are the rates in its middle, those of the rotors behind springs first: each is tied to its link alone.
-    """
-    nd, n, count, half = len(dq), len(M), dq.shape[1], 0.5 * h
-    last = nd - 1
-    for i in range(nd):
-        for j in range(nd):
-            left[i, j] = 0.0
-    for i in range(nd):
-        inert, stiff, at = 2.0 / h * masses[i, 0, INERTIA], f[_STIFF, i], last - i
-        left[at, at] = inert + f[_DRAG, i] - half * stiff
-        for c in range(count):
-            rows[at, c] = given[i, c] + inert * dv[i, c] + stiff * dq[i, c]
+@compile_kernel
+def _invert(M: FloatArray, f: FloatArray, left: FloatArray, inverse: FloatArray) -> None:
+    """Fill the inverse of a mass matrix; masses at rest have the row of the identity."""
+    n = len(M)
     for i in range(n):
         for j in range(n):
-            inert, stiff = 2.0 / h * M[i, j], K[i, j]
-            left[last - i, last - j] += inert + C[i, j] + half * stiff
-            if inert != 0.0 or stiff != 0.0:  # not as of two arms on one base
-                for c in range(count):
-                    rows[last - i, c] += inert * dv[j, c] - stiff * dq[j, c]
-    for s in range(len(pairs)):
-        one, two, x = int(pairs[s, 0]), int(pairs[s, 1]), nd + s
-        for i, other, push in ((one, two, 2.0 - f[_TAKES, one]), (two, one, -1.0)):
-            stiff, tie = abs(push) * f[_PULL, x], abs(push) * (f[_DAMP, x] + half * f[_PULL, x])
-            left[last - i, last - i] += tie
-            left[last - i, last - other] -= tie
-            for c in range(count):
-                rows[last - i, c] += push * given[x, c] - stiff * (dq[i, c] - dq[other, c])
-    for i in range(nd):
-        if f[_GOES, i] == 0.0:
-            for j in range(nd):
-                left[last - i, j] = 1.0 if j == last - i else 0.0
-            for c in range(count):
-                rows[last - i, c] = 0.0
-    _solve(left, rows)
-    for i in range(nd):
-        for c in range(count):
-            mean = rows[last - i, c]
-            gone[i, c] = h * mean
-            dq[i, c] += h * mean
-            dv[i, c] = f[_GOES, i] * (2.0 * mean - dv[i, c])
+            inverse[i, j] = 1.0 if i == j else 0.0
+            left[i, j] = M[i, j] if f[_GOES, i] * f[_GOES, j] != 0.0 else inverse[i, j]
+    _solve(left, inverse)
 
 
 @compile_kernel
+def _move(
+    h: float, f: FloatArray, pairs: IndexArray, carriers: IntArray, mobility: FloatArray, inverse: FloatArray,
+    K: FloatArray, C: FloatArray, torque: FloatArray, rows: FloatArray, x: FloatArray,
+) -> None:  # fmt: skip
+    """Move the derivatives over a step: a Taylor series of their linear equation about its beginning.
+
+    Block by block the next derivative by time. How far the masses have gone is in the third block.
+    """
+    n, nd, ns, count = len(K), len(mobility), len(pairs), x.shape[2]
+    for i in range(nd):
+        for c in range(count):  # a velocity that was not let begin does not come back
+            x[1, i, c] *= f[_GOES, i]
+    for order in range(_ORDER):
+        rate, then = order + 1, order + 2
+        for i in range(nd):
+            stiff, drag = f[_STIFF, i], f[_DRAG, i]
+            for c in range(count):
+                x[then, i, c] = stiff * x[order, i, c] - drag * x[rate, i, c] + x[order, nd + i, c]
+        for s in range(ns):
+            one, two, pull, damp = pairs[s, 0], pairs[s, 1], f[_PULL, nd + s], f[_DAMP, nd + s]
+            near = 2.0 - f[_TAKES, one] if carriers[one] == s else 1.0
+            far = f[_TAKES, two] if carriers[two] == s else 1.0
+            for c in range(count):
+                moved = pull * (x[order, two, c] - x[order, one, c]) + damp * (x[rate, two, c] - x[rate, one, c])
+                torque[c] = moved + x[order, 2 * nd + s, c]
+            for c in range(count):
+                x[then, one, c] += near * torque[c]
+            for c in range(count):
+                x[then, two, c] -= far * torque[c]
+        for i in range(n):
+            for j in range(n):
+                stiff, drag = K[i, j], C[i, j]
+                for c in range(count if stiff != 0.0 or drag != 0.0 else 0):  # not as of two arms on one base
+                    x[then, i, c] -= stiff * x[order, j, c] + drag * x[rate, j, c]
+        for i in range(n):
+            for c in range(count):
+                rows[i, c] = 0.0
+            for j in range(n):
+                for c in range(count if inverse[i, j] != 0.0 else 0):
+                    rows[i, c] += inverse[i, j] * x[then, j, c]
+        for i in range(nd):
+            moves = f[_GOES, i] * (1.0 if i < n else mobility[i])
+            for c in range(count):
+                x[then, i, c] = moves * (rows[i, c] if i < n else x[then, i, c])
+    h2, h3, h4 = h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
+    for i in range(nd):
+        for c in range(count):
+            v, a, b, d, e = x[1, i, c], x[2, i, c], x[3, i, c], x[4, i, c], x[5, i, c]
+            x[2, i, c] = (h * v + h2 * a) + (h3 * b + h4 * d)
+            x[0, i, c] += x[2, i, c]
+            x[1, i, c] = v + ((h * a + h2 * b) + (h3 * d + h4 * e))
+
+
+@inline_kernel
 def _shift_edges(
-    masses: FloatArray, rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int,
-    jumps: NDArray[np.bool_], M: FloatArray, left: FloatArray, kicks: FloatArray, dv: FloatArray,
+    rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int, jumps: NDArray[np.bool_],
+    f: FloatArray, M: FloatArray, inverse: FloatArray, dv: FloatArray,
 ) -> None:  # fmt: skip
     """Add to the velocities what later edges of the torques, as a step begins, take from them.
 
     An edge of one motor's torque is all that changes in the equation of the mass that it drives, which may come loose.
     It lies between the last step before and the first that lasts.
     """
-    n, nd = len(M), len(masses)
-    after, before, modes = STATE + 2 * nd, STATE + 3 * nd, STATE + 4 * nd
-    for i in range(n):
-        held = tape[row, modes + i] == 0.0
-        for j in range(n):
-            left[i, j] = M[i, j] if not held else 0.0
-        left[i, i] += 1.0 if held else masses[i, 0, INERTIA]
+    n, nd = len(M), len(dv)
+    after, before = STATE + 2 * nd, STATE + 3 * nd
     for d in range(len(delays)):
-        c, j, r = delays[d, 0], delays[d, 1], rotors[delays[d, 1]]
-        for i in range(n):
-            kicks[i, d] = 0.0
-        if jumps[j] and r >= n:
+        c, j, r, push = delays[d, 0], delays[d, 1], rotors[delays[d, 1]], 0.0
+        if not jumps[j] or f[_GOES, r] == 0.0:
+            continue
+        if r >= n:
             dv[r, c] -= tape[row, after + r] - tape[last, before + r]
-        elif jumps[j] and tape[row, modes + r] != 0.0:
-            for i in range(n):
-                kicks[r, d] -= left[r, i] * (tape[row, after + i] - tape[last, before + i])
-    _solve(left, kicks)
-    for d in range(len(delays)):
+            continue
         for i in range(n):
-            dv[i, delays[d, 0]] += kicks[i, d]
+            push += M[r, i] * (tape[row, after + i] - tape[last, before + i])
+        for i in range(n):
+            dv[i, c] -= inverse[i, r] * push
 
 
 @compile_kernel
@@ -375,7 +333,7 @@ def _add_moved_links(
 
 @inline_kernel
 def _pass_event(
-    tape: FloatArray, row: int, nd: int, pairs: IndexArray, seeds: Seeds, springs: int, dq: FloatArray, dv: FloatArray,
+    tape: FloatArray, row: int, nd: int, pairs: IndexArray, seeds: Seeds, dq: FloatArray, dv: FloatArray,
     lead: FloatArray,
 ) -> None:  # fmt: skip
     """Change the velocities at the event that ended a step: by `lead`, s, it comes earlier."""
@@ -397,7 +355,7 @@ def _pass_event(
         edge, side = int(max(abs(old), abs(new))), math.copysign(1.0, old + new)
         for c in range(count if moves else 0):
             lead[c] = (dq[two, c] - dq[one, c]) / rate
-        for e in range(seeds.begin[springs + s, edge], seeds.begin[springs + s, edge + 1] if moves else 0):
+        for e in range(seeds.begin[nd + s, edge], seeds.begin[nd + s, edge + 1] if moves else 0):
             if seeds.numbers[e] == BEGIN:
                 lead[seeds.columns[e]] -= side * seeds.values[e] / rate
     for i in range(nd if moves else 0):
@@ -411,7 +369,7 @@ def follow(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, torques_before: FloatArray,
     torques: FloatArray, excess: FloatArray, tape: FloatArray, seeds: Seeds, moved: Moved, slopes: Slopes,
 ) -> None:  # fmt: skip
-    """Fill the derivatives of a finished run; of a joint there are `LANES` parameters.
+    """Fill the derivatives of a finished run.
 
     Args:
         plant: of `kernels.engine.run`, as the run left it.
@@ -430,24 +388,19 @@ def follow(
     lags, every, post, lengths, laws = loop.lags, loop.every, loop.post, loop.lengths, loop.feedback
     command, states, moved_links, dz = slopes.command, slopes.states, slopes.links, moved.dz
     n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), moved.dq.shape[1]
-    parts, steps, elements = lags.shape[1], torques.shape[1], excess.shape[2]
+    parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
     controlled, prescribed = command.shape[2] > 0, moved_links.shape[1] > 0
-    md, ms = (MASSES, SPRINGS) if tree is None else (nd, ns)
-    forces, last_row, block, size = md + ms, len(tape) - 1, (2 * md + ms) * count, md * count
-    s = aligned_zeros(_BLOCKS * block)
-    dq, given = s[:size].reshape((md, count)), s[size:block].reshape((forces, count))
-    dv, rate = s[block : block + size].reshape((md, count)), s[block + size : 2 * block].reshape((forces, count))
-    gone, turned = s[2 * block : 2 * block + size].reshape((md, count)), np.zeros((forces, count))
-    dw, dtau = np.zeros((forces, count)), np.zeros((axes, count))
-    lead, gained, bent = np.zeros(count), np.zeros((md, count)), np.zeros((md, count))
+    x = np.zeros((_ORDER + 2, nd + forces, count))
+    dq, dv, gone, given, rate = x[0, :nd], x[1, :nd], x[2, :nd], x[0, nd:], x[1, nd:]
+    dw, turned, dtau = np.zeros((forces, count)), np.zeros((forces, count)), np.zeros((axes, count))
+    lead, gained, bent = np.zeros(count), np.zeros((nd, count)), np.zeros((nd, count))
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
-    mean, change, drive, mobility = np.zeros((3, md)), np.zeros((3, md)), np.zeros(md), np.zeros(md)
-    mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
+    mean, change, drive, mobility = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd), np.zeros(nd)
+    mass, spring, torque, pulled = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns), np.zeros(count)
     f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), MASS))
     room, Y, M, K, C = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
-    of_links, left, rows = np.zeros((n, 10 * n)), np.zeros((md, md)), np.zeros((md, count))
-    kicks, of_edge, jumps = np.zeros((n, len(seeds.delays))), np.zeros((n, n)), np.zeros(axes, dtype=np.bool_)
-    ties, ends = np.full(axes, -1), rotors.copy()
+    of_links, left, inverse, rows = Y.copy(), M.copy(), M.copy(), np.zeros((n, count))
+    jumps, ties, ends = np.zeros(axes, dtype=np.bool_), np.full(axes, -1), rotors.copy()
     for i in range(nd):
         mobility[i] = 1.0 / masses[i, 0, INERTIA]
         assign(dq[i], moved.dq[i])
@@ -456,11 +409,12 @@ def follow(
         for j in range(axes):
             for side in range(2):
                 if pairs[i, side] == rotors[j]:
-                    ties[j], ends[j] = md + i, pairs[i, 1 - side]
+                    ties[j], ends[j] = nd + i, pairs[i, 1 - side]
     period, row = np.sum(lengths), 1
     for step in range(steps):
         if step % OFTEN == 0:
-            _flush(s.reshape((1, s.size)))
+            _flush(dq)
+            _flush(dv)
         for j in range(axes if controlled else 0):
             own = step // every[j]
             if step % every[j] != 0:  # this controller holds
@@ -503,24 +457,25 @@ def follow(
                     if tree is not None:
                         place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
                         linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
-                    if edge:
-                        _shift_edges(masses, rotors, seeds.delays, tape, last, row, jumps, M, of_edge, kicks, dv)
-                        edge = False
+                        for i in range(n):
+                            M[i, i] += masses[i, 0, INERTIA]
                     _fill_factors(
-                        masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, md, mass,
-                        spring, torque, f, k,
+                        masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, mass, spring,
+                        torque, f, k,
                     )  # fmt: skip
+                    if tree is not None:
+                        _invert(M, f, left, inverse)
+                    if edge:
+                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
+                        edge = False
                     for i in range(forces):
                         for c in range(count):
                             given[i, c], rate[i, c], turned[i, c] = 0.0, 0.0, 0.0
-                    bands = STATE + 5 * nd + ns
-                    for i in range(nd + ns):
-                        x, number = (i, WINDING) if i < nd else (md + i - nd, SLIDING)
-                        _add_seeds(seeds, x, int(abs(tape[row, bands + i])), x, number, h, f, k, given, rate, turned)
-                        fades = (f[_ENTERS + 1, x] - f[_ENTERS, x]) / h
-                        for c in range(count if f[_ENTERS, x] != 0.0 or f[_WINDS, x] != 0.0 else 0):
-                            given[x, c] += f[_ENTERS, x] * dw[x, c] - f[_WINDS, x] * _stretch(dq, pairs, nd, i, c)
-                            rate[x, c] += fades * dw[x, c]
+                    for i in range(forces):
+                        band, number = int(abs(tape[row, STATE + 5 * nd + ns + i])), WINDING if i < nd else SLIDING
+                        _add_seeds(seeds, i, band, i, number, h, f, k, given, rate, turned)
+                        for c in range(count if f[_ENTERS, i] != 0.0 or f[_WINDS, i] != 0.0 else 0):
+                            given[i, c] += f[_ENTERS, i] * dw[i, c] - f[_WINDS, i] * _stretch(dq, pairs, nd, i, c)
                     for i in range(len(places)):
                         to = int(places[i, WHERE])
                         _add_seeds(seeds, forces + i, 0, to, -1, h, f, k, given, rate, turned)
@@ -528,37 +483,30 @@ def follow(
                         r = rotors[j]
                         for c in range(count):
                             given[r, c] += (2.0 - f[_TAKES, r]) * dtau[j, c]
-                    if tree is None:
-                        _move(h, f, mobility, s)
-                    else:
-                        if len(seeds.links) > 0 and len(tree.joints) > 0:
-                            joints = tree.joints
-                            regressor(
-                                tree, of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn),
-                                of_links,
-                            )  # fmt: skip
-                            for c in range(10 * n):
-                                assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
-                        elif len(seeds.links) > 0:
-                            regressor(tree, place, speed, turn, Y)
-                        for i in range(forces):  # as in the middle of the step
-                            for c in range(count):
-                                given[i, c] += 0.5 * h * rate[i, c]
-                        for e in range(len(seeds.links)):
-                            for i in range(n):
-                                given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
-                        _move_tree(h, masses, pairs, f, M, K, C, left, rows, dq, dv, given, gone)
-                    for i in range(nd + ns):
-                        x, winds = (i, mass[i, WINDING]) if i < nd else (md + i - nd, spring[i - nd, SLIDING])
-                        for c in range(count if winds > 0.0 or f[_TURNS, x] != 0.0 else 0):
-                            gains = f[_GAINS, x] * _stretch(gone, pairs, nd, i, c) + turned[x, c]
-                            dw[x, c] = f[_LEFT, x] * dw[x, c] + gains
+                    if tree is not None and len(seeds.links) > 0 and len(tree.joints) > 0:
+                        joints = tree.joints
+                        regressor(
+                            tree, of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn), of_links
+                        )
+                        for c in range(10 * n):
+                            assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
+                    elif tree is not None and len(seeds.links) > 0:
+                        regressor(tree, place, speed, turn, Y)
+                    for e in range(len(seeds.links)):
+                        for i in range(n):
+                            given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
+                    _move(h, f, pairs, carriers, mobility, inverse, K, C, pulled, rows, x)
+                    for i in range(forces):
+                        winds = mass[i, WINDING] if i < nd else spring[i - nd, SLIDING]
+                        for c in range(count if winds > 0.0 or f[_TURNS, i] != 0.0 else 0):
+                            gains = f[_GAINS, i] * _stretch(gone, pairs, nd, i, c) + turned[i, c]
+                            dw[i, c] = f[_LEFT, i] * dw[i, c] + gains
                 time += h
                 for i in range(nd if prescribed else 0):
                     for c in range(count):
                         bent[i, c] = gained[i, c] + dv[i, c]
                 if tape[row, EVENT] >= 0.0:
-                    _pass_event(tape, row, nd, pairs, seeds, md, dq, dv, lead)
+                    _pass_event(tape, row, nd, pairs, seeds, dq, dv, lead)
                 if prescribed:
                     for i in range(nd):
                         for c in range(count):
