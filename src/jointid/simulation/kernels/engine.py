@@ -75,18 +75,42 @@ _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: abov
 
 
 @inline_kernel
+def invert(M: FloatArray, modes: FloatArray, inverse: FloatArray) -> bool:
+    """Fill the inverse of a mass matrix, masses at rest with the row of the identity; False if it is no such matrix."""
+    n = M.shape[0]
+    for i in range(n):
+        for j in range(n):
+            inverse[i, j] = M[i, j] if modes[i] != 0.0 and modes[j] != 0.0 else 0.0
+        inverse[i, i] += 1.0 if modes[i] == 0.0 else 0.0
+    for k in range(n):
+        if not inverse[k, k] > 0.0:
+            return False
+        share = 1.0 / inverse[k, k]
+        inverse[k, k] = 1.0
+        for j in range(n):
+            inverse[k, j] *= share
+        for i in range(n):
+            factor = inverse[i, k] if i != k else 0.0
+            if factor != 0.0:
+                inverse[i, k] = 0.0
+                for j in range(n):
+                    inverse[i, j] -= factor * inverse[k, j]
+    return True
+
+
+@inline_kernel
 def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
-    M: FloatArray, L: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
+    M: FloatArray, inverse: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
     grip: FloatArray, pull: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill the accelerations, what friction holds in masses at rest, and the most that it can; False if M is no mass.
 
-    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, L is scratch of its root,
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, whose inverse is filled,
     and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the
-    directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are
-    those of their bands and pieces.
+    directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are those of
+    their bands and pieces.
     """
     nd = q.size
     for i in range(nd):
@@ -110,42 +134,13 @@ def accelerate(
         grip[i], drag = friction(mass, i, back, carried, time)
         held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, WINDING] > 0.0 else mode)
         a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
-    positive = True
-    if tree is not None:
-        positive = _solve_links(bias.size, M, L, modes, held, a)
-    return positive
-
-
-@inline_kernel
-def _solve_links(links: int, M: FloatArray, L: FloatArray, modes: FloatArray, held: FloatArray, a: FloatArray) -> bool:
-    """Fill the accelerations of links that move, and take what these need from what holds the others.
-
-    L is the root of the mass matrix, with one over its diagonal; one at rest has the row of the identity.
-    """
-    positive = True
-    for i in range(links):
-        moves = modes[i] != 0.0
-        a[i], pivot = (held[i], M[i, i]) if moves else (0.0, 1.0)
-        for j in range(i):
-            cell = M[i, j] if moves and modes[j] != 0.0 else 0.0
-            for k in range(j):
-                cell -= L[i, k] * L[j, k]
-            L[i, j] = cell * L[j, j]
-            a[i] -= L[i, j] * a[j]
-            pivot -= L[i, j] * L[i, j]
-        if not pivot > 0.0:
-            positive = False
-            break
-        L[i, i] = 1.0 / math.sqrt(pivot)
-        a[i] *= L[i, i]
-    for i in range(links - 1 if positive else -1, -1, -1):
-        a[i] *= L[i, i]
-        for j in range(i):
-            a[j] -= L[i, j] * a[i]
-    for i in range(links):
-        if modes[i] == 0.0:
-            for j in range(links):
-                held[i] -= M[i, j] * a[j]
+    positive = tree is None or invert(M, modes, inverse)
+    for i in range(bias.size):
+        for j in range(bias.size if modes[i] != 0.0 else 0):
+            a[i] += inverse[i, j] * held[j]
+    for i in range(bias.size):
+        for j in range(bias.size if modes[i] == 0.0 else 0):  # what the others' motion takes from what holds it
+            held[i] -= M[i, j] * a[j]
     return positive
 
 
@@ -370,7 +365,7 @@ def run(
     pull, modes, at, bounds = np.zeros(ns), w.copy(), np.zeros(nd + ns, dtype=np.int64), np.zeros((nd + ns, 2))
     mass, spring = masses[:, 0].copy(), springs[:, 0].copy()
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
-    M, L, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
+    M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
     fresh, out, cut = np.empty(z.shape[1]), np.zeros(w_in.shape[1]), np.zeros(w_in.shape[1])
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
@@ -429,7 +424,7 @@ def run(
             while left > 0.0 and status == FINISHED:
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
-                        mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive, time,
+                        mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive, time,
                         q, v, w, a, held, grip, pull,
                     ):  # fmt: skip
                         status = NOT_POSITIVE
@@ -467,7 +462,7 @@ def run(
                                 M[i, i] += mass[i, INERTIA]
                         then = time + (0.5 * d if stage < 2 else d)
                         if not accelerate(
-                            mass, spring, places, pairs, carriers, tree, M, L, bias, mobility, modes, drive,
+                            mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive,
                             then, q1, v1, w1, a1, held1, grip1, pull,
                         ):  # fmt: skip
                             status = NOT_POSITIVE

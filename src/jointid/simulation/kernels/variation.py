@@ -29,6 +29,7 @@ from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes
+from jointid.simulation.kernels.engine import invert
 from jointid.simulation.kernels.laws import (
     friction,
     friction_partials,
@@ -182,49 +183,6 @@ def _flush(values: FloatArray) -> None:
     for i in range(values.shape[0]):
         for c in range(values.shape[1]):
             values[i, c] = values[i, c] if abs(values[i, c]) > NOTHING else 0.0
-
-
-@compile_kernel
-def _solve(A: FloatArray, rows: FloatArray) -> None:
-    """Solve A x = rows in place by elimination with pivots; both are overwritten."""
-    n = len(A)
-    for k in range(n):
-        at = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[at, k]):
-                at = i
-        if at != k:
-            for j in range(n):
-                A[k, j], A[at, j] = A[at, j], A[k, j]
-            for c in range(rows.shape[1]):
-                rows[k, c], rows[at, c] = rows[at, c], rows[k, c]
-        for i in range(k + 1, n):
-            factor = A[i, k] / A[k, k]
-            if factor != 0.0:
-                for j in range(k + 1, n):
-                    A[i, j] -= factor * A[k, j]
-                for c in range(rows.shape[1]):
-                    rows[i, c] -= factor * rows[k, c]
-    for k in range(n - 1, -1, -1):
-        share = 1.0 / A[k, k]
-        for c in range(rows.shape[1]):
-            rows[k, c] *= share
-        for i in range(k):
-            factor = A[i, k]
-            if factor != 0.0:
-                for c in range(rows.shape[1]):
-                    rows[i, c] -= factor * rows[k, c]
-
-
-@compile_kernel
-def _invert(M: FloatArray, f: FloatArray, left: FloatArray, inverse: FloatArray) -> None:
-    """Fill the inverse of a mass matrix; masses at rest have the row of the identity."""
-    n = len(M)
-    for i in range(n):
-        for j in range(n):
-            inverse[i, j] = 1.0 if i == j else 0.0
-            left[i, j] = M[i, j] if f[_GOES, i] * f[_GOES, j] != 0.0 else inverse[i, j]
-    _solve(left, inverse)
 
 
 @compile_kernel
@@ -399,7 +357,7 @@ def follow(
     mass, spring, torque, pulled = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns), np.zeros(count)
     f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), MASS))
     room, Y, M, K, C = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
-    of_links, left, inverse, rows = Y.copy(), M.copy(), M.copy(), np.zeros((n, count))
+    of_links, inverse, rows = Y.copy(), M.copy(), np.zeros((n, count))
     jumps, ties, ends = np.zeros(axes, dtype=np.bool_), np.full(axes, -1), rotors.copy()
     for i in range(nd):
         mobility[i] = 1.0 / masses[i, 0, INERTIA]
@@ -464,7 +422,7 @@ def follow(
                         torque, f, k,
                     )  # fmt: skip
                     if tree is not None:
-                        _invert(M, f, left, inverse)
+                        invert(M, tape[row, STATE + 4 * nd : STATE + 4 * nd + n], inverse)
                     if edge:
                         _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
                         edge = False
