@@ -161,7 +161,7 @@ def _glide(
     states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
     first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
-    """Do what `control_small` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
+    """Do what `control_slopes` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
 
     Nearly all periods are of this kind. One loop whose every value is written once: a machine keeps it in vectors, and
     no value waits in memory.
