@@ -327,7 +327,7 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
 def _motion_of_lines(run: Run, lines: Trace, at: IntArray, masses: int) -> MassMotion:
     """Return the motion of a joint of straight lines, its accelerations just after the torque of a part acts."""
     clock, post, plant = run.experiment.clock, run.experiment.sampled.post[0], run.numbers.plant
-    position, velocity = (lines.states[at][:, i : 2 * masses : 2] for i in range(2))
+    position, velocity = (lines.states[at, i : 2 * masses : 2] for i in range(2))
     modes = lines.modes[at].astype(np.int64)[:, np.newaxis] - 4
     motor = np.sign(modes) * (np.abs(modes) > 1)
     direction = np.hstack([motor, modes - 3 * motor])[:, :masses].astype(np.float64)
@@ -383,15 +383,15 @@ class Simulation:
     def of(cls, run: Run) -> Simulation:
         """Return a run that was kept."""
         experiment, clock = run.experiment, run.experiment.clock
-        seen, started = motion_at(run, clock.log_index), motion_at(run, clock.torque_index[0])
+        seen, started = motion_at(run, clock.log_index)[:2], motion_at(run, clock.torque_index[0])
         put_out = (run.command + experiment.sampled.post)[:, clock.log_index // clock.lengths.size].T
         if experiment.tree is None:
-            push, motors = put_out[:, 0], [(x[:, 0]) for x in seen[:2]]
-            loads = [x[:, 1] if x.shape[1] > 1 else None for x in seen[:2]]
+            push, motors = put_out[:, 0], [(x[:, 0]) for x in seen]
+            loads = [x[:, 1] if x.shape[1] > 1 else None for x in seen]
         else:
             n, joints = len(experiment.axes), experiment.tree.joints
-            push, motors = put_out, [x[:, run.numbers.motors] for x in seen[:2]]
-            loads = [x[:, :n] @ joints.T if joints.size else x[:, :n] for x in seen[:2]]
+            push, motors = put_out, [x[:, run.numbers.motors] for x in seen]
+            loads = [x[:, :n] @ joints.T if joints.size else x[:, :n] for x in seen]
         return cls(
             run.torque, run.outcome, run.finished, run.events, run.at_limit, clock.sample_time, push, motors[0],
             motors[1], loads[0], loads[1], started,
