@@ -71,7 +71,7 @@ SPOILED: dict[str, tuple[Callable[[str], Told], set[str], set[str]]] = {
     "wrong gain": (_wrong_gain, {"law_scaled"}, {"torque_scale", "law_gain", "torque_constant"}),
     "swapped channels": (_mistake("torque and reference swapped"), {"swapped_channels"}, {"swapped_channels"}),
     "half the rate": (_mistake("sample time twice as long"), {"sample_time"}, {"sample_time"}),
-    "no motion": (_motionless, {"motion_poor", "hardly_moves"}, {"motion_poor", "hardly_moves"}),
+    "no motion": (_motionless, {"motion_poor", "hardly_moves"}, {"motion_poor", "hardly_moves", "no_cause_found"}),
     "pure noise": (_noise, {"no_cause_found", "hardly_moves"}, {"no_cause_found", "hardly_moves"}),
     "delay": (_mistake("delay forgotten"), {"delay"}, {"delay"}),
 }
