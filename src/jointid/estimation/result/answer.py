@@ -163,7 +163,9 @@ def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
         if estimate.motion_measured and (asked is None or asked.free):
             against = [Message(Reason.MOTION_MEASURED, words)]
     else:
-        code, words = Trust.RELIABLE, "You can rely on it"
+        faulty = loop is not None and loop.status is Status.FAILED
+        within = ": what is wrong with loop or log moves it by less than its interval" if faulty else ""
+        code, words = Trust.RELIABLE, f"You can rely on it{within}"
     return Message(code, words, {"reasons": [str(one.code) for one in against], "parameters": moved})
 
 
