@@ -1,7 +1,5 @@
 """The public EMPS axis: the published results to every digit, and torque-only identification."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A long record in windows: the same answer as at once, in bounded memory, and what changes on the way is seen."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tracemalloc

@@ -81,6 +81,8 @@ def resting() -> None:
         (lambda: Counterbalance(rate=float("nan")), ji.MethodError),
         # several records
         (lambda: ji.identify([RECORD, RECORD], RIGID), ji.MethodError),
+        (lambda: ji.identify([], RIGID), ji.MethodError),
+        (lambda: ji.identify([RECORD], RIGID, several={"junk": []}), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, several={}), ji.MethodError),
         (lambda: ji.identify([RECORD, RECORD], LOOP, several={"added_inertia": 1.0}), ji.MethodError),
         (lambda: ji.identify([RECORD, RECORD], LOOP, several={"free": "drive_gain"}), ji.MethodError),

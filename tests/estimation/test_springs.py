@@ -1,7 +1,5 @@
 """Springs in pieces, identified from torque and reference; and where they are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every friction and spring law: its algebra, and a joint with it through simulation, joint file and JSON."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

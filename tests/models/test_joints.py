@@ -1,6 +1,10 @@
 """Joints: regressor times parameters is the torque, units follow the kind, the numbers of the paper follow."""
 
+import numpy as np
+import pytest
+
 from jointid.models.joints import FlexibleJoint
+from jointid.models.position_forces import Gravity
 from jointid.paper.twin import TABLE_2, TABLE_4
 
 
@@ -27,3 +31,11 @@ def test_the_three_frequencies_of_the_tables() -> None:
     assert {k: round(v, 2) for k, v in FlexibleJoint.frequencies(TABLE_4).items()} == {
         "free_free": 27.53, "motor_locked": 21.48, "load_locked": 17.21,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("stiffness", [20.0, 90.0, 500.0])
+def test_a_load_hangs_where_the_spring_holds_it_however_soft_it_is(stiffness: float) -> None:
+    joint = FlexibleJoint("revolute", gravity=Gravity("link"))
+    values = dict.fromkeys((p.name for p in joint.parameters), 0.0) | {"stiffness": stiffness, "gravity_cos": 100.0}
+    hung = joint.hang(values, -1.57, 0.0)
+    assert stiffness * (hung + 1.57) == pytest.approx(-100.0 * np.cos(hung), abs=1e-9)

@@ -1,7 +1,5 @@
 """Every law and its parts against SciPy, and against the equations of docs/controllers.md written out once more."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A law seen through a transmission is the same law, in other units of position and torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

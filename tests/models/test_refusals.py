@@ -1,7 +1,5 @@
 """What no model is: each refusal once, by its type."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A ripple over the position, and a load that swings in itself, wherever a joint is taken for something else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

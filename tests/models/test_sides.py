@@ -1,7 +1,5 @@
 """Units and factors of the other side of a transmission; in ampere as in newton metres."""
 
-from __future__ import annotations
-
 import pytest
 
 from jointid.common.transmission import Transmission

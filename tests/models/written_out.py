@@ -4,8 +4,6 @@ The bilinear rule is SciPy's, at a sampling frequency that is bent to be exact a
 recurrence. Nothing here knows of states, elements or matrices.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -91,7 +91,7 @@ def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest
 
     Where friction grows with a torque it bends where that goes through nothing, which is no event of the run; the steps
     behind an event depend on when it is. Differences of such runs need finer steps than the derivatives, which are
-    within 0.5 % of those in fine steps.
+    within 0.5 % of those in fine steps, and within 1 % for springs that are not linear.
     """
     case = make(1)
     loop, values = with_law(case, law)
@@ -102,7 +102,7 @@ def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest
     begin = Initial(position=float(experiment.axis.inputs[0, 0]), velocity=speed)
     of_law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
     names = (*(p.name for p in loop.joint.parameters), *of_law)
-    check(loop, case.clean, values, names, begin, 1e-2 if law in PIECES else 5e-3, (3e-6, 3e-7))
+    check(loop, case.clean, values, names, begin, 1e-2 if law in (*PIECES, "cubic") else 5e-3, (3e-6, 3e-7))
 
 
 @pytest.mark.parametrize(

@@ -143,9 +143,7 @@ def _diagnose_estimate(
 ) -> Diagnosis:
     """Return the diagnosis of an estimate on the record that it is from; see `diagnose`."""
     if isinstance(record, Record) is not (estimate.robot is None):
-        raise MethodError(
-            "The estimate of a joint is diagnosed on its own record, one of a robot on those of its joints."
-        )
+        raise MethodError("A joint's estimate is diagnosed on its own record, a robot's on those of its joints.")
     if isinstance(record, Record):
         solved = rebuild_problem(estimate, record)
         return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)

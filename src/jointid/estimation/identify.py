@@ -23,7 +23,7 @@ from jointid.estimation.problems.base import adjust_parameters
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.problems.pieces import travel
 from jointid.estimation.problems.several_records import RecordLayout
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.simulated import identify_simulated_robot
@@ -44,6 +44,7 @@ WINDOW = 75_000
 """Samples of a window of such records, of which one is checked; of many joints fewer."""
 
 _LONGEST = 60.0  # s of a window, unless it is given
+_SHARED = ("added_inertia", "own", "free")  # what several records are given
 _PARTS = 3  # windows in what is taken of n joints at once
 
 
@@ -171,14 +172,12 @@ def _logs_of(
         return logs, (*model.loops,) * len(logs) if isinstance(model, RobotLoop) else (), None
     if isinstance(record, Record):
         if several is not None or isinstance(model, Sequence):
-            raise MethodError(
-                "What is of `several` records, and several loops, are of a list of records; received one: give all."
-            )
+            raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
         return [[record]], (model,) if isinstance(model, ClosedLoop) else (), None
     logs, of_loops = [[one] for one in record if isinstance(one, Record)], isinstance(model, ClosedLoop | Sequence)
-    asked = any(any(given) if np.iterable(given) else given for given in (several or {}).values())
+    asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in (several or {}).items())
     alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
-    if len(logs) != len(record) or not (alike or (of_loops and isinstance(method, DIDIM | None))):
+    if not logs or len(logs) != len(record) or not (alike or (of_loops and isinstance(method, DIDIM | None))):
         raise MethodError(
             "Several records are a list of records, identified by their loop, or by IDIM if they share all parameters: "
             "give a ClosedLoop and DIDIM, or the joint without `several`."
@@ -246,6 +245,9 @@ def identify_record(
                 "has the wrong sign (turn record.channels.torque.sign round), or they do not belong together"
                 f"{''.join(f'; {note}' for note in said)}."
             )
+    if others:
+        torques = [one.torque.values for one in (record, *others) if one.torque is not None]
+        fit = replace(fit, data=replace(fit.data, fingerprint="", logs=tuple(map(fingerprint, torques))))
     if {"motor_position", "load_position"} <= set(fit.data.channels):
         fit = replace(fit, checks=replace(fit.checks, encoder_lag=find_encoder_lag(record)))
     return replace(fit, record=None if others else record).warn(*dict.fromkeys(said))

@@ -165,9 +165,7 @@ def require_distinct(records: Sequence[Record]) -> None:
     for number, record in enumerate(records, 1):
         mark = fingerprint(record.torque.values) if record.torque is not None else str(number)
         if mark in seen:
-            raise MethodError(
-                f"Records {seen[mark]} and {number} are the same record, which is no second one: name another file."
-            )
+            raise MethodError(f"Records {seen[mark]} and {number} are the same: name another file.")
         seen[mark] = number
 
 

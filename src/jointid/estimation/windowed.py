@@ -1,7 +1,7 @@
 """The models of windows: the loop of a joint, and a robot that is simulated, whose window begins in motion.
 
 Each takes the rows of a window from the problem that takes those of a whole record (`problems.closed_loop`,
-`robots.problem`). The inverse model needs no windows: its rows are few (`problems.inverse_model`).
+`problems.simulated`). The inverse model needs no windows: its rows are few (`problems.inverse_model`).
 """
 
 from __future__ import annotations

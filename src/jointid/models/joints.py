@@ -38,6 +38,7 @@ MODE_DAMPING = 0.02
 
 _BY_DIDIM = 'simulate and identify the closed loop by the method "didim"'
 _SETTLING, _AT_REST = 200, 1e-13  # iterations that find where the load hangs, at most, and the last one's step
+_ASIDE, _SLOPE = 1e-6, 0.5  # of them: the difference's step, and the smallest slope
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
@@ -166,9 +167,7 @@ class _JointBase:
         self.require_linear("A regression takes")
         moving = [one for one in (motor, load)[: len(self.sides)] if one is not None]
         if len(moving) < len(self.sides):
-            raise MethodError(
-                "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
-            )
+            raise MethodError("The equations of a flexible joint need the load's motion; IDIM needs load_position.")
         at = {p.name: i for i, p in enumerate(self.parameters)}
         found = np.zeros((len(moving), len(at), motor.velocity.size))  # each column is written in one piece
         for rows, side, motion in zip(found, self.sides, moving, strict=True):
@@ -276,15 +275,17 @@ class FlexibleJoint(_JointBase):
         return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
 
     def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
-        """Return where the load hangs on its spring."""
+        """Return where the load hangs on its spring, by Newton's method."""
         found = position
         for _ in range(_SETTLING):
-            here, weight = np.array([found]), 0.0
+            tried, weights = found + np.array([0.0, _ASIDE * (1.0 + abs(found))]), np.zeros(2)
             for side, force in self._forces:
-                weight += float(force.columns(here)[0] @ [values[p.name] for p in force.parameters]) if side else 0.0
-            load = weight + self.friction.drag(values, velocity, weight, "load_")
-            before, found = found, position - self.spring.deflection(values, load)
-            if abs(found - before) <= _AT_REST * (1.0 + abs(found)):
+                weights += force.columns(tried) @ [values[p.name] for p in force.parameters] if side else 0.0
+            loads = [weight + self.friction.drag(values, velocity, weight, "load_") for weight in weights.tolist()]
+            missing, beside = tried - position + [self.spring.deflection(values, load) for load in loads]
+            step = float(missing / max((beside - missing) / np.ptp(tried), _SLOPE))
+            found -= step
+            if abs(step) <= _AT_REST * (1.0 + abs(found)):
                 break
         return found
 

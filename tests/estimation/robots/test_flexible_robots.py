@@ -118,8 +118,6 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     assert not stiff.shown
     assert stiff.stiffness is None
     assert 0.03 * truth[1] < stiff.at_least < truth[1]
-    assert "do not show a spring; its stiffness is at least" in str(stiff)
-    assert str(soft).startswith("joint1: stiffness 4")
 
 
 @pytest.mark.slow

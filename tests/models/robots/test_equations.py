@@ -1,7 +1,5 @@
 """The equations of motion in one pass: MuJoCo's, those of `dynamics`, and derivatives against central differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -196,7 +196,7 @@ def remarks(estimate: Estimate) -> dict[str, str]:
     rows = {p.name: p for p in estimate.params.rows if p.value is not None}
     moved = {name: by for name, by in moved_by_loop(estimate).items() if name in rows}
     shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}
-    found = {name: [f"corrected by {format_signed(by, 3)}"] for name, by in shown.items()}
+    found = {name: [f"would change by {format_signed(by, 3)}"] for name, by in shown.items()}
     for i, j in np.argwhere(np.abs(estimate.params.correlation) > _INSEPARABLE) if estimate.robot is None else ():
         one, other = (estimate.params.names[k] for k in (i, j))
         if i != j and all(name in rows and rows[name].of_joint for name in (one, other)):

@@ -182,9 +182,7 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
     if names != others or not np.allclose(columns, standard):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
     if not np.all(np.diag(noise) * np.diag(more) > 0.0):
-        raise MethodError(
-            "A parameter is fixed, which a payload would change; expected estimates of all: leave it free."
-        )
+        raise MethodError("A parameter that a payload would change is fixed: leave it free.")
     link, last = part.model.links[-1].name, len(SYMBOLS) * (len(part.model) - 1)
     columns = columns[:, last : last + len(SYMBOLS)]
     _require_full_payload(columns)
