@@ -26,10 +26,6 @@ FAULTS = [
     (CHANNELS + CASCADE, "joint missing"),
     (SMALLEST.replace('"prismatic"', '"linear"'), "joint.kind value"),
     (SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "dahl"'), "joint.friction value"),
-    (
-        SMALLEST.replace('"prismatic"', '"prismatic"\nmodel = "flexible"\nfriction = "stribeck"\nspring = "cubic"'),
-        "joint contradiction",
-    ),
     (SMALLEST.replace("position_gain = 100.0", 'position_gain = "160.18"'), "controller.position_gain value"),
     (SMALLEST + "limit = 0", "controller.limit value"),
     (SMALLEST + "velocity_filter = 0.5", "controller.velocity_filter.numerator value"),
@@ -69,7 +65,6 @@ FAULTS = [
         "parameters.offset contradiction",
     ),
     (SMALLEST + '[ripple]\nperiod = 0.005\nside = "load"', "joint contradiction"),
-    (SMALLEST.replace(JOINT, JOINT + 'friction = "stribeck"\n') + "[ripple]\nperiod = 0.005", "joint contradiction"),
     (
         LINK + "counterbalance = { cos = 2 }\n[parameters]\ncounterbalance_cos = { start = 3 }",
         "parameters.counterbalance_cos contradiction",

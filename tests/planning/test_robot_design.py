@@ -128,7 +128,7 @@ def needed(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatAr
     torque = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("offset")
     for k, joint in enumerate(robot.joints):
-        viscous, viscous_back, _, back = joint.law.directions(joint.motor)
+        viscous, viscous_back, _, back = joint.law.directions(joint.values, "")
         torque[:, k] += np.where(v[:, k] < 0, viscous_back, viscous) * v[:, k]
         torque[:, k] += np.where(v[:, k] < 0, -back, joint.coulomb)
     return torque
