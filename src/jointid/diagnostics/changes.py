@@ -265,7 +265,7 @@ def _say_times(factor: float) -> str:
 
 
 def _say_factor(of_torque: bool, value: float | None, case: Case) -> Meanings:
-    """Yield what a factor of the torque, or a gain of the law, may mean.
+    """Yield the meanings of a factor of the torque or of a gain of the law.
 
     An injected signal in its own scale tells the torque from law and reference.
     """

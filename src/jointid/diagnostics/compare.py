@@ -153,7 +153,7 @@ def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> Estim
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
-    """Return what two estimates must have in common; of a robot the sums that the record determines, too."""
+    """Return the properties that two estimates must share; of a robot its sums, too."""
     system, robot = answer["settings"]["system"], answer["robot"]
     gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
     if robot is not None:

@@ -122,7 +122,7 @@ class AxisDiagnosis:
 
     @property
     def reasons(self) -> tuple[Message, ...]:
-        """What is wrong with the axis, each with its remedy, begun with the axis' name."""
+        """Faults of the axis, each with its remedy, preceded by the axis' name."""
         found, begin = self.faults.reasons, f"{self.name}: " if self.name else ""
         if self.faults.as_declared:
             said = (

@@ -85,7 +85,7 @@ _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are sai
 
 
 class Variant(NamedTuple):
-    """What a drive may do otherwise.
+    """Alternative behaviour of a drive.
 
     Attributes:
         fault: that it does.

@@ -173,7 +173,7 @@ class Friction:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """What it has beside its lines."""
+        """Terms of the law beside its lines."""
         return _LAWS[self.name]
 
     @property
@@ -183,12 +183,12 @@ class Friction:
 
     @property
     def adds(self) -> str:
-        """What it has beside its lines, in words; "" of lines alone."""
+        """Terms of the law in words; "" of lines alone."""
         return ", and ".join(term.adds for term in self.terms)
 
     @property
     def instead(self) -> str:
-        """What its lines are, in words, where only lines are written."""
+        """Lines of the law in words, for where only lines are written."""
         return ", ".join(term.instead for term in self.terms)
 
     @property

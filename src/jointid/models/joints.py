@@ -184,7 +184,7 @@ class _JointBase:
         return found.transpose(0, 2, 1)
 
     def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
-        """Return where the load is, the motor at a position at rest or in steady motion; at the motor's if rigid.
+        """Return the load's position at rest or in steady motion; the motor's if rigid.
 
         At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing. A
         load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
@@ -275,7 +275,7 @@ class FlexibleJoint(_JointBase):
         return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
 
     def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
-        """Return where the load hangs on its spring, by Newton's method."""
+        """Return the position in which the spring carries the load, by Newton's method."""
         found = position
         for _ in range(_SETTLING):
             tried, weights = found + np.array([0.0, _ASIDE * (1.0 + abs(found))]), np.zeros(2)

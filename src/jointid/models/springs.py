@@ -202,12 +202,12 @@ class Spring:
 
     @property
     def adds(self) -> str:
-        """What a smooth spring has beside its line, in words."""
+        """Term of a smooth spring beside its line, in words."""
         return _LAWS[self.name].adds
 
     @property
     def instead(self) -> str:
-        """What its line is, in words, where only that is written."""
+        """Line of the law in words, for where only a line is written."""
         return _LAWS[self.name].instead
 
     @property

@@ -243,7 +243,7 @@ def regress(
 
 
 def _read_timing(rows: Rows, held: FloatArray, sampled: FloatArray) -> tuple[int, float, str]:
-    """Return whether a torque is sampled, the half samples that are undecided, and the timing that the record shows.
+    """Return the timing of a torque that its record shows, and the undecided half samples.
 
     Args:
         rows: of the regression.

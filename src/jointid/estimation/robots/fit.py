@@ -79,7 +79,7 @@ class RobotFit:
 
     @property
     def parameters(self) -> RobotParameters:
-        """What was identified."""
+        """Parameters of the identified problem."""
         return self.problem.parameters
 
     @property

@@ -1,4 +1,4 @@
-"""What kernels take and fill: rows of numbers and of tapes, by their columns. No kernel is loaded with them."""
+"""Rows of numbers and of tapes that kernels take and fill, by their columns; no kernel is loaded with them."""
 
 from __future__ import annotations
 
