@@ -12,7 +12,7 @@ from typing import Literal
 
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.paper.form import inverse_model_deviations
+from jointid.paper.reproduce import inverse_model_deviations
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import Influence

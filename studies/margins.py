@@ -23,8 +23,7 @@ from jointid.records.record import Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set
-from jointid.tuning.tune import tune
-from jointid.tuning.tuned import LoopMargins
+from jointid.tuning.tune import LoopMargins, tune
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
 _SHARES = (0.02, 0.10)  # of the torque's variation, that the disturbance makes of it

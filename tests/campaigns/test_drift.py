@@ -156,7 +156,7 @@ def test_a_joint_that_lost_its_value_is_named_and_one_spoilt_day_is_no_loss() ->
 
 
 def test_a_page_shows_what_changed() -> None:
-    from jointid.output.report.page import page
+    from jointid.output.report.sections import page
 
     rows = [replace(row, sentence="<script>alert(1)", outcome=Outcome.DOUBTFUL) if row.day > "2026-10-15" else row
             for row in fleet(1, 30, falling=2)]  # fmt: skip

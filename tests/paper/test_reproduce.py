@@ -10,8 +10,8 @@ from jointid.common.charts import render
 from jointid.common.document import Table
 from jointid.diagnostics.validation import Validation
 from jointid.output.figures import torque
-from jointid.output.report.page import page as html
-from jointid.output.report.page import save
+from jointid.output.report.sections import page as html
+from jointid.output.report.sections import save
 from jointid.paper.reproduce import Reproduction, report_reproduction, reproduce
 from jointid.paper.twin import TABLE_2, TABLE_4
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.planning.goals import parse_goal
-from jointid.planning.predict import Noise, PredictedTest
+from jointid.planning.predict import Noise, PredictedTest, parse_goal
 from jointid.uncertainty.covariance import covariance_of
 from tests.planning.test_joint_design import AXIS, NOISE, short_record
 from tests.planning.test_robot_design import LIMITS

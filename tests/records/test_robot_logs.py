@@ -15,7 +15,7 @@ import jointid as ji
 from jointid.config import loads
 from jointid.config.logged import describe_log
 from jointid.records.formats import read_table
-from jointid.records.recognition import recognise
+from jointid.records.inspection import recognise
 from tests.records.logged import stamped, write_bag
 
 T = 0.005

@@ -25,8 +25,7 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set, possible_joints
 from jointid.tuning.proposals import with_gains
-from jointid.tuning.tune import tune
-from jointid.tuning.tuned import Tuned
+from jointid.tuning.tune import Tuned, tune
 from studies.margins import random_drive, true_margins
 from tests.estimates import amended, identify
 

@@ -9,8 +9,7 @@ import tomlkit
 
 from jointid.common.errors import RecordError
 from jointid.common.text import show
-from jointid.records.inspection import InspectedChannel, Inspection
-from jointid.records.recognition import LoggedAxis
+from jointid.records.inspection import InspectedChannel, Inspection, LoggedAxis
 
 _ASKED = """
 # The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive.

@@ -19,10 +19,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import Design
-from jointid.planning.goals import parse_goal
 from jointid.planning.joints import RUNS, JointModel, joint_model
 from jointid.planning.objective import ASTRAY, Objective, complete
-from jointid.planning.predict import Noise
+from jointid.planning.predict import Noise, parse_goal
 from jointid.planning.robots import FeedForward, RobotModel, robot_model
 from jointid.planning.search import find_best
 from jointid.records.record import Record

@@ -19,8 +19,7 @@ from jointid.common.files import write_folder
 from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Transmission
 from jointid.models.limits import AxisLimits, describe_excess, units_of_limits
-from jointid.planning.goals import Goal
-from jointid.planning.predict import PredictedTest
+from jointid.planning.predict import Goal, PredictedTest
 from jointid.records.record import Record, instants
 from jointid.records.writing import write_columns
 

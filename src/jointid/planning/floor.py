@@ -25,8 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.limits import AxisLimits
 from jointid.models.linear import ComplexArray, frequency_response
-from jointid.planning.goals import Goal
-from jointid.planning.predict import Noise
+from jointid.planning.predict import Goal, Noise
 
 _LINES = 120  # frequencies
 _STEP = 1e-6  # relative, of the differences by which P is differentiated

@@ -38,9 +38,8 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.limits import AxisLimits
 from jointid.planning.designed import DesignedAxis
 from jointid.planning.floor import least_deviation
-from jointid.planning.goals import Goal
 from jointid.planning.plans import Family, Plan, families_in
-from jointid.planning.predict import Noise, PredictedTest, find_maxima, find_undetermined
+from jointid.planning.predict import Goal, Noise, PredictedTest, find_maxima, find_undetermined
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import to_log

@@ -15,10 +15,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.models.limits import AxisLimits, find_excess
-from jointid.planning.goals import Goal
 from jointid.planning.joints import JointModel
 from jointid.planning.plans import Family, Plan, Series
-from jointid.planning.predict import PredictedTest
+from jointid.planning.predict import Goal, PredictedTest
 from jointid.planning.robots import RobotModel
 
 MARGIN = 0.97

@@ -35,9 +35,8 @@ from jointid.estimation.robots.simulated import describe_parameters, nominal_num
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import DesignedAxis
-from jointid.planning.goals import ALL, Goal
 from jointid.planning.plans import Plan, Series
-from jointid.planning.predict import PredictedTest, find_maxima, find_undetermined
+from jointid.planning.predict import ALL, Goal, PredictedTest, find_maxima, find_undetermined
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation

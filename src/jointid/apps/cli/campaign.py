@@ -48,7 +48,7 @@ def campaign(
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_store
     from jointid.common.files import write_whole
-    from jointid.output.report.page import page
+    from jointid.output.report.sections import page
 
     engine, kept = _engine(workers, dask), out or file.with_suffix(".jsonl")
     if not 0 < false_alarm < 1:

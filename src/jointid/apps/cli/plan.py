@@ -83,7 +83,7 @@ def design(
 
 def _require_goal(file: File, goal: str) -> None:
     """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
-    from jointid.planning.goals import parse_goal
+    from jointid.planning.predict import parse_goal
 
     own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
     parse_goal(goal, {p.name: file.joint.unit(p) for p in own if p.free})

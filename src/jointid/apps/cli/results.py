@@ -44,7 +44,7 @@ def report(
     from jointid import validate as validate_estimate
     from jointid.output.json import load_estimate
     from jointid.output.report import repetition, tune_to_limit
-    from jointid.output.report.page import PAGES
+    from jointid.output.report.sections import PAGES
 
     figures.require_format(html, PAGES)
     spare((html, options.json), held_out)

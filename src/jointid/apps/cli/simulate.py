@@ -111,7 +111,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     """
     from jointid.common.charts import render
     from jointid.output.figures import torque
-    from jointid.output.report.page import save
+    from jointid.output.report.sections import save
     from jointid.paper.reproduce import report_reproduction
     from jointid.paper.reproduce import reproduce as run
 

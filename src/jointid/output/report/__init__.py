@@ -22,9 +22,8 @@ from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict
-from jointid.output.report.page import PAGES, Repetition, page, repetition
-from jointid.output.report.sections import draw_figures, report_blocks
-from jointid.tuning.tuned import Tuned
+from jointid.output.report.sections import PAGES, Repetition, draw_figures, page, repetition, report_blocks
+from jointid.tuning.tune import Tuned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

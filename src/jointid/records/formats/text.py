@@ -416,10 +416,12 @@ def write_text(path: Path, table: Table, **options: Any) -> None:
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
     for name in filter(None, names):
         is_number = any(one.fullmatch(name) for one in _NUMBERS.values())
-        if name.startswith((*_RUN, *_REMARKS)) or not name.isprintable() or name != name.strip() or is_number:
+        is_cut = len(names) == 1 and ";" in name  # no other column tells that it delimits nothing
+        if name.startswith((*_RUN, *_REMARKS)) or not name.isprintable() or name != name.strip() or is_number or is_cut:
             raise RecordError(
                 f"The column name {name!r} would not be read back from delimited text, or be run by a spreadsheet: a "
-                "name is printable, is no number, remark or formula and has no blank at its ends; rename the column."
+                'name is printable, is no number, remark or formula and has no blank at its ends, nor ";" where alone; '
+                "rename the column."
             )
     rows = zip(*([repr(v).replace(".", point) for v in one.tolist()] for one in table.columns.values()), strict=True)
     with path.open("w", encoding="utf-8", newline="") as file:
