@@ -1,7 +1,5 @@
 """A record is looked over: ten spoiled ones, each named for what it is; clean ones, of which nothing is said."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

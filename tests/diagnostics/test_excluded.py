@@ -1,7 +1,5 @@
 """What the motor position proves of a controller and its log, and what is then not named as a cause."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

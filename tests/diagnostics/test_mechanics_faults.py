@@ -1,7 +1,5 @@
 """A flexible joint whose mechanics are not the model's: said, and its stiffness is not relied on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

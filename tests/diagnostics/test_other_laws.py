@@ -1,7 +1,5 @@
 """The law that a drive may run instead of the declared one: an integral that takes in the present sample."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

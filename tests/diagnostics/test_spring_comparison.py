@@ -1,7 +1,5 @@
 """Which spring a record shows."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """What is known and what is not: sums before their parts, in sentences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

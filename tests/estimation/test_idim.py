@@ -1,7 +1,5 @@
 """The estimators of IDIM: what each is for, on the twin and on regressions made for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Least squares from sums over groups: the same step, and what leaving out a group really does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The least torque error of a rigid joint: one answer from every start, and no motion that was not there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Friction that grows with the torque: told by several loads, refused where one record scales it with the rest."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

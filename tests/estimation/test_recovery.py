@@ -1,7 +1,5 @@
 """Known truths: what the estimators must recover, and what they must refuse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

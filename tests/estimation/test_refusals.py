@@ -1,7 +1,5 @@
 """What is refused before anything is identified, each once, by the type of its exception."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

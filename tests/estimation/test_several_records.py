@@ -1,7 +1,5 @@
 """Several records in one fit: known masses, a drive's gain, other controllers, and whether two runs agree."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache

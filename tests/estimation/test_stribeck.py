@@ -1,7 +1,5 @@
 """Friction that is another towards standstill: identified from torque and reference, and refused where no line is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

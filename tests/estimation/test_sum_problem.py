@@ -1,7 +1,5 @@
 """The parameters of several records: what they share, what is added, what is their own, and the derivatives by them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """An axis behind a gear is the same on either side of it, and in any units: to rounding, in as many simulations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A robot, several records and inverse models in windows: the answer of the whole, where memory asks for it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The closed loop: clocks, delays, saturation, injected signals, initial states, failures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

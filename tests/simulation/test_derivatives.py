@@ -1,7 +1,5 @@
 """Derivatives of joints' simulations, against central differences: plants, laws and controllers in one table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

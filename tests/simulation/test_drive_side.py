@@ -1,7 +1,5 @@
 """The load behind a motor whose motion is prescribed: against an independent integration, finer steps, differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

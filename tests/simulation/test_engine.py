@@ -1,7 +1,5 @@
 """What a simulation in steps does at its edges: rests, dips, limits, bounds and laws that hardly act."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

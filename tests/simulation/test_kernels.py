@@ -1,7 +1,5 @@
 """Both kernels of joints without a controller: rest to the last bit, dips, and what cannot be simulated."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

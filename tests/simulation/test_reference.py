@@ -1,7 +1,5 @@
 """Plants, laws and controllers in one table, against the one slow reference (`reference`)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is not simulated: each refusal once, by its type, and each number that no joint may have, by the outcome."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

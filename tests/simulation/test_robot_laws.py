@@ -1,7 +1,5 @@
 """Every law of friction and of a spring on a robot's axis: a robot of one joint is that joint, derivatives included."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

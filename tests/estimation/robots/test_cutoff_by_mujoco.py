@@ -1,7 +1,5 @@
 """The default cut-off on robots that MuJoCo moved, with the steps, rates and noise of a TX40's and a Panda's logs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

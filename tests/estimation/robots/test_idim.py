@@ -1,7 +1,5 @@
 """IDIM of a robot: recovery, weights, intervals, and an estimate held beside the nominal model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

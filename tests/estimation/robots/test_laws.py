@@ -1,7 +1,5 @@
 """Robots whose axes have nonlinear laws of friction and springs, identified from torque and reference."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
