@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,12 @@ from jointid.diagnostics.suspects import COMPLIANCE, list_signatures
 from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot, read_as
-from jointid.estimation.problems.simulated import LoopLog, Simulated, decimate_each
+from jointid.estimation.problems.simulated import decimate_each
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
-from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, find_noise_limit, lowpass_below_noise
+from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.simulate import Simulation
 
@@ -130,31 +128,60 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     Raises:
         RecordError, MethodError: as of the identification.
     """
-    part, filtering = estimate.require_robot(), estimate.settings.filtering
-    if estimate.settings.method == "idim":
-        return _by_inverse_model(part, filtering, read_as(records, estimate.settings.timing))
-    return _by_simulation(part, records, estimate.solved or solve_again(part, records, filtering))
+    part, settings = estimate.require_robot(), estimate.settings
+    robot, n = part.model, len(part.model)
+    known: list[list[FaultSignature]] = [[] for _ in robot.names]
+    source: Any  # of the filter and the sample time
+    motion: MeasuredMotion | None
+    if settings.method == "idim":
+        inverse = inverse_of_robot(robot, part.parameters)
+        source = motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
+        rows, torque, decimate = inverse.rows([source]), source.torque, source.decimate_columns
+        measured, predicted, own = rows.Y, rows.W @ part.values, rows.W
+    else:
+        solved = estimate.solved or solve_again(part, records, settings.filtering)
+        source = problem = solved.problem
+        motion, torque, own = getattr(problem.log, "motion", None), problem.measured, solved.slopes
+        measured = problem.filtered_torque
+        predicted = measured - problem.error(solved.runs)
 
-
-def _by_inverse_model(part: IdentifiedRobot, filtering: Filtering, records: Sequence[Record]) -> AxisTorques:
-    robot, inverse = part.model, inverse_of_robot(part.model, part.parameters)
-    motion = inverse.measure(records, filtering)
-    rows = inverse.rows([motion])
+        def decimate(columns: FloatArray) -> FloatArray:
+            return decimate_each(problem.log, list(np.moveaxis(columns, 1, 0)))
 
     def thin(columns: FloatArray) -> FloatArray:
-        return motion.decimate_columns(columns).reshape(len(robot), -1, columns.shape[2])
+        """Return columns, (samples, n, columns), filtered, (n, rows, columns)."""
+        return np.asarray(decimate(columns)).reshape(n, -1, columns.shape[2])
 
-    bends = np.moveaxis(thin(_bend(part, motion)), 2, 0).reshape(len(robot), len(_ROTORS), len(robot), -1)
-    springs = [[FaultSignature(COMPLIANCE, *each) for each in zip(one, _ROTORS, strict=True)] for one in bends]
-    return _torques(
-        robot, motion, (rows.by_equation(rows.Y), rows.by_equation(rows.W @ part.values)), motion.whole_rows,
-        rows.W.reshape(len(robot), -1, rows.W.shape[1]), thin, _at_motors(robot, motion), motion.torque, motion.raw,
-        springs,
+    measured, predicted = measured.reshape(n, -1), predicted.reshape(n, -1)
+    if motion is None:  # under controllers
+        moved, rotors = Simulation.of(solved.runs[0]).motion, part.numbers().rotors
+        q, v, a = (one[:, rotors] for one in (moved.position, moved.velocity, moved.acceleration))
+        known = list_reference_laws(cast("RobotLoop", part.setup), records, problem, part.numbers(), predicted)
+    else:
+        q, v, a = (one @ robot.coupling.T for one in (motion.q, motion.v, motion.a))
+    if settings.method == "idim":
+        bends = np.moveaxis(thin(_bend(part, source)), 2, 0).reshape(n, len(_ROTORS), n, -1)
+        known = [[FaultSignature(COMPLIANCE, *each) for each in zip(one, _ROTORS, strict=True)] for one in bends]
+
+    def list_faults(k: int) -> list[FaultSignature]:
+        others = {name: (v[:, i], a[:, i]) for i, name in enumerate(robot.names) if i != k}
+        acting = torque[:, k]
+        return [*list_signatures(Seen(
+            q[:, k], v[:, k], a[:, k], acting, acting, acting, source.sample_time, np.negative, others=others
+        ))]  # fmt: skip
+
+    found = in_threads(list_faults, range(n))
+    columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))
+    shapes = tuple(
+        (*(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)), *known[k])
+        for k, all_of in enumerate(found)
+    )
+    path, step = thin(np.stack([q, v], axis=2)), source.sample_time * source.filtering.decimation
+    return AxisTorques(
+        robot.names, np.asarray(step * np.arange(measured.shape[1])), step, source.filtering.cutoff, measured,
+        predicted, np.ones(measured.shape, dtype=np.bool_) if motion is None else motion.whole_rows, path[:, :, 0],
+        path[:, :, 1], own.reshape(n, -1, own.shape[1]), shapes, along_measured_motion=motion is not None,
     )  # fmt: skip
-
-
-def _at_motors(robot: Robot, motion: MeasuredMotion) -> list[FloatArray]:
-    return [one @ robot.coupling.T for one in (motion.q, motion.v, motion.a)]
 
 
 def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
@@ -184,65 +211,3 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
             moved = (through(q + turned, v + turning, a + pushed) - still) / by
             found.append(moved - share * np.outer(own * back[2], unit))
     return np.stack(found, axis=2)
-
-
-def _by_simulation(part: IdentifiedRobot, records: Sequence[Record], solved: RobotFit) -> AxisTorques:
-    robot, numbers = part.model, part.numbers()
-    problem, log = solved.problem, solved.problem.log
-    measured = problem.by_joint(problem.filtered_torque)
-    predicted = measured - problem.by_joint(problem.error(solved.runs))
-    own = solved.slopes.reshape(len(robot), -1, solved.slopes.shape[1])
-
-    def thin(columns: FloatArray) -> FloatArray:
-        rows = decimate_each(log, list(np.moveaxis(columns, 1, 0)))
-        return rows.reshape(len(robot), -1, columns.shape[2])
-
-    laws: list[list[FaultSignature]] = [[] for _ in robot.names]
-    if isinstance(log, LoopLog):
-        moved, seen, raw = Simulation.of(solved.runs[0]).motion, np.ones(measured.shape, dtype=np.bool_), None
-        motion = [one[:, numbers.rotors] for one in (moved.position, moved.velocity, moved.acceleration)]
-        laws = list_reference_laws(cast("RobotLoop", part.setup), records, problem, numbers, predicted)
-    else:
-        motion, seen, raw = _at_motors(robot, log.motion), log.motion.whole_rows, log.motion.raw
-    return _torques(robot, problem, (measured, predicted), seen, own, thin, motion, problem.measured, raw, laws)
-
-
-def _torques(
-    robot: Robot,
-    source: MeasuredMotion | Simulated,
-    torques: tuple[FloatArray, FloatArray],
-    seen: NDArray[np.bool_],
-    own: FloatArray,
-    thin: Callable[[FloatArray], FloatArray],
-    motion: Sequence[FloatArray],
-    torque: FloatArray,
-    raw: FloatArray | None,
-    known: Sequence[Sequence[FaultSignature]],
-) -> AxisTorques:
-    """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
-
-    `thin` filters columns, (samples, n, columns); `raw` is the positions, (samples, n), if these were measured; what
-    faults of each axis change is `known`, and is no column along its motion.
-    """
-    filtering, sample_time, (q, v, a) = source.filtering, source.sample_time, motion
-    assert filtering.cutoff is not None
-    assert filtering.decimation is not None
-
-    def list_faults(k: int) -> list[FaultSignature]:
-        others = {name: (v[:, i], a[:, i]) for i, name in enumerate(robot.names) if i != k}
-        limit = math.inf if raw is None else find_noise_limit([raw[:, k]], sample_time, derivative=4)
-        made, other = torque[:, k], {one.fault for one in known[k]}
-        axis = Seen(q[:, k], v[:, k], a[:, k], made, made, made, sample_time, np.negative, limit, others)
-        return [one for one in list_signatures(axis) if one.fault not in other]
-
-    found = in_threads(list_faults, range(len(robot)))
-    columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))
-    shapes = tuple(
-        (*(replace(one, column=columns[k, :, i]) for i, one in enumerate(all_of)), *known[k])
-        for k, all_of in enumerate(found)
-    )
-    (measured, predicted), path, step = torques, thin(np.stack([q, v], axis=2)), sample_time * filtering.decimation
-    return AxisTorques(
-        robot.names, np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted,
-        seen, path[:, :, 0], path[:, :, 1], own, shapes, along_measured_motion=raw is not None,
-    )  # fmt: skip

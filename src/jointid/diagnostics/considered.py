@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.diagnose import Diagnosis
 from jointid.diagnostics.faults import AxisFaults, Fault, FaultSignature
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL

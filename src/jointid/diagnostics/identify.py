@@ -14,7 +14,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
-from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
+from jointid.diagnostics.diagnose import Diagnosis, Solved, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit, find_gross_cause
 from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
@@ -247,9 +247,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     verdicts = [Verdict.of(Subject.REPEATABLE, not rest, *reasons)]
 
     lost = [message for message in map(find_lost_samples, fit.records) if message is not None]
-    failed = lost[:1] or [*found.name_faults(of_model=False)]
-    if found.wrong_laws and not lost:
-        failed.append(Message(Reason.LOOP_NOT_AS_DECLARED, found.wrong_laws))
+    failed = lost[:1] or found.name_faults(of_model=False)
     unseen = [joint.name for joint in found.axes if joint.law_holds is None]
     if failed:
         verdicts.append(_fail(*failed))

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Any, Literal
 
 import numpy as np
@@ -54,15 +53,6 @@ _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to b
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
 _SIMPLE: Mapping[str, Spring | Friction] = {"spring": Spring(), "friction": Friction()}
 """The law that is always identified, and by whose mode the others are."""
-
-
-class LawCode(StrEnum):
-    """Outcomes of a comparison of laws."""
-
-    NO_SPRING = "no_spring"
-    AS_DECLARED = "as_declared"
-    ANOTHER_SPRING = "another_spring"
-    ANOTHER_FRICTION = "another_friction"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,14 +119,12 @@ class LawComparison(Documented):
         """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
         found = self.shown
         left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted"
+        code, words = "as_declared", f"{found.name} {self.kind}, {found.words}: it {left}"
         if found.name == RIGID:
-            code, words = LawCode.NO_SPRING, f'no spring: a rigid joint {left}; declare the joint with model = "rigid"'
-        elif found.name == self.declared:
-            code, words = LawCode.AS_DECLARED, f"{found.name} {self.kind}, {found.words}: it {left}"
-        else:
-            code = LawCode(f"another_{self.kind}")
-            words = f"{found.name} {self.kind}, {found.words}: it {left}; declare the joint with "
-            words += f'{self.kind} = "{found.name}" to identify it'
+            code, words = "no_spring", f'no spring: a rigid joint {left}; declare the joint with model = "rigid"'
+        elif found.name != self.declared:
+            code = f"another_{self.kind}"
+            words += f'; declare the joint with {self.kind} = "{found.name}" to identify it'
         return Message(code, f"The record shows {words}", {self.kind: found.name, "declared": self.declared})
 
     @property
@@ -163,17 +151,20 @@ def _format_share(share: float | None) -> str:
     return "-" if share is None else f"{number(100 * share, 3)} %"
 
 
-def cut(problem: ClosedLoopProblem) -> NDArray[np.intp] | None:
-    """Return the part, counted from 0, of each row of the residual, (rows,); None if there are too few rows.
+def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
+    """Return the part, counted from 0, of each row of the residual, (rows,).
 
     Half of the cut is by time, half by how much the torque changes: parts of equal length would hold most of the motion
     in a few of them if an axis rests. There are fewer parts if all changes are within a few rows.
+
+    Raises:
+        MethodError: there are too few rows.
     """
     torque = problem.filter(problem.measured)
     change = np.square(np.diff(torque, prepend=torque[0]))
     rows = change.size
     if rows < _FEWEST:
-        return None
+        raise MethodError(f"Laws are compared over {_FEWEST} filtered rows: record longer, or raise the cutoff.")
     share = 0.5 / rows + 0.5 * change / (float(np.sum(change)) or 1.0)
     place = np.minimum((np.cumsum(share) - 0.5 * share) * PARTS, PARTS - 1).astype(np.intp)
     return np.unique(place, return_inverse=True)[1]
@@ -204,24 +195,22 @@ def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
     problem, x = solved.problem, solved.x
     error, slopes = problem.linearise(x)
     parts = cut(problem)
-    if parts is None:
-        raise MethodError(f"Laws are compared over {_FEWEST} filtered rows: record longer, or raise the cutoff.")
     reached = np.any(slopes, axis=0)  # not of a piece that the record never reaches
     shared = np.array([p.name not in INITIAL for p in problem.free])  # a first state is shown by the first part alone
     apart = predict_held_out(error, (slopes / column_norms(slopes))[:, reached & shared], parts)
     known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x))).covariance.std
     std = {p.name: float(one) for p, one, seen in zip(problem.free, known, reached, strict=True) if seen}
-    values, names, said = problem.values(x), [p.name for p in _parameters(problem.joint, law)], dict[str, str]()
-    for p in (p for p in problem.parameters if p.name in names):
+    values, own, said = problem.values(x), [p.name for p in _parameters(problem.joint, law)], list[str]()
+    for p in (p for p in problem.parameters if p.name in own):
         size = interval(values[p.name], 2 * std[p.name]) if p.name in std else number(values[p.name], 4)
-        said[p.name] = f"{size} {problem.units[p.name]}" if p.name in std or not p.free else "(not identifiable)"
-    symbols = {p.name: p.symbol for p in problem.parameters}
-    words = law.describe(said) if isinstance(law, Spring) else ", ".join(f"{symbols[n]} {said[n]}" for n in names)
+        shown = f"{size} {problem.units[p.name]}" if p.name in std or not p.free else "(not identifiable)"
+        said.append(f"{p.symbol} {shown}")
     least = (_NOTHING * problem.size) ** 2 / PARTS
     return JudgedLaw(
-        RIGID if law is None else law.name, len(names), {name: values[name] for name in names},
-        {name: std[name] for name in names if name in std}, problem.filtered_error(error),
-        problem.filtered_error(apart), words=words, squares=np.asarray(np.bincount(parts, weights=apart**2) + least),
+        RIGID if law is None else law.name, len(own), {name: values[name] for name in own},
+        {name: std[name] for name in own if name in std}, problem.filtered_error(error),
+        problem.filtered_error(apart), words=", ".join(said),
+        squares=np.asarray(np.bincount(parts, weights=apart**2) + least),
     )  # fmt: skip
 
 
@@ -252,7 +241,8 @@ def compare_laws(
     Raises:
         MethodError: the joint has no such law, or the simplest law is not identified.
     """
-    joint, settings, given = loop.joint, didim or DIDIM(), dict(parameters or {})
+    joint: Any = loop.joint
+    settings, given = didim or DIDIM(), dict(parameters or {})
     if kind == "spring" and joint.model == "rigid":
         raise MethodError('A rigid joint has no spring: declare it with model = "flexible" to compare springs.')
     settings.require_settings_of(joint.model)
@@ -260,10 +250,14 @@ def compare_laws(
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
     simple = _SIMPLE[kind]
 
-    def identify(law: Spring | Friction, band: Filtering) -> Solved:
-        changed: dict[str, Any] = {kind: law}
-        other = replace(joint, **changed)
-        wanted = adjust_parameters(other.parameters, _of_law(given, joint, other))
+    def identify(law: Any, band: Filtering) -> Solved:
+        other = replace(joint, **{kind: law})
+        names = {p.name for p in other.parameters}
+        if kind == "friction" and law.offset_identifiable != joint.friction.offset_identifiable:
+            names -= {"offset"}  # it is a part of the Coulomb forces of one of both
+        if kind == "spring" and law != joint.spring:
+            names -= {p.name for p in (*law.parameters, *joint.spring.parameters)} - {"damping"}
+        wanted = adjust_parameters(other.parameters, {name: given[name] for name in given.keys() & names})
         history = History(lambda message: progress(Detail(message)))
         end = settings.solve(Task(record, other, replace(loop, joint=other), wanted, band, history.progress), history)
         tolerance = settings.stopping_tolerance(joint.model)
@@ -299,17 +293,3 @@ def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter,
         return () if law is None else law.parameters
     sides = (("motor_", "1"), ("load_", "2")) if joint.model == "flexible" else (("", ""),)
     return tuple(p for side in sides for p in law.parameters(*side))
-
-
-def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:
-    """Return the parameter changes that hold for another law than the declared one.
-
-    Those of another spring do not, nor does an offset that is part of the Coulomb forces of one of two frictions.
-    """
-    meant = {p.name for p in joint.parameters}
-    if declared.friction.offset_identifiable != joint.friction.offset_identifiable:
-        meant -= {"offset"}
-    springs = [getattr(one, "spring", None) for one in (declared, joint)]
-    if springs[0] != springs[1]:
-        meant -= {p.name for spring in springs if spring is not None for p in spring.parameters} - {"damping"}
-    return {name: change for name, change in given.items() if name in meant}

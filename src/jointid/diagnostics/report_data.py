@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics.diagnosis import Diagnosis
+from jointid.diagnostics.diagnose import Diagnosis
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate

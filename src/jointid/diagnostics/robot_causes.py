@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,51 +31,41 @@ _INSTANTS = 200
 _RANK = 1e-12  # of the normal matrix, whose columns have length 1
 _LEAST = 0.5  # of the squares of one joint's residual: what a cause explains at least
 _SIMPLER = 1.25  # times: so much more may be left by a cause with one free number less
-_BEST = 4  # causes whose numbers are searched, beside those that begin at what is declared:
-_FROM_DECLARED = ("base", "geometry")
+_BEST = 4  # causes whose numbers are searched, beside those of vectors, whose start is nothing or a rough direction
 _STEPS = 8  # of a descent
 _TWO = 2  # joints: one alone has none of these causes
 _SAME = 1e-9  # of the travel
 _REST = 0.02  # of the largest speed: below, Coulomb friction is left out
 _ZEROS = tuple((np.pi / 6 * k,) for k in range(-5, 7) if k)  # rad
-_GEARS = tuple((math.log(one),) for one in (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0))
-_UNITS = tuple((sign * math.log(one),) for one in (180 / math.pi, 1e3) for sign in (1.0, -1.0))
+_GEARS = (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0, math.pi / 180, 180 / math.pi, 1e-3, 1e3)  # units, too
+_FACTORS = tuple((math.log(one),) for one in _GEARS)
 _COUPLED = ((-1.0,), (-0.5,), (0.5,), (1.0,))
 _GRAVITY = 9.81  # m/s2
 _LONGEST = 1.0  # m: a longer correction of a length is none
 
-_OF_PAIRS = (
-    ("swapped_channels", False, True, "the torques of {joint} and {other} are exchanged: exchange the columns"),
-    ("order", True, True, "the logs of {joint} and {other} are exchanged: give each joint the columns of the other"),
-    ("swapped_positions", True, False, "the positions of {joint} and {other} are exchanged: exchange the columns"),
-)
-"""Of two joints: the code, whether positions and torques are exchanged, and the words."""
-
-_OF_JOINTS: tuple[tuple[str, int, int, Sequence[Sequence[float]], str], ...] = (
-    (
-        "torque_sign", 0, 1, ((),),
-        "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels, or in record.channels",
-    ),
-    ("log_gain", 0, 1, _GEARS, "the logged torque of {joint} is {value} times what moves it: check its unit"),
-    (
-        "position_sign", 1, 0, ((),),
-        "the position of {joint} has the wrong sign: turn motor_position.sign round in its joints.channels",
-    ),
-    (
-        "joint_sign", 1, 1, ((),),
-        "position and torque of {joint} count the other way than the model's axis: turn motor_position.sign and "
-        "torque.sign round in its joints.channels",
-    ),
-    (
-        "gear_ratio", 1, -1, _GEARS,
-        "the gear of {joint} has {value} times the declared ratio: position and torque are off by it",
-    ),
-    (
-        "position_scale", 1, 0, (*_GEARS, *_UNITS),
-        "the position of {joint} is {value} times what moves the links: check its unit and its ratio",
-    ),
+_OF_JOINT = (
+    ("torque_sign", 0, 1), ("log_gain", 0, 1), ("position_sign", 1, 0), ("joint_sign", 1, 1), ("gear_ratio", 1, -1),
+    ("position_scale", 1, 0),
 )  # fmt: skip
-"""Of one joint: the code, powers of a factor on position and torque, its starts (-1 if it has none), and the words."""
+"""Of one joint: the code, and the powers of a factor on its position and its torque; of a sign it is -1."""
+
+_SAID = {
+    "swapped_channels": "the torques of {joint} and {other} are exchanged: exchange the columns",
+    "swapped_positions": "the positions of {joint} and {other} are exchanged: exchange the columns",
+    "order": "the log has the joints in another order: the columns of {all} are those of each other",
+    "torque_sign": "the torque of {joint} has the wrong sign: turn torque.sign round in joints.channels",
+    "log_gain": "the logged torque of {joint} is {value} times what moves it: check its unit",
+    "position_sign": "the position of {joint} has the wrong sign: turn motor_position.sign round in joints.channels",
+    "joint_sign": "position and torque of {joint} have the wrong sign: turn both round in joints.channels",
+    "gear_ratio": "the gear of {joint} has {value} times the declared ratio: position and torque are off by it",
+    "position_scale": "the position of {joint} is {value} times what moves the links: check its unit and its ratio",
+    "zero": "the encoder of {joint} reads 0 where its model is near {value} rad: check it, and give its zero",
+    "geometry": "the torques fit a {joint} {numbers} m elsewhere on the link before it: check the model's lengths",
+    "gravity": "the links weigh something, and the model has no gravity: give it {value} m/s2 along {numbers}",
+    "base": "the base stands {value} rad otherwise: declare it as robot.base, with gravity along {numbers}",
+    "coupled": "the motor of {joint} turns with {other}: declare coupling = {{ {other} = {value} }} for {joint}",
+}
+"""What each mistake is, and its remedy."""
 
 
 class _Case(NamedTuple):
@@ -89,63 +79,68 @@ class _Case(NamedTuple):
     torque: FloatArray
     moving: FloatArray
 
+    def logged(self, positions: FloatArray, torques: FloatArray) -> _Case:
+        """Return the case with other logs: sums of its own, by matrices (n, n) of which each column has one number."""
+        moving = np.abs(np.sign(self.moving @ positions))
+        return _Case(self.robot, self.motion @ positions, self.torque @ torques, moving)
+
 
 class _Change(NamedTuple):
-    """A mistake with its numbers.
-
-    Attributes:
-        name: its code.
-        joints: that it concerns.
-        words: with the first and last of these as {joint} and {other}, its {value}, and its numbers as {numbers}.
-        correct: returns the case in which it is corrected.
-        value: that its numbers are.
-        starts: of a search for them.
-    """
+    """A mistake with its numbers: its code, the joints that it concerns, what corrects it, and starts of a search."""
 
     name: str
     joints: Sequence[int]
-    words: str
     correct: Callable[[FloatArray], _Case]
-    value: Callable[[FloatArray], float | None] = lambda _: None
     starts: Sequence[Sequence[float]] = ((),)
 
-    def cost(self, left: float, x: FloatArray) -> float:
-        """Return the squares that are left, of more numbers as if they were more.
 
-        A base counts as none: a zero off by half a turn predicts what one upside down does.
-        """
-        if self.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
-            return math.inf
-        return left * _SIMPLER ** (0 if self.name == "base" else x.size)
-
-    def explain(self, names: Sequence[str], x: FloatArray, left: float) -> Cause:
-        """Return the cause, of joints of these names."""
-        value, joints = self.value(x), tuple(names[k] for k in self.joints)
-        said = joints or names
-        words = self.words.format(
-            joint=said[0], other=said[-1], all=join(said), names=join(names),
-            value="" if value is None else number(value, 3), numbers=", ".join(f"{one:.2f}" for one in x),
-        )  # fmt: skip
-        return Cause(self.name, words, value, left, joints)
+_Fitted: TypeAlias = tuple[float, FloatArray, _Change]
+"""Squares that are left, the numbers of a change, and that change."""
 
 
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> Cause | None:
     """Return the cause that explains most of the residual of IDIM of rigid joints; None where none explains enough."""
+    from scipy.optimize import least_squares
+
     if len(robot) < _TWO:
         return None
     declared = _thin(robot, records, filtering)
-    solve = _Solver(declared)
+    error = _solver(declared)
 
-    def left(change: _Change, x: Sequence[float]) -> tuple[float, FloatArray, _Change]:
-        return float(np.sum(solve.error(change.correct(np.array(x))) ** 2)), np.array(x), change
+    def fit(change: _Change, x: FloatArray) -> _Fitted:
+        return float(np.sum(error(change.correct(x)) ** 2)), x, change
 
-    ends = [min((left(change, x) for x in change.starts), key=lambda one: one[0]) for change in _changes(declared)]
-    ends.sort(key=lambda one: one[0])
-    found, free = [one for one in ends if not one[1].size], [one for one in ends if one[1].size]
-    for _, start, change in (*free[:_BEST], *(one for one in free[_BEST:] if one[2].name in _FROM_DECLARED)):
-        found.append((*solve.descend(change.correct, start), change))
-    least, x, change = min(found, key=lambda one: one[2].cost(one[0], one[1]))
-    return change.explain(robot.names, x, least) if len(robot) - least >= _LEAST else None
+    def descend(_: float, start: FloatArray, change: _Change) -> _Fitted:
+        def residual(x: FloatArray) -> FloatArray:
+            return error(change.correct(x))
+
+        return fit(change, least_squares(residual, start, max_nfev=_STEPS).x)
+
+    def cost(one: _Fitted) -> float:
+        """Return the squares, of more numbers as if they were more; a base counts as none.
+
+        A zero off by half a turn predicts what a base upside down does.
+        """
+        squares, x, change = one
+        if change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
+            return math.inf
+        return squares * _SIMPLER ** (0 if change.name == "base" else x.size)
+
+    each = ([fit(change, np.array(x)) for x in change.starts] for change in _changes(declared))
+    ends = sorted((min(one, key=lambda end: end[0]) for one in each), key=lambda end: end[0])
+    free = [one for one in ends if one[1].size]
+    found = [one for one in ends if not one[1].size]
+    found += [descend(*one) for place, one in enumerate(free) if place < _BEST or one[1].size > 1]
+    squares, x, change = min(found, key=cost)
+    if len(robot) - squares < _LEAST:
+        return None
+    value, joints = _value(change.name, robot, x), tuple(robot.names[k] for k in change.joints)
+    said = joints or robot.names
+    words = _SAID[change.name].format(
+        joint=said[0], other=said[-1], all=join(said), value="" if value is None else number(value, 3),
+        numbers=", ".join(f"{one:.2f}" for one in x),
+    )  # fmt: skip
+    return Cause(change.name, words, value, squares, joints)
 
 
 def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | None:
@@ -174,40 +169,27 @@ def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Cas
     return _Case(robot, moved, torque[rows], moving)
 
 
-class _Solver:
-    """Least squares of all cases, each joint's rows by the size of its error as declared."""
+def _solver(declared: _Case) -> Callable[[_Case], FloatArray]:
+    """Return the function of the residual of a case, joint after joint, in units of that of the declared case."""
+    # Of any gravity and coupling: some of these columns are sums of others then.
+    n, any_way = len(declared.robot), np.array([3.0, 5.0, -7.0])
+    parameters = robot_parameters(replace(declared.robot.rigid, gravity=any_way), whole=False)
+    sizes = np.ones(n)
 
-    def __init__(self, declared: _Case) -> None:
-        # Of any gravity and coupling: some of these columns are sums of others then.
-        robot = declared.robot
-        self.parameters = robot_parameters(replace(robot.rigid, gravity=np.array([3.0, 5.0, -7.0])), whole=False)
-        self.sizes = np.ones(len(robot))
-        for _ in range(3):
-            error = self.error(declared).reshape(len(robot), -1)
-            self.sizes *= np.maximum(np.linalg.norm(error, axis=1), 1e-6)
-
-    def error(self, case: _Case) -> FloatArray:
-        """Return the residual, joint after joint, in units of that of the declared case."""
-        q, v, a = case.motion @ np.linalg.inv(case.robot.coupling).T
-        rotors = inverse_columns(case.robot, q, v, a)[:, :, -len(case.robot) :]
-        columns = [self.parameters.columns(case.robot, q, v, a), rotors]
+    def error(case: _Case) -> FloatArray:
+        motion = case.motion @ np.linalg.inv(case.robot.coupling).T
+        columns = [parameters.columns(case.robot, *motion), inverse_columns(case.robot, *motion)[:, :, -n:]]
         W = np.concatenate(columns, axis=2) * case.moving[:, :, np.newaxis]
         Y = case.torque * case.moving
-        by = self.sizes * np.maximum(np.linalg.norm(Y, axis=0), np.finfo(float).tiny)
+        by = sizes * np.maximum(np.linalg.norm(Y, axis=0), np.finfo(float).tiny)
         W = (W / by[:, np.newaxis]).transpose(1, 0, 2).reshape(Y.size, -1)
         y = (Y / by).T.ravel()
         W = W / np.maximum(np.linalg.norm(W, axis=0), np.finfo(float).tiny)
         return np.asarray(y - W @ (np.linalg.pinv(W.T @ W, rcond=_RANK, hermitian=True) @ (W.T @ y)))
 
-    def descend(self, correct: Callable[[FloatArray], _Case], x: FloatArray) -> tuple[float, FloatArray]:
-        """Return the least squares from a start, by a few steps, and its numbers."""
-        from scipy.optimize import least_squares
-
-        def error(x: FloatArray) -> FloatArray:
-            return self.error(correct(x))
-
-        found = least_squares(error, x, max_nfev=_STEPS)
-        return 2.0 * float(found.cost), found.x
+    for _ in range(3):
+        sizes *= np.maximum(np.linalg.norm(error(declared).reshape(n, -1), axis=1), 1e-6)
+    return error
 
 
 # The rows
@@ -215,56 +197,41 @@ class _Solver:
 
 def _changes(case: _Case) -> Iterator[_Change]:
     """Yield all changes: of the log, of one joint after the other, and of the model."""
-    robot = case.robot
-    names, own = robot.names, [*range(len(robot))]
+    robot, n = case.robot, len(case.robot)
+    own, same, follows = [*range(n)], np.eye(n), np.linalg.inv(robot.coupling)
+
+    def log(code: str, joints: Sequence[int], positions: FloatArray, torques: FloatArray) -> _Change:
+        return _Change(code, joints, lambda _: case.logged(positions, torques))
+
     for i, j in itertools.combinations(own, 2):
-        other = [j if k == i else i if k == j else k for k in own]
-        for code, positions, torques, words in _OF_PAIRS:
-            yield _Change(
-                code, (i, j), words,
-                partial(_arrange, case, other if positions else own, other if torques else own),
-            )  # fmt: skip
-    first = sorted(own, key=names.__getitem__)
+        other = same[:, [j if k == i else i if k == j else k for k in own]]
+        yield log("swapped_channels", (i, j), same, other)
+        yield log("order", (i, j), other, other)
+        yield log("swapped_positions", (i, j), other, same)
+    first = sorted(own, key=robot.names.__getitem__)
     orders = {tuple(own[::-1]), tuple(map(first.index, own)), *((*own[by:], *own[:by]) for by in own[1:])}
     for order in sorted(one for one in orders if sum(k != at for k, at in enumerate(one)) > _TWO):
-        words = "the log has the joints in another order: the columns of {all} are of {names}"
-        yield _Change("order", order, words, partial(_arrange, case, [*order], [*order]))
+        yield log("order", order, same[:, list(order)], same[:, list(order)])
     for k, link in enumerate(robot.links):
-        for code, position, torque, starts, words in _OF_JOINTS:
-            yield _Change(code, (k,), words, partial(_scale, case, k, position, torque), _factor, starts)
+        for code, position, torque in _OF_JOINT:
+            starts = ((),) if code.endswith("sign") else _FACTORS
+            yield _Change(code, (k,), partial(_scale, case, k, position, torque), starts)
         if link.kind == "revolute":
-            words = "the encoder of {joint} reads 0 where the joint of the model is near {value} rad: check it, and "
-            yield _Change("zero", (k,), words + "give its zero in its table", partial(_turn, case, k), _angle, _ZEROS)
+            yield _Change("zero", (k,), partial(_turn, case, k), _ZEROS)
         if k:  # the place of the first one moves the base
-            words = "the geometry of the model is not that of the robot: the torques fit a {joint} that stands "
-            words += "{numbers} m elsewhere on the link before it: check the model's lengths"
-            yield _Change("geometry", (k,), words, partial(_lengthen, case, k), _length, ((0.0, 0.0, 0.0),))
-    known = float(np.linalg.norm(robot.gravity))
-    code, words = "gravity", "the links weigh something, and the model has no gravity: give it {value} m/s2 along "
-    if known:
-        code, words = "base", "the base stands {value} rad otherwise in the model's frame: declare it as robot.base "
-        words += "(roll, pitch, yaw), with gravity along "
-    tilt = partial(_tilt, robot.gravity) if known else lambda _: _GRAVITY
-    yield _Change(
-        code, (), words + "{numbers}", partial(_hang, case, known or _GRAVITY), tilt, [*np.eye(3), *-np.eye(3)]
-    )
-    follows = np.linalg.inv(robot.coupling)
+            yield _Change("geometry", (k,), partial(_lengthen, case, k), ((0.0, 0.0, 0.0),))
+    weighs = "base" if np.any(robot.gravity) else "gravity"
+    yield _Change(weighs, (), partial(_hang, case), [*np.eye(3), *-np.eye(3)])
     for i, j in itertools.permutations(own, 2):
         # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
         if abs(i - j) == 1 and not robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
-            words = "the motor of {joint} turns with {other}: declare coupling = {{ {other} = {value} }} for {joint}"
-            yield _Change("coupled", (i, j), words, partial(_couple, case, i, j), lambda x: float(x[0]), _COUPLED)
-
-
-def _arrange(case: _Case, positions: Sequence[int], torques: Sequence[int], _: FloatArray) -> _Case:
-    at = list(positions)
-    return _Case(case.robot, case.motion[:, :, at], case.torque[:, list(torques)], case.moving[:, at])
+            yield _Change("coupled", (i, j), partial(_couple, case, i, j), _COUPLED)
 
 
 def _scale(case: _Case, k: int, position: int, torque: int, x: FloatArray) -> _Case:
     factor, by = math.exp(x[0]) if x.size else -1.0, np.ones((2, len(case.robot)))
     by[:, k] = factor**position, factor**torque
-    return case._replace(motion=case.motion * by[0], torque=case.torque * by[1])
+    return case.logged(*map(np.diag, by))
 
 
 def _turn(case: _Case, k: int, x: FloatArray) -> _Case:
@@ -277,7 +244,8 @@ def _lengthen(case: _Case, k: int, x: FloatArray) -> _Case:
     return case._replace(robot=replace(case.robot, links=tuple(links)))
 
 
-def _hang(case: _Case, size: float, x: FloatArray) -> _Case:
+def _hang(case: _Case, x: FloatArray) -> _Case:
+    size = float(np.linalg.norm(case.robot.gravity)) or _GRAVITY
     return case._replace(robot=replace(case.robot, gravity=size * x / np.linalg.norm(x)))
 
 
@@ -287,18 +255,13 @@ def _couple(case: _Case, motor: int, joint: int, x: FloatArray) -> _Case:
     return case._replace(robot=replace(case.robot, joints=tuple(joints)))
 
 
-def _factor(x: FloatArray) -> float | None:
-    return math.exp(-x[0]) if x.size else None
-
-
-def _angle(x: FloatArray) -> float:
-    return float((x[0] + math.pi) % (2 * math.pi) - math.pi)
-
-
-def _length(x: FloatArray) -> float:
-    return float(np.linalg.norm(x))
-
-
-def _tilt(gravity: FloatArray, x: FloatArray) -> float:
-    cosine = float(gravity @ x) / float(np.linalg.norm(gravity) * np.linalg.norm(x))
-    return math.acos(min(max(cosine, -1.0), 1.0))
+def _value(code: str, robot: Robot, x: FloatArray) -> float | None:
+    """Return what the numbers of a change are: a factor, an angle from the declared one, or a gravity."""
+    if code == "base":
+        cosine = float(robot.gravity @ x) / float(np.linalg.norm(robot.gravity) * np.linalg.norm(x))
+        return math.acos(min(max(cosine, -1.0), 1.0))
+    if code in ("gravity", "geometry") or not x.size:
+        return _GRAVITY if code == "gravity" else None
+    if code == "zero":
+        return math.remainder(float(x[0]), 2 * math.pi)
+    return float(x[0]) if code == "coupled" else math.exp(-x[0])

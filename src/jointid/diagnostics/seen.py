@@ -35,7 +35,6 @@ class Seen:
         asked, torque: (samples,) of its controller, and with what is added to that.
         through: (samples,) torque that loads its gear.
         sample_time: of all of these, s.
-        limit: Hz, of the noise of a measured position on its fourth derivative; see `find_noise_limit`.
         others: velocity and acceleration of the other axes, by name.
         respond: returns the change of the logged torque by a force on the motor, (samples,); None where that is not
             known.
@@ -51,7 +50,6 @@ class Seen:
     through: FloatArray
     sample_time: float
     respond: Callable[[FloatArray], FloatArray | None]
-    limit: float = np.inf
     others: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     loop: tuple[ClosedLoopProblem, FloatArray] | None = None
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))

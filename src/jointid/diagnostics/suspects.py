@@ -21,7 +21,6 @@ from jointid.estimation.result.verdict import Reason
 from jointid.models.friction import PARTS, Friction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring, swinging_part
-from jointid.records.signals.filtering import lowpass_below_noise
 
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
@@ -232,16 +231,6 @@ def _by_direction(seen: Seen) -> Columns:
         yield None, seen.force(-np.abs(seen.velocity))
 
 
-def _bends(seen: Seen) -> Columns:
-    """Yield the second derivative of the acceleration, which a spring adds to a rigid joint's torque.
-
-    Above the limit that derivative is noise of the position, as is a part of the residual, which it then follows.
-    """
-    if seen.loop is None:
-        smooth = lowpass_below_noise(seen.acceleration, seen.limit, seen.sample_time)
-        yield None, np.gradient(np.gradient(smooth, seen.sample_time), seen.sample_time)
-
-
 def _other_spring(*laws: str) -> Callable[[Seen], Columns]:
     """Return a function that yields springs of other laws for a flexible joint's linear one, at their starts."""
 
@@ -350,7 +339,7 @@ SECOND_MODE = _mechanical(
     measure="%", one_sided=True, reason=Reason.LOAD_NOT_RIGID, table="spring", laws=("elastic-load",),
 )  # fmt: skip
 COMPLIANCE = _mechanical(
-    "compliance", "gear that bends", columns=_bends, reason=Reason.LOAD_NOT_RIGID,
+    "compliance", "gear that bends", reason=Reason.LOAD_NOT_RIGID,
     remedy="declare the spring of this joint, or identify below its mode by a lower filtering.cutoff",
 )  # fmt: skip
 

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -27,10 +28,17 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
-from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
-from jointid.estimation.problems.base import INITIAL_STATE, LOG_DELAY
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, with_torque
-from jointid.estimation.problems.inverse_model import ENCODER_OFFSET, inverse_of_joint, read_as, through_window
+from jointid.estimation.methods.drive_side import motion_problem
+from jointid.estimation.problems.base import LOG_DELAY
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.inverse_model import (
+    ENCODER_OFFSET,
+    inverse_of_joint,
+    inverse_of_robot,
+    read_as,
+    require_one_log,
+    through_window,
+)
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_verdict
 from jointid.estimation.starts.rigid_joint import fit_initial_state
@@ -39,7 +47,6 @@ from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide
-from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
@@ -60,13 +67,18 @@ class Prediction(StrEnum):
     PREDICTED = "predicted"
 
 
+_ANEW = ": identify it from this record, too, and compare both estimates"
 _SAID = {
-    Prediction.NOT_AS_DECLARED: ("does not predict", "; channels, scales or the controller are not as declared there"),
-    Prediction.ANOTHER_JOINT: ("does not predict", "; its load or friction, or the controller, differs there"),
+    Prediction.NOT_AS_DECLARED: (
+        "does not predict", f"; channels, scales or the controller are not as declared there{_ANEW}"
+    ),
+    Prediction.ANOTHER_JOINT: (
+        "does not predict", f"; its load or friction, or the controller, differs there{_ANEW}"
+    ),
     Prediction.NOT_COMPARED: ("predicts", "; how little may be left there could not be found"),
     Prediction.OWN_RECORD: ("was identified from", "; validate it on another record"),
     Prediction.PREDICTED: ("predicts", ""),
-}
+}  # fmt: skip
 """What a joint does with the record, and why or what next."""
 
 
@@ -179,8 +191,6 @@ class Validation(Documented):
         how, then = _SAID[code]
         words = f"The {'robot' if worst.name else 'joint'} {how} {self.record}: it leaves {_share(left)} of the "
         words += f"filtered torque{of}" + ("" if least is None else f", and one identified from it {_share(least)}")
-        if how == "does not predict":
-            then += ": identify it from this record, too, and compare both estimates"
         return Message(code, words + then, {"filtered_error": left, "attainable_error": least})
 
     @property
@@ -233,30 +243,25 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         MethodError: the joint or robot cannot be simulated on this record.
     """
     records, settings = _take_records(estimate, record), estimate.settings
-    found, joints = _predict(estimate, records), range(len(records))
-    if estimate.robot is None:
-        axes = [("", "" if records[0].torque is None else records[0].torque.unit, POSITION_UNIT[settings.joint.kind])]
-    else:
-        robot = estimate.robot.model
-        axes = [(robot.names[k], robot.torque_unit(k), robot.position_unit(k)) for k in joints]
-    torques = [one.torque.values for one in records if one.torque is not None]
-    own = fingerprint(np.concatenate(torques)) in estimate.data.fingerprints
-    size = np.linalg.norm(found.whole, axis=1)
-    anew = None if own else found.fit_anew()
-    attainable = [None for _ in joints] if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
-    nominal = [None for _ in joints]
-    if not own and found.nominal_errors is not None and estimate.require_robot().model.has_masses:
-        nominal = found.nominal_errors().tolist()
+    found, robot = _predict(estimate, records), None if estimate.robot is None else estimate.robot.model
+    torques = [one.torque for one in records if one.torque is not None]
+    own = fingerprint(np.concatenate([torque.values for torque in torques])) in estimate.data.fingerprints
+    axes = [("", torques[0].unit, POSITION_UNIT[settings.joint.kind])] if robot is None else [
+        (name, robot.torque_unit(k), robot.position_unit(k)) for k, name in enumerate(robot.names)
+    ]  # fmt: skip
+    size, unknown, anew = np.linalg.norm(found.whole, axis=1), [None for _ in axes], None if own else found.fit_anew()
+    attainable = unknown if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
+    nominal = unknown if own or found.nominal_errors is None else found.nominal_errors().tolist()
+    errors = (np.linalg.norm(found.error, axis=1) / size).tolist()
     compared = np.zeros(found.measured.shape)
     compared[found.borders[0] : len(compared) - found.borders[1]] = 1.0
-    compared *= 1.0 if found.compared is None else found.compared
+    compared *= found.compared
     shown, told = compared * found.measured, compared * found.predicted
-    errors = np.linalg.norm(found.error, axis=1) / size
     made = tuple(
         ValidatedAxis(
             *axis, found.measured[:, k], found.predicted[:, k], compared[:, k], found.position[:, k],
-            found.velocity[:, k], relative_error(shown[:, k], told[:, k], found.borders), float(errors[k]),
-            attainable[k], nominal[k],
+            found.velocity[:, k], relative_error(shown[:, k], told[:, k], found.borders), errors[k], attainable[k],
+            nominal[k],
         )
         for k, axis in enumerate(axes)
     )  # fmt: skip
@@ -264,8 +269,7 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
     warnings += (scale_verdict(()).said,) if any(one.computed for one in records) else ()
     return Validation(
         "direct" if own else "cross", settings.method, records[0].name, estimate.data.record, found.sample_time,
-        found.borders, made, warnings, records[0].resampled,
-        None if estimate.robot is not None else settings.joint.transmission,
+        found.borders, made, warnings, records[0].resampled, None if robot is not None else settings.joint.transmission,
     )  # fmt: skip
 
 
@@ -295,15 +299,15 @@ def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequ
 
 
 class _Predicted(NamedTuple):
-    """A record beside its prediction: raw signals (samples, n), filtered ones (n, rows).
+    """A record beside its prediction: raw signals and the motors' motion, (samples, n), and filtered rows, (n, rows).
 
     The rows of a flexible joint's inverse model are those of two equations, one after the other.
 
     Attributes:
-        position, velocity: of the motors, (samples, n).
+        error, whole: filtered, of the prediction and of the measured signal.
         fit_anew: returns the error, (n, rows), that the model with free parameters leaves; None if that fails.
-        compared: (samples, n) 0 where a motor's rest or reversal is left out; all ones when None.
-        nominal_errors: returns the errors, (n,), of the nominal robot; None of a joint.
+        compared: (samples, n) 0 where a motor's rest or reversal is left out; 1 of a loop.
+        nominal_errors: returns the errors, (n,), of the nominal robot; None without one.
     """
 
     sample_time: float
@@ -315,7 +319,7 @@ class _Predicted(NamedTuple):
     position: FloatArray
     velocity: FloatArray
     fit_anew: Callable[[], FloatArray | None]
-    compared: FloatArray | None = None
+    compared: FloatArray | float = 1.0
     nominal_errors: Callable[[], FloatArray] | None = None
     warnings: tuple[str, ...] = ()
 
@@ -337,8 +341,6 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
         inverse = inverse_of_joint(settings.joint, settings.delay, zeros=settings.joint.model == "flexible")
         values = np.array([known.get(name, 0.0) for name in inverse.names])
     else:
-        from jointid.estimation.problems.inverse_model import inverse_of_robot
-
         inverse, values = inverse_of_robot(part.model, part.parameters), part.values.copy()
     motion, axes = inverse.measure(records, settings.filtering), inverse.driven
     raw = inverse.columns_along(motion)
@@ -362,16 +364,13 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     )  # fmt: skip
     if part is None:
         return found
-    return found._replace(compared=motion.moving, nominal_errors=lambda: rows.relative_errors(part.nominal))
+    nominal = partial(rows.relative_errors, part.nominal) if part.model.has_masses else None
+    return found._replace(compared=motion.moving, nominal_errors=nominal)
 
 
 def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> _Predicted:
-    assert record.torque is not None
-    record.require(loop.channels, "Validation")
-    known, experiment = estimate.require_values(), prepare(loop, record)
-    measured = record.torque.values[: experiment.clock.samples]
-    around = with_torque(INITIAL_STATE, experiment.axis, measured)
-    free = ClosedLoopProblem((*loop.joint.parameters, *around), measured, estimate.settings.filtering, loop, experiment)
+    known = estimate.require_values()
+    free = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     problem = free.keeping({p.name: known[p.name] for p in loop.joint.parameters})
     x, _ = fit_initial_state(problem)
     run, motor = require_success(problem.simulate(x)), {"initial_velocity": problem.values(x)["initial_velocity"]}
@@ -395,21 +394,16 @@ def _simulate_along_motion(estimate: Estimate, record: Record) -> _Predicted:
 
 
 def _compare(
-    problem: ClosedLoopProblem | DriveSideProblem,
-    free: ClosedLoopProblem | DriveSideProblem,
-    x: FloatArray,
-    predicted: FloatArray,
-    motion: tuple[FloatArray, FloatArray],
+    problem: Any, free: Any, x: FloatArray, predicted: FloatArray, motion: tuple[FloatArray, FloatArray]
 ) -> _Predicted:
-    """Return the prediction of a problem whose joint is known, beside the same problem with a `free` one."""
-    measured = problem.measured
-    error, whole = problem.filter(np.column_stack([measured - predicted, measured])).T
+    """Return the prediction of a joint's problem in which it is known, beside the same problem with a `free` one."""
+    error, whole = problem.filter(np.column_stack([problem.measured - predicted, problem.measured])).T
 
     def fit_anew() -> FloatArray | None:
         found = _search(free, free.vector(problem.values(x)))
         return None if found is None else found.residual[np.newaxis]
 
-    raw, told, q, v = (one[:, np.newaxis] for one in (measured, predicted, *motion))
+    raw, told, q, v = (one[:, np.newaxis] for one in (problem.measured, predicted, *motion))
     rows = error[np.newaxis], whole[np.newaxis]
     return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, q, v, fit_anew)
 
@@ -424,7 +418,6 @@ def _search(problem: Any, start: FloatArray) -> Solution | None:
 
 
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
-    from jointid.estimation.problems.inverse_model import require_one_log
     from jointid.estimation.problems.simulated import pose_robot
     from jointid.estimation.robots.numbers import robot_parameters
     from jointid.estimation.robots.simulated import errors_of, nominal_numbers
@@ -438,30 +431,27 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted
     if runs is None:
         what = "references" if part.has_controllers else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    (run,) = runs
+    (run,), error, compared = runs, problem.error(runs), 1.0
     if part.has_controllers:
         moved = motion_at(run, problem.log.experiment.clock.log_index)
         q, v = moved.position[:, numbers.rotors], moved.velocity[:, numbers.rotors]
     else:
-        q, v = (one @ robot.coupling.T for one in (problem.log.motion.q, problem.log.motion.v))
-    error = problem.error(runs)
+        motion = problem.log.motion
+        q, v, compared = motion.q @ robot.coupling.T, motion.v @ robot.coupling.T, motion.moving
 
     def fit_anew() -> FloatArray | None:
-        parameters = problem.parameters
-        base = replace(parameters.base, log=numbers.log)
-        free, left = replace(problem, parameters=replace(parameters, base=base)), error
-        x = parameters.to_search_variables(parameters.group(run.numbers))
+        base = replace(problem.parameters.base, log=numbers.log)
+        free, left = replace(problem, parameters=replace(problem.parameters, base=base)), error
+        x = problem.parameters.to_search_variables(problem.parameters.group(run.numbers))
         for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
             free = free.reweight(left, 0)
-            found = _search(free, x)
-            if found is None:
+            if (found := _search(free, x)) is None:
                 return None
             x, left = found.x, found.residual / free.weights(error.size)
         return np.asarray(problem.by_joint(left))
 
+    nominal = partial(errors_of, problem, nominal_numbers(robot, numbers)) if robot.has_masses else None
     return _Predicted(
         problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(runs),
-        problem.by_joint(error), problem.by_joint(problem.filtered_torque), q, v, fit_anew,
-        None if part.has_controllers else problem.log.motion.moving,
-        lambda: errors_of(problem, nominal_numbers(robot, numbers)),
+        problem.by_joint(error), problem.by_joint(problem.filtered_torque), q, v, fit_anew, compared, nominal,
     )  # fmt: skip

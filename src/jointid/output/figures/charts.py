@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from jointid.diagnostics.diagnosis import Diagnosis
+    from jointid.diagnostics.diagnose import Diagnosis
     from jointid.diagnostics.report_data import FrequencyResponse, Profile
 
 _MODES = {
