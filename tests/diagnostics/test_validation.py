@@ -41,7 +41,7 @@ def test_the_same_axis_is_predicted_and_a_changed_one_is_not() -> None:
     code = answer(made(0.13, 2))
     assert code == Prediction.PREDICTED
     code = answer(made(0.13, 3, inertia=33.0))  # 10 %: far less is left than a right model may leave
-    assert code == Prediction.ANOTHER_JOINT
+    assert code == Prediction.NOT_PREDICTED
 
 
 def test_a_load_encoder_counts_from_elsewhere_in_any_record() -> None:
@@ -62,7 +62,7 @@ def test_a_load_encoder_counts_from_elsewhere_in_any_record() -> None:
 def test_positions_alone_are_predicted(inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1).without("torque"), LOOP, checks=False)
     found = ji.validate(estimate, made(0.13, 2, inertia=inertia).without("torque"))
-    assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
+    assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.NOT_PREDICTED)
 
 
 def test_its_own_record_is_no_test_of_it() -> None:
@@ -83,7 +83,7 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
     record = made(0.13, 4)
     turned = record.with_channels({"torque": replace(record.torque, values=-record.torque.values)})
     code = answer(turned)
-    assert code == Prediction.NOT_AS_DECLARED
+    assert code == Prediction.NOT_PREDICTED
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
@@ -91,7 +91,7 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1), setup)
     found = ji.validate(estimate, made(0.13, 2, inertia=inertia))
-    assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)
+    assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.NOT_PREDICTED)
 
 
 @pytest.mark.parametrize("by_torques", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -107,6 +107,6 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
         driven = [one.without("torque") for one in recorded(twin.loop(), other, 0.02)[0]]
         assert ji.validate(estimate, driven).answer.code is Prediction.PREDICTED, "as the declared controllers make it"
     there = ji.validate(estimate, recorded(replace(twin.loop(), robot=changed), other, 0.02)[0])
-    assert there.answer.code is Prediction.ANOTHER_JOINT
+    assert there.answer.code is Prediction.NOT_PREDICTED
     assert there.axes[0].prediction is Prediction.PREDICTED
     assert there.axes[1].attainable_error == pytest.approx(same.axes[1].filtered_error, rel=0.3)

@@ -4,25 +4,26 @@ The joint or robot is simulated, or its inverse model evaluated, and the torque 
 one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is estimated anew: the state at its first sample, and the
 zero of a load encoder.
 
-What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
-record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
-compared with its nominal masses, rotors and springs, with friction fitted to the estimate's record.
+What noise allows is what the same model leaves of another record after one linear step of its parameters, those of all
+axes at once, each axis by the size of its error. It predicts the record where it adds less than that to the error of
+each axis, as the root of a difference of squares. A robot is also compared with its nominal masses, rotors and springs,
+with friction fitted to the estimate's record.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
@@ -49,36 +50,31 @@ from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import solve
 
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
-_SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
+_FIRST = LevenbergMarquardt(1e-5, 40)  # of the state at the first sample
 _OTHER_LAW = "the controller is not that of the identification, which is right only if its gains were changed"
 _UNSETTLED = "the search for the estimate did not settle: do not rely on it"
 
 
 class Prediction(StrEnum):
-    """Answers to whether an estimate predicts a record, as codes, the worst first."""
+    """Answers to whether an estimate predicts a record, as codes."""
 
-    NOT_AS_DECLARED = "not_as_declared"
-    ANOTHER_JOINT = "another_joint"
-    NOT_COMPARED = "not_compared"
+    NOT_PREDICTED = "not_predicted"
     OWN_RECORD = "own_record"
     PREDICTED = "predicted"
 
 
-_ANEW = ": identify it from this record, too, and compare both estimates"
 _SAID = {
-    Prediction.NOT_AS_DECLARED: (
-        "does not predict", f"; channels, scales or the controller are not as declared there{_ANEW}"
+    Prediction.NOT_PREDICTED: (
+        "does not predict",
+        "; load, friction, channels or the controller are others there: identify it from this record, too, and compare "
+        "both estimates",
     ),
-    Prediction.ANOTHER_JOINT: (
-        "does not predict", f"; its load or friction, or the controller, differs there{_ANEW}"
-    ),
-    Prediction.NOT_COMPARED: ("predicts", "; how little may be left there could not be found"),
     Prediction.OWN_RECORD: ("was identified from", "; validate it on another record"),
     Prediction.PREDICTED: ("predicts", ""),
-}  # fmt: skip
+}
 """What a joint does with the record, and why or what next."""
 
 
@@ -94,8 +90,7 @@ class ValidatedAxis:
         position, velocity: (samples,) of the motor: simulated under a controller, measured for the other methods.
         relative_error: of the raw signal; a ratio.
         filtered_error: of the filtered and decimated signal, with the estimate's own filtering; a ratio.
-        attainable_error: `filtered_error` of the same model identified from this record; None in a direct test, and
-            where none could be found.
+        attainable_error: `filtered_error` of the same model fitted to this record; None in a direct test.
         nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
     """
 
@@ -117,12 +112,10 @@ class ValidatedAxis:
     def prediction(self) -> Prediction:
         """Whether the estimate predicts this axis of another record within its noise."""
         left, least = self.filtered_error, self.attainable_error
-        if left > POOR_FIT and (least is None or least > POOR_FIT):
-            return Prediction.NOT_AS_DECLARED
         if least is None:
-            return Prediction.NOT_COMPARED
+            return Prediction.OWN_RECORD
         within = math.sqrt(max(left**2 - least**2, 0.0)) <= max(least, _NEGLIGIBLE)
-        return Prediction.PREDICTED if within else Prediction.ANOTHER_JOINT
+        return Prediction.PREDICTED if within and least <= POOR_FIT else Prediction.NOT_PREDICTED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +160,7 @@ class Validation(Documented):
 
     @property
     def attainable_error(self) -> float | None:
-        """Error of the same model identified from this record."""
+        """Error of the same model fitted to this record."""
         return _rms([axis.attainable_error for axis in self.axes])
 
     @property
@@ -183,14 +176,13 @@ class Validation(Documented):
     @property
     def answer(self) -> Message:
         """Whether the estimate predicts every axis of the record within its noise, and the remedy if not."""
-        own, worst = self.test == "direct", min(self.axes, key=lambda axis: list(Prediction).index(axis.prediction))
-        code = Prediction.OWN_RECORD if own else worst.prediction
-        there = [a for a in self.axes if own or a.prediction is code]
+        bad = [axis for axis in self.axes if axis.prediction is Prediction.NOT_PREDICTED]
+        code, there = bad[0].prediction if bad else self.axes[0].prediction, bad or self.axes
         left, least = _rms([a.filtered_error for a in there]), _rms([a.attainable_error for a in there])
         of = f" of {join([axis.name for axis in there])}" if len(there) < len(self.axes) else ""
         how, then = _SAID[code]
-        words = f"The {'robot' if worst.name else 'joint'} {how} {self.record}: it leaves {_share(left)} of the "
-        words += f"filtered torque{of}" + ("" if least is None else f", and one identified from it {_share(least)}")
+        words = f"The {'robot' if self.axes[0].name else 'joint'} {how} {self.record}: it leaves {_share(left)} of the "
+        words += f"filtered torque{of}" + ("" if least is None else f", and one fitted to it {_share(least)}")
         return Message(code, words + then, {"filtered_error": left, "attainable_error": least})
 
     @property
@@ -249,8 +241,8 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
     axes = [("", torques[0].unit, POSITION_UNIT[settings.joint.kind])] if robot is None else [
         (name, robot.torque_unit(k), robot.position_unit(k)) for k, name in enumerate(robot.names)
     ]  # fmt: skip
-    size, unknown, anew = np.linalg.norm(found.whole, axis=1), [None for _ in axes], None if own else found.fit_anew()
-    attainable = unknown if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
+    size, unknown = np.linalg.norm(found.whole, axis=1), [None for _ in axes]
+    attainable = unknown if own else (np.linalg.norm(_fit_linearly(found.error, found.own), axis=1) / size).tolist()
     nominal = unknown if own or found.nominal_errors is None else found.nominal_errors().tolist()
     errors = (np.linalg.norm(found.error, axis=1) / size).tolist()
     compared = np.zeros(found.measured.shape)
@@ -305,7 +297,7 @@ class _Predicted(NamedTuple):
 
     Attributes:
         error, whole: filtered, of the prediction and of the measured signal.
-        fit_anew: returns the error, (n, rows), that the model with free parameters leaves; None if that fails.
+        own: (n rows, free) derivatives of the filtered signals by the free parameters.
         compared: (samples, n) 0 where a motor's rest or reversal is left out; 1 of a loop.
         nominal_errors: returns the errors, (n,), of the nominal robot; None without one.
     """
@@ -316,12 +308,25 @@ class _Predicted(NamedTuple):
     predicted: FloatArray
     error: FloatArray
     whole: FloatArray
+    own: FloatArray
     position: FloatArray
     velocity: FloatArray
-    fit_anew: Callable[[], FloatArray | None]
     compared: FloatArray | float = 1.0
     nominal_errors: Callable[[], FloatArray] | None = None
     warnings: tuple[str, ...] = ()
+
+
+def _fit_linearly(error: FloatArray, own: FloatArray) -> FloatArray:
+    """Return what a step of the free parameters leaves of an error, (n, rows).
+
+    Each axis is weighted by the size of its error: of the prediction, then of a first step.
+    """
+    columns, left = own / column_norms(own), error
+    for _ in range(2):
+        by = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), error.shape[1])
+        step = np.linalg.lstsq(columns * by[:, np.newaxis], error.ravel() * by, rcond=None)[0]
+        left = error - (columns @ step).reshape(error.shape)
+    return left
 
 
 def _predict(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
@@ -348,19 +353,10 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     own = np.array([name == ENCODER_OFFSET.name for name in inverse.names])  # counted from elsewhere in each record
     values[own] += np.linalg.lstsq(rows.W[:, own], rows.Y - rows.W @ values, rcond=None)[0]
     whole, error = (one.reshape(axes, -1) for one in (rows.Y, rows.Y - rows.W @ values))
-
-    def fit_anew() -> FloatArray:
-        left = whole
-        for _ in range(min(axes, 2)):  # each axis weighted by its error: of nothing, then of a first fit
-            by = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])
-            fitted = np.linalg.lstsq(rows.W * by[:, np.newaxis], rows.Y * by, rcond=None)[0]
-            left = (rows.Y - rows.W @ fitted).reshape(whole.shape)
-        return left
-
     q, v = (one[:, :1] if part is None else one @ part.model.coupling.T for one in (motion.q, motion.v))
     found = _Predicted(
         motion.sample_time, motion.filtering.borders, motion.torque[:, :axes],
-        through_window(raw[:, :axes], motion.filtering) @ values, error, whole, q, v, fit_anew,
+        through_window(raw[:, :axes], motion.filtering) @ values, error, whole, rows.W, q, v,
     )  # fmt: skip
     if part is None:
         return found
@@ -373,9 +369,9 @@ def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> _Pre
     free = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     problem = free.keeping({p.name: known[p.name] for p in loop.joint.parameters})
     x, _ = fit_initial_state(problem)
-    run, motor = require_success(problem.simulate(x)), {"initial_velocity": problem.values(x)["initial_velocity"]}
+    run = require_success(problem.simulate(x))
     same = estimate.controller_sha256 in ("", law_fingerprint(loop))
-    found = _compare(problem, free.keeping(motor), x, run.torque, (run.motor_position, run.motor_velocity))
+    found = _compare(problem, free, x, run.torque, (run.motor_position, run.motor_velocity))
     return found._replace(warnings=() if same else (_OTHER_LAW,))
 
 
@@ -385,7 +381,7 @@ def _simulate_along_motion(estimate: Estimate, record: Record) -> _Predicted:
     delay = LOG_DELAY.fix(-estimate.settings.delay)
     free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, delay)
     problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
-    x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
+    x = solve(problem, _FIRST, problem.vector({})).x if problem.free else np.zeros(0)
     if problem.run(x).outcome is not Outcome.FINISHED:
         raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
     moved = problem.log.motion
@@ -398,23 +394,10 @@ def _compare(
 ) -> _Predicted:
     """Return the prediction of a joint's problem in which it is known, beside the same problem with a `free` one."""
     error, whole = problem.filter(np.column_stack([problem.measured - predicted, problem.measured])).T
-
-    def fit_anew() -> FloatArray | None:
-        found = _search(free, free.vector(problem.values(x)))
-        return None if found is None else found.residual[np.newaxis]
-
+    own = free.linearise(free.vector(problem.values(x)))[1]
     raw, told, q, v = (one[:, np.newaxis] for one in (problem.measured, predicted, *motion))
     rows = error[np.newaxis], whole[np.newaxis]
-    return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, q, v, fit_anew)
-
-
-def _search(problem: Any, start: FloatArray) -> Solution | None:
-    """Return the solution of a search; None if it fails."""
-    try:
-        with np.errstate(all="ignore"):  # a loop that runs away
-            return solve(problem, _SEARCH, start)
-    except (JointidError, np.linalg.LinAlgError):
-        return None
+    return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, own, q, v)
 
 
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
@@ -431,27 +414,16 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted
     if runs is None:
         what = "references" if part.has_controllers else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    (run,), error, compared = runs, problem.error(runs), 1.0
+    (run,), parameters, compared = runs, problem.parameters, 1.0
     if part.has_controllers:
         moved = motion_at(run, problem.log.experiment.clock.log_index)
         q, v = moved.position[:, numbers.rotors], moved.velocity[:, numbers.rotors]
     else:
         motion = problem.log.motion
         q, v, compared = motion.q @ robot.coupling.T, motion.v @ robot.coupling.T, motion.moving
-
-    def fit_anew() -> FloatArray | None:
-        base = replace(problem.parameters.base, log=numbers.log)
-        free, left = replace(problem, parameters=replace(problem.parameters, base=base)), error
-        x = problem.parameters.to_search_variables(problem.parameters.group(run.numbers))
-        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
-            free = free.reweight(left, 0)
-            if (found := _search(free, x)) is None:
-                return None
-            x, left = found.x, found.residual / free.weights(error.size)
-        return np.asarray(problem.by_joint(left))
-
+    own = problem.slopes(runs, parameters.to_search_variables(parameters.group(run.numbers)))
     nominal = partial(errors_of, problem, nominal_numbers(robot, numbers)) if robot.has_masses else None
     return _Predicted(
         problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(runs),
-        problem.by_joint(error), problem.by_joint(problem.filtered_torque), q, v, fit_anew, compared, nominal,
+        problem.by_joint(problem.error(runs)), problem.by_joint(problem.filtered_torque), own, q, v, compared, nominal,
     )  # fmt: skip
