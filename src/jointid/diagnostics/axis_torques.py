@@ -136,13 +136,14 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     if settings.method == "idim":
         inverse = inverse_of_robot(robot, part.parameters)
         source = motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
-        rows, torque, decimate = inverse.rows([source]), source.torque, source.decimate_columns
+        columns, torque, decimate = inverse.columns_along(source), source.torque, source.decimate_columns
+        rows, followed = inverse.rows([source], [columns]), columns @ part.values
         measured, predicted, own = rows.Y, rows.W @ part.values, rows.W
     else:
         solved = estimate.solved or solve_again(part, records, settings.filtering)
         source = problem = solved.problem
         motion, torque, own = getattr(problem.log, "motion", None), problem.measured, solved.slopes
-        measured = problem.filtered_torque
+        measured, followed = problem.filtered_torque, problem.predict(solved.runs)
         predicted = measured - problem.error(solved.runs)
 
         def decimate(columns: FloatArray) -> FloatArray:
@@ -165,10 +166,9 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
 
     def list_faults(k: int) -> list[FaultSignature]:
         others = {name: (v[:, i], a[:, i]) for i, name in enumerate(robot.names) if i != k}
-        acting = torque[:, k]
-        return [*list_signatures(Seen(
-            q[:, k], v[:, k], a[:, k], acting, acting, acting, source.sample_time, np.negative, others=others
-        ))]  # fmt: skip
+        motor, asked = (q[:, k], v[:, k], a[:, k]), torque[:, k]
+        axis = Seen(*motor, asked, followed[:, k], asked, source.sample_time, np.negative, others=others)
+        return [*list_signatures(axis)]
 
     found = in_threads(list_faults, range(n))
     columns = thin(np.stack([np.column_stack([one.column for one in all_of]) for all_of in found], axis=1))

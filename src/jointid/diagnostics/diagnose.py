@@ -31,7 +31,7 @@ from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
-from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law, judge_law
+from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
 from jointid.diagnostics.samples import find_plain_cause, find_standstill
 from jointid.diagnostics.search import list_laws, search_axes, search_faults
@@ -398,10 +398,9 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
         plain = find_plain_cause(record) or (None if loop is None else find_standstill(record, loop))
         if plain is not None:
             yield Symptom(_POOR_MOTION, plain.words)
-    if loop is not None and (law := compare_law(record, loop)) is not None:
-        judged = judge_law(law, record)
-        if judged.code is not Agreement.HOLDS:
-            yield Symptom(str(judged.code), judged.words)
+    law = None if loop is None else compare_law(record, loop)
+    if law is not None and law.agreement.code is not Agreement.HOLDS:
+        yield Symptom(str(law.agreement.code), law.agreement.words)
 
 
 def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress) -> Symptom:

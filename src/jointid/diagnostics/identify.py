@@ -16,7 +16,7 @@ from jointid.common.text import join
 from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
 from jointid.diagnostics.diagnose import Diagnosis, Solved, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit, find_gross_cause
-from jointid.diagnostics.model_free import Agreement, compare_law, judge_law
+from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
 from jointid.diagnostics.search import find_part_of_loop
 from jointid.estimation.identify import fit as fit_records
@@ -201,10 +201,9 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
         return CheckResults((_fail(causes.message),), diagnosis=found)
     law = None if found is None else found.axes[0].law
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
-    if law is not None and all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike)):
-        agreed = judge_law(law, record)
-        if agreed.code in (Agreement.DIFFERS, Agreement.SCALED):
-            verdict = _fail(agreed, *(verdict.reasons if verdict.good is False else ()))
+    of_joint = all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike))
+    if of_joint and law is not None and law.agreement.code in (Agreement.DIFFERS, Agreement.SCALED):
+        verdict = _fail(law.agreement, *(verdict.reasons if verdict.good is False else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         verdict = _fail(short)
     return CheckResults((verdict,), () if found is None else tuple(_widen(fit, found)), found)
@@ -224,8 +223,7 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
     law = compare_law(record, loop)
     if law is None:
         return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    agreed = judge_law(law, record)
-    return Verdict.of(Subject.LOOP, agreed.code == Agreement.HOLDS, agreed)
+    return Verdict.of(Subject.LOOP, law.agreement.code == Agreement.HOLDS, law.agreement)
 
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> CheckResults:
@@ -242,10 +240,8 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
         rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))
-    noise = Message(Reason.PASSED, "what the model leaves is noise, or little")
-    reasons = (*rest, *found.name_faults(of_model=True)) if rest else (noise,)
-    verdicts = [Verdict.of(Subject.REPEATABLE, not rest, *reasons)]
-
+    rest += found.name_faults(of_model=True) if rest else ()
+    verdicts = [Verdict.of(Subject.REPEATABLE, not rest, *(rest or [Message(Reason.PASSED, "what is left is noise")]))]
     lost = [message for message in map(find_lost_samples, fit.records) if message is not None]
     failed = lost[:1] or found.name_faults(of_model=False)
     unseen = [joint.name for joint in found.axes if joint.law_holds is None]

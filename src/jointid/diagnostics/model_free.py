@@ -49,7 +49,7 @@ _BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what t
 _GAIN = 0.03  # off 1
 _LEAVES = 0.1  # of the torque: more is not what rounding leaves
 _MORE_THAN_NOISE = 1.25  # times what any law leaves of it
-_LATE = 0.25  # samples: a law that is later is not as declared
+_LATE = 0.25  # samples: no more is no delay
 _A_QUARTER, _SURELY = 0.25, 3.0  # of a change, with so many deviations: a record that has less of it excludes it
 
 
@@ -89,6 +89,15 @@ def _lagged(signal: FloatArray, lags: int, before: float = 0.0) -> FloatArray:
     return np.lib.stride_tricks.sliding_window_view(whole, lags)[:, ::-1]
 
 
+class Agreement(StrEnum):
+    """How a declared law agrees with logged torque and motor position."""
+
+    HOLDS = "loop_as_declared"
+    DIFFERS = "law_differs"
+    SCALED = "law_scaled"
+    LATE = "law_late"
+
+
 @dataclass(frozen=True, slots=True)
 class LawOnPosition:
     """Logged torque beside the torque of the declared law for the logged motor position.
@@ -96,7 +105,8 @@ class LawOnPosition:
     Attributes:
         left: residual as a share of the torque about its mean.
         gain: factor on the law's torque.
-        late: delay of the logged torque in addition to the declared one, s; 0 if no shift explains clearly more.
+        late: delay of the logged torque in addition to the declared one, s; 0 if no shift of more than a quarter of a
+            sample explains clearly more.
         left_in_time: residual share with that delay corrected.
         noise: residual share of a free linear law of the last samples of reference and position, which is noise.
     """
@@ -112,6 +122,29 @@ class LawOnPosition:
         """Whether the declared law makes the logged torque."""
         in_time = self.late == 0.0 and abs(self.gain - 1.0) < _GAIN
         return in_time and self.left < max(_OF_LAW, _BEYOND_NOISE * self.noise)
+
+    @property
+    def agreement(self) -> Message:
+        """Whether the declared law makes the logged torque of the motor's position, of code `Agreement`."""
+        left = f"({number(100 * self.left, 2)} % of the torque is left)"
+        code, said = Agreement.HOLDS, f"the declared law makes the torque of the motor's position {left}"
+        if self.late and self.left_in_time < 2 * _LEAVES:
+            way = f"{number(1e3 * abs(self.late), 2)} ms {'later' if self.late > 0 else 'earlier'}"
+            code, said = Agreement.LATE, f"the torque is {way} than the declared law makes it of the motor's position: "
+            said += "check the delay, and which instant a logged value stands for (timing)"
+        elif self.left > max(_LEAVES, _MORE_THAN_NOISE * self.noise):
+            code = Agreement.DIFFERS
+            said = (
+                f"the declared law does not make the torque of the motor's position {left}: jointid learn-controller "
+            )
+            said += "learns the law, unless the torque's unit, a sign or a clock is wrong"
+        elif abs(self.gain - 1) > max(_GAIN, self.left):
+            code, what = Agreement.SCALED, "sign" if self.gain < 0 else "unit or gain"
+            said = (
+                f"the torque is {number(self.gain, 4)} times what the declared law makes of the motor's position: the "
+            )
+            said += f"torque's {what}, or the law's last gain, is not as declared"
+        return Message(code, said)
 
 
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
@@ -139,44 +172,10 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     shifts = np.clip(near + np.arange(-_PARTS, _PARTS + 1) / _PARTS, -_LATEST, _LATEST)
     late = float(min(shifts, key=lambda late: at(late)[0]))
     in_time, scaled = at(late)
-    if in_time > _BETTER * left:
+    if in_time > _BETTER * left or abs(late) <= _LATE:
         late, in_time, scaled = 0.0, left, weights
     noise = _regress_on_past(record, logged, see)
     return LawOnPosition(left, float(scaled[0]), late * record.torque.sample_time, in_time, noise)
-
-
-class Agreement(StrEnum):
-    """How a declared law agrees with logged torque and motor position."""
-
-    HOLDS = "loop_as_declared"
-    DIFFERS = "law_differs"
-    SCALED = "law_scaled"
-    LATE = "law_late"
-
-
-def judge_law(law: LawOnPosition, record: Record) -> Message:
-    """Return whether the declared law makes the logged torque of the motor's position, of code `Agreement`.
-
-    Args:
-        law: by `compare_law`.
-        record: that it was compared with.
-    """
-    assert record.torque is not None
-    left = f"({number(100 * law.left, 2)} % of the torque is left)"
-    if abs(law.late) > _LATE * record.torque.sample_time and law.left_in_time < 2 * _LEAVES:
-        way = f"{number(1e3 * abs(law.late), 2)} ms {'later' if law.late > 0 else 'earlier'}"
-        said = (
-            f"the torque is {way} than the declared law makes it of the motor's position: check the delay, and which "
-        )
-        return Message(Agreement.LATE, f"{said}instant a logged value stands for (timing)")
-    if law.left > max(_LEAVES, _MORE_THAN_NOISE * law.noise):
-        said = f"the declared law does not make the torque of the motor's position {left}: jointid learn-controller "
-        return Message(Agreement.DIFFERS, f"{said}learns the law, unless the torque's unit, a sign or a clock is wrong")
-    if abs(law.gain - 1) > max(_GAIN, law.left):
-        said = f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
-        said += f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared"
-        return Message(Agreement.SCALED, said)
-    return Message(Agreement.HOLDS, f"the declared law makes the torque of the motor's position {left}")
 
 
 def excludes(

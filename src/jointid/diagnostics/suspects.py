@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
-from itertools import chain
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.parallel import in_threads
 from jointid.diagnostics.faults import Fault, FaultSignature, name_number
 from jointid.diagnostics.score import fit_whitener
@@ -77,13 +76,6 @@ def _limit(seen: Seen) -> Columns:
 def _saturate(seen: Seen) -> Columns:
     """Yield the missing torque per unit loss at the peak, by powers of the current."""
     current = seen.torque
-    if seen.loop is None:
-        # Of the torque that follows the motion: a power of the measured one holds its error, which is then found.
-        q, v, others = seen.position, seen.velocity, chain.from_iterable(seen.others.values())
-        known = np.column_stack([seen.acceleration, v, np.sign(v), np.ones(q.size), np.sin(q), np.cos(q), *others])
-        known = known[:, np.any(known, axis=0)]
-        known = known / column_norms(known)
-        current = known @ np.linalg.lstsq(known, current, rcond=None)[0]
     share = np.abs(current) / (float(np.max(np.abs(current), initial=0.0)) or 1.0)
     for power in _SAGS:
         yield power, seen.force(-current * share**power)

@@ -4,26 +4,25 @@ The joint or robot is simulated, or its inverse model evaluated, and the torque 
 one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is estimated anew: the state at its first sample, and the
 zero of a load encoder.
 
-What noise allows is what the same model leaves of another record after one linear step of its parameters, those of all
-axes at once, each axis by the size of its error. It predicts the record where it adds less than that to the error of
-each axis, as the root of a difference of squares. A robot is also compared with its nominal masses, rotors and springs,
-with friction fitted to the estimate's record.
+What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
+record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
+compared with its nominal masses, rotors and springs, with friction fitted to the estimate's record.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
@@ -40,7 +39,7 @@ from jointid.estimation.problems.inverse_model import (
     require_one_log,
     through_window,
 )
-from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
+from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_verdict
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop
@@ -50,12 +49,10 @@ from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Solution, solve
 
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
-_FIRST = LevenbergMarquardt(1e-5, 40)  # of the state at the first sample
-_OTHER_LAW = "the controller is not that of the identification, which is right only if its gains were changed"
-_UNSETTLED = "the search for the estimate did not settle: do not rely on it"
+_SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
 
 
 class Prediction(StrEnum):
@@ -90,7 +87,8 @@ class ValidatedAxis:
         position, velocity: (samples,) of the motor: simulated under a controller, measured for the other methods.
         relative_error: of the raw signal; a ratio.
         filtered_error: of the filtered and decimated signal, with the estimate's own filtering; a ratio.
-        attainable_error: `filtered_error` of the same model fitted to this record; None in a direct test.
+        attainable_error: `filtered_error` of the same model fitted to this record; None in a direct test, and infinite
+            where that fails.
         nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
     """
 
@@ -136,7 +134,7 @@ class Validation(Documented):
         transmission: of a joint, on whose `side` signal and motion are.
     """
 
-    in_json = "answer sentence relative_error filtered_error attainable_error nominal_error better"
+    in_json = "answer sentence relative_error filtered_error attainable_error nominal_error"
     test: Literal["direct", "cross"]
     method: str
     record: str
@@ -167,11 +165,6 @@ class Validation(Documented):
     def nominal_error(self) -> float | None:
         """Error of the nominal robot."""
         return _rms([axis.nominal_error for axis in self.axes])
-
-    @property
-    def better(self) -> bool | None:
-        """Whether the estimate predicts better than the nominal robot; None without one."""
-        return None if self.nominal_error is None else self.filtered_error < self.nominal_error
 
     @property
     def answer(self) -> Message:
@@ -242,7 +235,9 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         (name, robot.torque_unit(k), robot.position_unit(k)) for k, name in enumerate(robot.names)
     ]  # fmt: skip
     size, unknown = np.linalg.norm(found.whole, axis=1), [None for _ in axes]
-    attainable = unknown if own else (np.linalg.norm(_fit_linearly(found.error, found.own), axis=1) / size).tolist()
+    anew = None if own else found.fit_anew()
+    failed = unknown if own else [math.inf for _ in axes]
+    attainable = failed if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
     nominal = unknown if own or found.nominal_errors is None else found.nominal_errors().tolist()
     errors = (np.linalg.norm(found.error, axis=1) / size).tolist()
     compared = np.zeros(found.measured.shape)
@@ -257,8 +252,7 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         )
         for k, axis in enumerate(axes)
     )  # fmt: skip
-    warnings = (*found.warnings, *([] if estimate.fit.converged else [_UNSETTLED]))
-    warnings += (scale_verdict(()).said,) if any(one.computed for one in records) else ()
+    warnings = (scale_verdict(()).said,) if any(one.computed for one in records) else ()
     return Validation(
         "direct" if own else "cross", settings.method, records[0].name, estimate.data.record, found.sample_time,
         found.borders, made, warnings, records[0].resampled, None if robot is not None else settings.joint.transmission,
@@ -297,7 +291,7 @@ class _Predicted(NamedTuple):
 
     Attributes:
         error, whole: filtered, of the prediction and of the measured signal.
-        own: (n rows, free) derivatives of the filtered signals by the free parameters.
+        fit_anew: returns the error, (n, rows), that the model with free parameters leaves; None if that fails.
         compared: (samples, n) 0 where a motor's rest or reversal is left out; 1 of a loop.
         nominal_errors: returns the errors, (n,), of the nominal robot; None without one.
     """
@@ -308,34 +302,19 @@ class _Predicted(NamedTuple):
     predicted: FloatArray
     error: FloatArray
     whole: FloatArray
-    own: FloatArray
     position: FloatArray
     velocity: FloatArray
+    fit_anew: Callable[[], FloatArray | None]
     compared: FloatArray | float = 1.0
     nominal_errors: Callable[[], FloatArray] | None = None
-    warnings: tuple[str, ...] = ()
-
-
-def _fit_linearly(error: FloatArray, own: FloatArray) -> FloatArray:
-    """Return what a step of the free parameters leaves of an error, (n, rows).
-
-    Each axis is weighted by the size of its error: of the prediction, then of a first step.
-    """
-    columns, left = own / column_norms(own), error
-    for _ in range(2):
-        by = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), error.shape[1])
-        step = np.linalg.lstsq(columns * by[:, np.newaxis], error.ravel() * by, rcond=None)[0]
-        left = error - (columns @ step).reshape(error.shape)
-    return left
 
 
 def _predict(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
-    if estimate.robot is not None and estimate.settings.method != "idim":
+    settings = estimate.settings
+    if estimate.robot is not None and settings.method != "idim":
         return _simulate_robot(estimate, records)
-    if estimate.settings.loop is not None:
-        return _simulate_loop(estimate, estimate.settings.loop, records[0])
-    if estimate.settings.method == "drive_side":
-        return _simulate_along_motion(estimate, records[0])
+    if settings.loop is not None or settings.method == "drive_side":
+        return _simulate_joint(estimate, records[0])
     return _evaluate_inverse_model(estimate, records)
 
 
@@ -353,10 +332,19 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     own = np.array([name == ENCODER_OFFSET.name for name in inverse.names])  # counted from elsewhere in each record
     values[own] += np.linalg.lstsq(rows.W[:, own], rows.Y - rows.W @ values, rcond=None)[0]
     whole, error = (one.reshape(axes, -1) for one in (rows.Y, rows.Y - rows.W @ values))
+
+    def fit_anew() -> FloatArray:
+        left = whole
+        for _ in range(min(axes, 2)):  # each axis weighted by its error: of nothing, then of a first fit
+            by = np.repeat(1.0 / np.maximum(np.linalg.norm(left, axis=1), 1e-300), whole.shape[1])
+            fitted = np.linalg.lstsq(rows.W * by[:, np.newaxis], rows.Y * by, rcond=None)[0]
+            left = (rows.Y - rows.W @ fitted).reshape(whole.shape)
+        return left
+
     q, v = (one[:, :1] if part is None else one @ part.model.coupling.T for one in (motion.q, motion.v))
     found = _Predicted(
         motion.sample_time, motion.filtering.borders, motion.torque[:, :axes],
-        through_window(raw[:, :axes], motion.filtering) @ values, error, whole, rows.W, q, v,
+        through_window(raw[:, :axes], motion.filtering) @ values, error, whole, q, v, fit_anew,
     )  # fmt: skip
     if part is None:
         return found
@@ -364,40 +352,46 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     return found._replace(compared=motion.moving, nominal_errors=nominal)
 
 
-def _simulate_loop(estimate: Estimate, loop: ClosedLoop, record: Record) -> _Predicted:
-    known = estimate.require_values()
-    free = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
-    problem = free.keeping({p.name: known[p.name] for p in loop.joint.parameters})
-    x, _ = fit_initial_state(problem)
-    run = require_success(problem.simulate(x))
-    same = estimate.controller_sha256 in ("", law_fingerprint(loop))
-    found = _compare(problem, free, x, run.torque, (run.motor_position, run.motor_velocity))
-    return found._replace(warnings=() if same else (_OTHER_LAW,))
-
-
-def _simulate_along_motion(estimate: Estimate, record: Record) -> _Predicted:
-    """Predict the torque along the motor's motion, with the log's own delay."""
-    joint, filtering, values = estimate.settings.joint, estimate.settings.filtering, estimate.require_values()
-    delay = LOG_DELAY.fix(-estimate.settings.delay)
-    free = motion_problem(record, DriveSide(joint), filtering, joint.parameters, delay)
-    problem = free.keeping({p.name: values[p.name] for p in joint.parameters})
-    x = solve(problem, _FIRST, problem.vector({})).x if problem.free else np.zeros(0)
-    if problem.run(x).outcome is not Outcome.FINISHED:
-        raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-    moved = problem.log.motion
-    motion = (moved.q[:, 0], moved.v[:, 0])
-    return _compare(problem, free, x, problem.predict(x), motion)._replace(compared=moved.moving)
-
-
-def _compare(
-    problem: Any, free: Any, x: FloatArray, predicted: FloatArray, motion: tuple[FloatArray, FloatArray]
-) -> _Predicted:
-    """Return the prediction of a joint's problem in which it is known, beside the same problem with a `free` one."""
+def _simulate_joint(estimate: Estimate, record: Record) -> _Predicted:
+    """Predict the torque of a joint's loop, or that along its motor's motion with the log's own delay."""
+    settings, known = estimate.settings, estimate.require_values()
+    joint, compared = settings.joint, np.ones(1)
+    values = {p.name: known[p.name] for p in joint.parameters}
+    free: Any
+    problem: Any
+    if settings.loop is not None:
+        free = torque_problem(record, settings.loop, settings.filtering, joint.parameters)
+        problem = free.keeping(values)
+        x, _ = fit_initial_state(problem)
+        run = require_success(problem.simulate(x))
+        predicted, q, v = run.torque, run.motor_position, run.motor_velocity
+        free = free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]})
+    else:
+        delay = LOG_DELAY.fix(-settings.delay)
+        free = motion_problem(record, DriveSide(joint), settings.filtering, joint.parameters, delay)
+        problem, moved = free.keeping(values), free.log.motion
+        x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
+        if problem.run(x).outcome is not Outcome.FINISHED:
+            raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
+        predicted, q, v, compared = problem.predict(x), moved.q[:, 0], moved.v[:, 0], moved.moving
     error, whole = problem.filter(np.column_stack([problem.measured - predicted, problem.measured])).T
-    own = free.linearise(free.vector(problem.values(x)))[1]
-    raw, told, q, v = (one[:, np.newaxis] for one in (problem.measured, predicted, *motion))
+
+    def fit_anew() -> FloatArray | None:
+        found = _search(free, free.vector(problem.values(x)))
+        return None if found is None else found.residual[np.newaxis]
+
+    raw, told, q, v = (one[:, np.newaxis] for one in (problem.measured, predicted, q, v))
     rows = error[np.newaxis], whole[np.newaxis]
-    return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, own, q, v)
+    return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, q, v, fit_anew, compared)
+
+
+def _search(problem: Any, start: FloatArray) -> Solution | None:
+    """Return the solution of a search; None if it fails."""
+    try:
+        with np.errstate(all="ignore"):  # a loop that runs away
+            return solve(problem, _SEARCH, start)
+    except (JointidError, np.linalg.LinAlgError):
+        return None
 
 
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
@@ -414,16 +408,26 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted
     if runs is None:
         what = "references" if part.has_controllers else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    (run,), parameters, compared = runs, problem.parameters, 1.0
+    (run,), error, parameters, compared = runs, problem.error(runs), problem.parameters, 1.0
     if part.has_controllers:
         moved = motion_at(run, problem.log.experiment.clock.log_index)
         q, v = moved.position[:, numbers.rotors], moved.velocity[:, numbers.rotors]
     else:
         motion = problem.log.motion
         q, v, compared = motion.q @ robot.coupling.T, motion.v @ robot.coupling.T, motion.moving
-    own = problem.slopes(runs, parameters.to_search_variables(parameters.group(run.numbers)))
+
+    def fit_anew() -> FloatArray | None:
+        free = replace(problem, parameters=replace(parameters, base=replace(parameters.base, log=numbers.log)))
+        x, left = parameters.to_search_variables(parameters.group(run.numbers)), error
+        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
+            free = free.reweight(left, 0)
+            if (found := _search(free, x)) is None:
+                return None
+            x, left = found.x, found.residual / free.weights(error.size)
+        return np.asarray(problem.by_joint(left))
+
     nominal = partial(errors_of, problem, nominal_numbers(robot, numbers)) if robot.has_masses else None
     return _Predicted(
         problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(runs),
-        problem.by_joint(problem.error(runs)), problem.by_joint(problem.filtered_torque), own, q, v, compared, nominal,
+        problem.by_joint(error), problem.by_joint(problem.filtered_torque), q, v, fit_anew, compared, nominal,
     )  # fmt: skip

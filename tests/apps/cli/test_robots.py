@@ -92,7 +92,8 @@ def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "Content-Security-Policy" in text
     assert f"--held-out {other.name}" in text and "Its SHA-256" in text
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.Report/2" and answer["checks"][0]["better"]
+    check = answer["checks"][0]
+    assert answer["schema"] == "jointid.Report/2" and check["nominal_error"] > check["filtered_error"]
     assert answer["estimate"]["parameters"] and answer["diagnosis"]["axes"] and answer["record_file"] == "one.csv"
 
 
