@@ -63,7 +63,7 @@ def test_a_declared_period_is_not_doubted() -> None:
     estimate = identify(record, declared)
     for law, doubted in ((declared, False), (loop, True)):
         variants = list_variants(law.controller, record, LOG, law.controller.period or LOG)
-        assert any(one.fault is PERIOD for one in variants) is doubted
+        assert any(first.fault is PERIOD for first, *_ in variants) is doubted
     assert faults_of(estimate, record).as_declared
 
 

@@ -8,13 +8,12 @@ import pytest
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
 from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill, find_steps
 from jointid.estimation.result.verdict import Reason
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
 from studies.mechanics import lose
-from tests.mistakes import Axis, AxisName, axis, mistakes_of, run, tell, without_positions
+from tests.mistakes import AxisName, axis, run, tell
 
 T = 1e-3
 REFERENCE = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, T, rest=0.5, duration=8.0)
@@ -130,51 +129,30 @@ def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cau
         assert (None if found is None else found.values["causes"][0]["cause"]) == cause
 
 
-def smaller(name: AxisName, share: float, noise: float = 1.0) -> tuple[Axis, Record, ClosedLoop]:
-    """An axis that is asked for so much of its motion only, with so much of its noise."""
+def smaller(name: AxisName, share: float) -> tuple[Record, ClosedLoop]:
+    """An axis that is asked for so much of its motion only, with little of its noise."""
     made = axis(name)
     reference = made.reference[0] + share * (made.reference - made.reference[0])
-    made = replace(made, reference=reference, noise=noise * made.noise, log_noise=noise * made.log_noise)
-    return made, run(made, made.controller), ClosedLoop(made.joint, made.controller)
+    made = replace(made, reference=reference, noise=0.03 * made.noise, log_noise=0.03 * made.log_noise)
+    return run(made, made.controller), ClosedLoop(made.joint, made.controller)
 
 
 @pytest.mark.parametrize(("name", "share"), [("direct", 4e-4), ("flexible", 2e-5)])
-def test_an_axis_that_its_friction_holds_is_told_so_from_its_torque(name: AxisName, share: float) -> None:
-    _, record, loop = smaller(name, share, noise=0.03)
+def test_an_axis_that_its_friction_holds_hardly_moves(name: AxisName, share: float) -> None:
+    record, loop = smaller(name, share)
     assert np.ptp(record.motor_position.values) == 0  # type: ignore[union-attr]
-    for seen in (record, without_positions(record)):
-        message = find_standstill(seen, loop)
-        assert message is not None and message.code is Reason.HARDLY_MOVES
-
-
-@pytest.mark.slow
-def test_that_is_what_an_identification_says_then() -> None:
-    _, record, loop = smaller("flexible", 2e-5, noise=0.03)
-    assert "the axis hardly moves" in tell(without_positions(record), loop)[1]
+    assert find_standstill(record).code is Reason.HARDLY_MOVES  # type: ignore[union-attr]
+    assert "the axis hardly moves" in tell(record, loop)[1]
+    assert find_standstill(smaller(name, 1.0)[0]) is None
 
 
 def test_a_few_steps_of_an_encoder_are_hardly_a_motion() -> None:
-    _, record, loop = smaller("direct", 0.01)
+    record, _ = smaller("direct", 0.01)
     motor = record.motor_position
     step = np.ptp(motor.values) / 6
     coarse = record.with_channels({"motor_position": replace(motor, values=step * np.round(motor.values / step))})
-    message = find_standstill(coarse, loop)
-    assert message is not None
-    assert "6 steps of its encoder" in str(message)
-    assert find_standstill(record, loop) is None
-
-
-@pytest.mark.parametrize("name", ["rigid", "direct", "flexible", "lift"])
-def test_no_other_axis_hardly_moves(name: AxisName) -> None:
-    """None at all of a healthy one, nor of one with another mistake; a record that is refused is told why."""
-    _, record, loop = smaller(name, 1.0)
-    made, found = axis(name), [find_standstill(record, loop)]
-    for mistake in mistakes_of(made)[:: 4 if name == "rigid" else 7]:
-        try:
-            found.append(find_standstill(*mistake.make(made, 1)))
-        except JointidError:
-            continue
-    assert found == [None] * len(found)
+    assert find_standstill(coarse).code is Reason.HARDLY_MOVES  # type: ignore[union-attr]
+    assert find_standstill(record) is None
 
 
 def test_parts_in_which_the_drive_is_off_are_named_with_their_times() -> None:

@@ -11,7 +11,8 @@ from jointid.common.errors import MethodError
 from jointid.diagnostics.faults import Fault as KnownFault
 from jointid.diagnostics.faults import FaultSignature, FaultTest
 from jointid.diagnostics.score import rank_tests, score
-from jointid.diagnostics.search import compute_signatures, search_faults
+from jointid.diagnostics.search import search_faults
+from jointid.diagnostics.search_state import compute_signatures
 from jointid.diagnostics.suspects import FAULTS as KNOWN
 from jointid.diagnostics.suspects import number_fault
 from jointid.estimation.methods.didim import DIDIM

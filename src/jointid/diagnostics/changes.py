@@ -19,8 +19,8 @@ from typing import Any, NamedTuple, TypeAlias
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
-from jointid.diagnostics.faults import milliseconds, name_number
-from jointid.diagnostics.variants import PERIOD, WHOLE, Variant, list_variants
+from jointid.diagnostics.faults import OtherLaw, milliseconds, name_number
+from jointid.diagnostics.variants import PERIOD, WHOLE, list_variants
 from jointid.models.controllers import FirstOrder, numbers_of, unit_of_number, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -70,28 +70,28 @@ class Cause:
 class Case:
     """A record and its loop, as declared or with one mistake corrected.
 
-    A number of the controller that is not known is free, and the search begins from several loops.
-
     Attributes:
         record: corrected.
-        loops: corrected, one for each start of the unknown number; without a free one the period is that number.
+        loop: corrected.
         filtering: resolved for this record.
-        free: name of that number; None without one.
+        free: name of a number around the joint that is not known; "" without one.
+        starts: of that number of the controller.
         factor: of the correction of the record, if it is a number; the number that is free comes on top of it.
         beside: names of what the identification finds beside the joint, free as well.
     """
 
     record: Record
-    loops: tuple[ClosedLoop, ...]
+    loop: ClosedLoop
     filtering: Filtering
-    free: str | None = None
+    free: str = ""
+    starts: tuple[float, ...] = ()
     factor: float | None = None
     beside: tuple[str, ...] = ()
 
     @property
     def controller(self) -> Any:
-        """The controller of the first loop."""
-        return self.loops[0].controller
+        """The controller of the loop."""
+        return self.loop.controller
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -104,13 +104,19 @@ class Case:
         assert self.record.torque is not None
         return getattr(self.controller, "period", None) or self.record.torque.sample_time
 
-    def under(self, *controllers: Any, free: str | None = None) -> Case:
-        """Return the case with other controllers."""
-        return replace(self, loops=tuple(replace(self.loops[0], controller=one) for one in controllers), free=free)
+    @property
+    def loops(self) -> list[ClosedLoop]:
+        """The loop at each start."""
+        return [self.under(**{self.free: start}).loop for start in self.starts] or [self.loop]
 
-    def at(self, name: str, values: Iterable[float]) -> Case:
+    def under(self, controller: Any = None, **numbers: float) -> Case:
+        """Return the case with another controller, or with other numbers of it."""
+        law = with_numbers(controller or self.controller, numbers)
+        return replace(self, loop=replace(self.loop, controller=law))
+
+    def at(self, name: str, starts: Iterable[float]) -> Case:
         """Return the case with a number of the controller free, and its starts."""
-        return self.under(*(with_numbers(self.controller, {name: value}) for value in values), free=name)
+        return replace(self, free=name, starts=tuple(starts))
 
     def logging(self, **channels: FloatArray) -> Case:
         """Return the case with other values of channels of its record."""
@@ -137,19 +143,15 @@ class Change(NamedTuple):
     say: Callable[[float | None, Case], Meanings]
 
 
-def is_small(name: str, value: float | None, loop: ClosedLoop, period: float) -> bool:
+def is_small(cause: Cause, declared: Case) -> bool:
     """Test whether a value differs too little from the declaration to be a cause: a factor, a gain, or a time."""
-    if value is None:
-        return False
-    if name in ("torque_scale", "reference_scale", "law_gain"):
-        return value > 0 and abs(math.log(value)) < _SMALL
-    declared = numbers_of(loop.controller).get({"velocity_filter": _TIME, "torque_filter": ""}.get(name, name), 0.0)
-    if name.endswith("gain"):
-        return declared > 0 and value > 0 and abs(math.log(value / declared)) < _SMALL
-    # A first order in the place of taps is no small change.
-    taps = name == "velocity_filter" and getattr(loop.controller, name, None) not in ((1.0,), None)
-    timed = name.endswith(("delay", "filter", "averaged_reference"))
-    return timed and (declared > 0 or not taps) and abs(value - declared) < _HARDLY * period
+    value, numbers = cause.value, declared.numbers
+    if value is not None and cause.name.endswith(("scale", "gain")):
+        known = numbers.get(cause.name, 1.0)
+        return min(known, value) > 0 and abs(math.log(value / known)) < _SMALL
+    known = numbers.get({"velocity_filter": _TIME}.get(cause.name, cause.name), 0.0)
+    timed = value is not None and cause.name.endswith(("delay", "filter"))
+    return timed and abs((value or 0.0) - known) < _HARDLY * declared.period
 
 
 # What corrects them
@@ -164,7 +166,7 @@ def _try_integral(case: Case) -> Iterator[Case]:
     numbers = case.numbers
     yield from _try_number("integral_gain", _INTEGRALS, case)
     if numbers.get("integral_gain"):
-        yield case.under(replace(case.controller, integral_gain=0.0))
+        yield case.under(integral_gain=0.0)
     elif "integral_gain" in numbers:
         unit = 1.0 if "velocity_gain" in numbers else numbers["position_gain"]
         yield case.at("integral_gain", (one * unit for one in _NEW_INTEGRALS))
@@ -179,25 +181,23 @@ def _swap_gains(case: Case) -> Iterator[Case]:
     numbers = case.numbers
     other = "velocity_gain" if "velocity_gain" in numbers else "derivative_gain"
     if numbers.get("position_gain") and numbers.get(other):
-        gains = {"position_gain": numbers[other], other: numbers["position_gain"]}
-        yield case.under(with_numbers(case.controller, gains))
+        yield case.under(**{"position_gain": numbers[other], other: numbers["position_gain"]})
 
 
 def _try_filter(name: str, case: Case) -> Iterator[Case]:
-    law, orders = case.controller, [FirstOrder(late * case.period) for late in _LATE]
+    law, first, late = case.controller, FirstOrder(case.period), [one * case.period for one in _LATE]
     if name == "velocity_filter" and hasattr(law, name):
-        yield case.under(*(replace(law, velocity_filter=one) for one in orders), free=_TIME)
+        yield case.under(replace(law, velocity_filter=first)).at(_TIME, late)
         yield case.under(replace(law, velocity_filter=(1.0,)))
     elif name == "torque_filter" and hasattr(law, "torque_filters"):
-        laws = (replace(law, torque_filters=(one, *law.torque_filters)) for one in orders)
-        yield case.under(*laws, free="torque_filters.0.time_constant")
+        more = replace(law, torque_filters=(first, *law.torque_filters))
+        yield case.under(more).at("torque_filters.0.time_constant", late)
 
 
 def _try_feedforward(case: Case) -> Iterator[Case]:
     law, numbers = case.controller, case.numbers
     if "velocity_feedforward" in numbers:
-        ahead = 0.0 if numbers["velocity_feedforward"] else 1.0
-        yield case.under(replace(law, velocity_feedforward=ahead))
+        yield case.under(velocity_feedforward=0.0 if numbers["velocity_feedforward"] else 1.0)
     elif hasattr(law, "reference_velocity"):
         read = "difference" if law.reference_velocity == "none" else "none"
         yield case.under(replace(law, reference_velocity=read))
@@ -228,12 +228,6 @@ def _try_sample_times(case: Case) -> Iterator[Case]:
         yield replace(case, record=record, filtering=filtering, factor=factor)
 
 
-def _gear_ratio(loop: ClosedLoop) -> float:
-    """Return the ratio of a loop's gear, motor per load, without its sign; 1 without a gear."""
-    gear = loop.joint.transmission
-    return abs(gear.motor_per_load) if gear is not None else abs(getattr(loop.controller, "ratio", 1.0))
-
-
 def _try_torque_scales(case: Case) -> Iterator[Case]:
     """Yield the torque in other scales beside an injected signal, which keeps its own."""
     torque = case.record.torque
@@ -243,12 +237,11 @@ def _try_torque_scales(case: Case) -> Iterator[Case]:
 
 
 def _try_factors(case: Case) -> Iterator[Case]:
-    numbers, law = case.numbers, case.controller
+    numbers = case.numbers
     if "gain" in numbers:
         # A limit that was declared beside a wrong scale is wrong, too, or not: without one both are tried.
-        endless = with_numbers(law, {"limit": float("inf")}) if "limit" in numbers else law
-        scaled = (with_numbers(endless, {"gain": factor * numbers["gain"]}) for factor in _FACTORS)
-        yield case.under(*scaled, free="gain")
+        endless = {"limit": math.inf} if "limit" in numbers else {}
+        yield case.under(**endless).at("gain", (factor * numbers["gain"] for factor in _FACTORS))
 
 
 # What they then are
@@ -265,33 +258,38 @@ def _say_times(factor: float) -> str:
 
 
 def _say_factor(of_torque: bool, value: float | None, case: Case) -> Meanings:
-    """Yield the meanings of a factor of the torque or of a gain of the law.
+    """Yield the meanings of a factor of the torque or of a gain of the law, the most particular first.
 
     An injected signal in its own scale tells the torque from law and reference.
     """
     assert value is not None
-    numbers, ratio = case.numbers, _gear_ratio(case.loops[0])
-    factor = value if of_torque else value / numbers["gain"]
+    numbers, constant = case.numbers, getattr(case.controller, "gain", 1.0)
+    factor, ratio = value if of_torque else value / numbers["gain"], _gear_ratio(case.loop)
+    if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
+        actual = "load" if (factor > 1) is (ratio > 1) else "motor"
+        side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
+        yield "gear_side", f'{side} (give the channel side = "{actual}", or see side of [controller])', factor
     times = _say_times(factor)
     size, other = ("large", "small") if factor > 1 else ("small", "large")
     unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by, _ROUGHLY)), "")
     names = " or ".join(name for name in ("velocity_gain", "gain") if name in numbers)
-    torque = ("torque_scale", f"the torque is {times} too {size}", factor)
-    law = ("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)
-    reference = ("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)
-    found = [reference, torque, law] if unit else [torque, law, reference]
-    constant = getattr(case.controller, "gain", 1.0)
+    torque = [("torque_scale", f"the torque is {times} too {size}", factor)]
     if constant != 1.0 and _is(factor, constant):
         said = f"the torque constant ({constant:g}) is applied twice, or not at all"
-        found.insert(0, ("torque_constant", said, factor))
-    if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
-        actual = "load" if (factor > 1) is (ratio > 1) else "motor"
-        side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
-        side += f' (give the channel side = "{actual}", or see side of [controller])'
-        found.insert(0, ("gear_side", side, factor))
-    others = ("law_gain", "reference_scale") if of_torque else ("torque_scale", "torque_constant")
-    beside = case.record.injected is not None
-    yield from (one for one in found if not (beside and one[0] in others))
+        torque.insert(0, ("torque_constant", said, factor))
+    reference = [("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)]
+    law = [("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
+    apart = case.record.injected is not None
+    yield from reference if unit and not (apart and of_torque) else ()
+    yield from torque if of_torque or not apart else ()
+    yield from law if not (apart and of_torque) else ()
+    yield from reference if not unit and not (apart and of_torque) else ()
+
+
+def _gear_ratio(loop: ClosedLoop) -> float:
+    """Return the ratio of a loop's gear, motor per load, without its sign; 1 without a gear."""
+    gear = loop.joint.transmission
+    return abs(gear.motor_per_load) if gear is not None else abs(getattr(loop.controller, "ratio", 1.0))
 
 
 def _say_sign(*_: object) -> Meanings:
@@ -299,31 +297,9 @@ def _say_sign(*_: object) -> Meanings:
         yield f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)", None
 
 
-def _say_sample_time(value: float | None, case: Case) -> Meanings:
+def _say_sample_time(value: float | None, _: Case) -> Meanings:
     assert value is not None
     yield "sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value
-    if "velocity_gain" in case.numbers:
-        # u = g (Kv e - v): with all velocities f times as large it is the law with Kv f times as large, and g f times
-        # as small. Only filters and delays tell the two apart, hardly.
-        yield "law_gain", "position gain and torque (or velocity gain) are both off by that factor", None
-
-
-def _say_late(late: float | None, _: object) -> Meanings:
-    assert late is not None
-    yield "reference_delay", f"the law sees the reference about {milliseconds(late)} ms late", late
-    mean = f"averages it over {milliseconds(2 * late)} ms (reference_average)"
-    yield "averaged_reference", f"the drive {mean}", 2 * late
-
-
-def _of_variant(variant: Variant) -> Change:
-    """Return the row of other laws of the drive, of which the period that was found tells one."""
-
-    def say(period: float | None, _: object) -> Meanings:
-        law = min(variant.laws, key=lambda one: abs(one.rate * (period or 0.0) - 1.0))
-        yield variant.fault.name, f"{law.words}: declare {law.remedy}", period
-
-    laws = [law.controller for law in variant.laws]
-    return Change(variant.fault.name, lambda case: [case.under(*laws)], say)
 
 
 def _say_number(name: str, clause: str, value: float | None, case: Case) -> Meanings:
@@ -332,15 +308,22 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Mean
     def show(value: float) -> str:
         if name.endswith(("delay", "filter")):
             return f"{milliseconds(value)} ms"
-        joint = case.loops[0].joint
+        joint = case.loop.joint
         unit = unit_of_number(case.controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
         return f"{number(value, 3) if value else 0} {unit}".rstrip()
 
     if value is None and "{shown}" in clause:
         clause = f"the declared {name_number(name)} is not there"
-    declared = case.numbers.get(name, 0.0)
-    numbers = {"shown": show(value or 0.0), "declared": show(declared)} if "{shown}" in clause else {}
+    numbers = {"shown": show(value or 0.0), "declared": show(case.numbers.get(name, 0.0))} if "{" in clause else {}
     yield name, clause.format(name=f"the {name_number(name)}", **numbers), value
+
+
+def _run(law: OtherLaw, case: Case) -> Iterator[Case]:
+    yield case.under(law.controller)
+
+
+def _say_law(law: OtherLaw, *_: object) -> Meanings:
+    yield law.fault.name, f"{law.words}: declare {law.remedy}", 1 / law.rate if law.rate else None
 
 
 def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS_ABOUT) -> Change:
@@ -370,7 +353,7 @@ CHANGES = (
         "the velocity feed-forward is there and not declared, or the other way round",
     ),
     _row("delay", partial(_try_delay, "delay")),
-    Change("reference_delay", partial(_try_delay, "reference_delay"), _say_late),
+    _row("reference_delay", partial(_try_delay, "reference_delay")),
 )  # fmt: skip
 
 
@@ -378,6 +361,6 @@ def list_changes(case: Case) -> Iterator[Change]:
     """Yield every change in the order in which they are tried: the table, then what a drive may do otherwise."""
     yield from CHANGES
     assert case.record.torque is not None
-    for variant in list_variants(case.controller, case.record, case.record.torque.sample_time, case.period):
-        if variant.fault is PERIOD or variant.fault.name in WHOLE:
-            yield _of_variant(variant)
+    for laws in list_variants(case.controller, case.record, case.record.torque.sample_time, case.period):
+        for law in (one for one in laws if one.fault is PERIOD or one.fault.name in WHOLE):
+            yield Change(law.fault.name, partial(_run, law), partial(_say_law, law))

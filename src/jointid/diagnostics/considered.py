@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
 from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
@@ -34,8 +35,8 @@ from jointid.estimation.robots.fit import RobotFit
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.derivatives import respond_to_laws
-from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.simulate import Outcome
+from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.simulate import require_success
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import cells
 
@@ -75,28 +76,31 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
         found: its diagnosis; faults that it names are to be corrected, and widen nothing.
     """
     torques, part, problem = found.torques, fit.robot, fit.problem
-    names = () if problem is None else tuple(p.name for p in problem.free)
-    controllers: tuple[Controller, ...] = () if problem is None else (problem.loop.controller,)
-    scales = np.ones(1)
-    if part is not None and isinstance(part.setup, RobotLoop) and fit.solved is not None:
-        names, values, controllers = part.parameters.names, part.values, part.setup.controllers
-        scales = np.where(part.parameters.logarithmic, values[: len(part.parameters.places)], 1.0)
-    named = [{one.name for f in axis.faults.findings for one in (f.test.fault, *f.test.alike)} for axis in found.axes]
+    names: Sequence[str] = ()
+    controllers: Sequence[Controller] = ()
+    scales: FloatArray | float = 1.0
+    if problem is not None:
+        names, controllers = [p.name for p in problem.free], [problem.loop.controller]
+    elif part is not None and isinstance(part.setup, RobotLoop) and fit.solved is not None:
+        names, controllers = part.parameters.names, part.setup.controllers
+        scales = np.where(part.parameters.logarithmic, part.values[: len(part.parameters.places)], 1.0)
+    known = [
+        {*names, *(str(one) for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
+        for axis in found.axes
+    ]
     tried = [
         one
         for axis, controller in enumerate(controllers)
         for one in list_undeclared(controller, fit.data.sample_time, axis)
-        if one.fault.name not in named[axis] and one.fault.name not in names
+        if one.fault.name not in known[axis]
     ]
     if torques is None or not tried:
         return
     rows = {row.name: row for row in fit.params.rows if row.stderr}
     solve = Influence(torques.stack(torques.own), torques.stack(torques.error)).matrix
-    changes = _respond(fit.solved, tried) if fit.solved is not None else _simulate(fit, torques, tried)
+    changes = _simulate(fit, torques, tried) if fit.solved is None else _respond(fit.solved, tried)
     sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
     for element, change, largest in zip(tried, changes, sizes, strict=True):
-        if change is None or largest <= 0.0:
-            continue
         by = 0.5 * np.abs(scales * (solve @ torques.stack(change))) * largest / element.half
         moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
         if any(one > _MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
@@ -104,34 +108,25 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
             yield _widening(what, moved, rows, '. Declare it, or set undeclared = "none" in [controller]')
 
 
-def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedParameter], remedy: str) -> Widening:
-    """Return the shifts of parameters, each as one deviation, and the sentence on those that are large."""
-    off = [
-        f"{row.symbol} by {number(2 * by[name], 2)} {row.unit}".rstrip()
-        for name, row in rows.items()
-        if by.get(name, 0.0) > _TOLD * (row.stderr or 0.0)
-    ]
-    return Widening(dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else "")
-
-
-def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
+def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> Sequence[FloatArray]:
     """Return the changes of a joint's filtered torque by each element, (1, rows).
 
-    An element under which the loop cannot be simulated is not that of the record: None.
+    An element under which the loop cannot be simulated is not that of the record: it changes nothing.
     """
     problem, x, record = fit.problem, fit.x, fit.record
 
-    def change(one: Element) -> FloatArray | None:
+    def change(one: Element) -> FloatArray:
         assert problem is not None and x is not None and record is not None
-        other = replace(problem.loop, controller=one.controller)
-        run = replace(problem, loop=other, experiment=prepare(other, record)).simulate(x)
-        finished = run.outcome is Outcome.FINISHED
-        return problem.filter(run.torque)[np.newaxis] - torques.predicted if finished else None
+        try:
+            run = require_success(problem.under(one.controller, record).simulate(x))
+            return problem.filter(run.torque)[np.newaxis] - torques.predicted
+        except JointidError:
+            return np.zeros_like(torques.predicted)
 
-    return in_threads(change, tried) if record is not None else [None] * len(tried)
+    return in_threads(change, tried)
 
 
-def _respond(solved: RobotFit, tried: Sequence[Element]) -> Sequence[FloatArray | None]:
+def _respond(solved: RobotFit, tried: Sequence[Element]) -> Sequence[FloatArray]:
     """Return the changes of a robot's filtered torques by each element, (n, rows), to first order."""
     log, run = solved.problem.log, solved.runs[0]
     each = log.experiment.axes
@@ -144,17 +139,15 @@ def _respond(solved: RobotFit, tried: Sequence[Element]) -> Sequence[FloatArray 
     return list(np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0))
 
 
-def _largest_size(torques: AxisTorques, element: Element, change: FloatArray | None) -> float:
+def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) -> float:
     """Return the largest size of an element, s, within two deviations of what its axis' residual shows."""
-    if change is None:
-        return 0.0
     axis, own = element.axis, torques.own[element.axis]
     signature = FaultSignature(replace(element.fault, one_sided=True), change[axis] / element.half)
     (test,) = score(
         torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
         cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
     )  # fmt: skip
-    return min(test.size + 2 * test.std, 2.0 * element.half)
+    return min(max(test.size + 2 * test.std, 0.0), 2.0 * element.half)
 
 
 def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
@@ -181,3 +174,13 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
         if suspect.law is not None:
             what = f"that {suspect.law.words}, which this record does not exclude,"
         yield _widening(what, {name: abs(one.by) for name, one in suspect.changes.items()}, rows, "")
+
+
+def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedParameter], remedy: str) -> Widening:
+    """Return the shifts of parameters, each as one deviation, and the sentence on those that are large."""
+    off = [
+        f"{row.symbol} by {number(2 * by[name], 2)} {row.unit}".rstrip()
+        for name, row in rows.items()
+        if by.get(name, 0.0) > _TOLD * (row.stderr or 0.0)
+    ]
+    return Widening(dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else "")

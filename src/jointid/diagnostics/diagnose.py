@@ -395,7 +395,7 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
     if math.isfinite(limit):
         yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))
     if record.reference is not None:
-        plain = find_plain_cause(record) or (None if loop is None else find_standstill(record, loop))
+        plain = find_plain_cause(record) or (None if loop is None else find_standstill(record))
         if plain is not None:
             yield Symptom(_POOR_MOTION, plain.words)
     law = None if loop is None else compare_law(record, loop)

@@ -32,7 +32,7 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.changes import Case, Cause, Change, is_small, list_changes
-from jointid.diagnostics.faults import FaultTest
+from jointid.diagnostics.faults import FaultTest, Finding
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import find_broken_part, find_plain_cause, find_standstill, find_steps
 from jointid.diagnostics.variants import OTHER_LAWS
@@ -83,8 +83,6 @@ _RANGE = 1e4  # times its start, up and down: bounds of a number
 _TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
 _FAILS = (JointidError, np.linalg.LinAlgError)
-Tried: TypeAlias = tuple[Change | None, Case]
-"""A case, and what it corrects; nothing in the declared one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,15 +108,6 @@ class Causes:
     def found(self) -> bool:
         """True if there is a cause to report, if only the nearest one."""
         return bool(self.explanations or self.nearest or self.plain)
-
-    @property
-    def is_clear(self) -> bool:
-        """True if a cause leaves far less than the drive as declared, or shows in the samples.
-
-        Another law of the drive is tested with its exact times before it is stated.
-        """
-        first = [one for one in self.explanations[:1] if one.name not in OTHER_LAWS]
-        return self.plain is not None or any(one.left <= _CLEARLY * min(self.declared_error, 1.0) for one in first)
 
     @property
     def message(self) -> Message:
@@ -149,65 +138,53 @@ class Causes:
 # The order of the questions
 
 
-def find_gross_cause(
+def explain_misfit(
     estimate: Estimate,
     record: Record,
+    findings: Sequence[Finding] | None,
     progress: Progress = ignore_progress,
     *,
     local: bool = False,
 ) -> Causes | None:
-    """Return the causes of a gross misfit, for which no sensitivity is a guide; None where it is none.
-
-    A spring may be refused for a cause that shows far below its resonance, however small the misfit is. A misfit that
-    is `local` in time has only causes that the samples show: what acts all the time does not explain a part of it.
-    """
-    loop, left = estimate.settings.loop, estimate.fit.filtered_error
-    assert loop is not None
-    plain = find_broken_part(record) or find_standstill(record, loop)
-    if plain is not None:
-        return Causes(left, plain=plain)
-    if local:
-        return None
-    if left <= _SUSPICIOUS:
-        refused = isinstance(loop.joint, FlexibleJoint) and any(p.value is None for p in estimate.params.rows)
-        rigid = fit_rigid([(None, Case(record, (loop,), estimate.settings.filtering))]) if refused else []
-        if not rigid or rigid[0].error < _POOR_START:
-            return None
-    return find_causes(record, loop, estimate, progress=progress)
-
-
-def explain_misfit(
-    estimate: Estimate,
-    record: Record,
-    faults: Sequence[FaultTest] | None,
-    progress: Progress = ignore_progress,
-    left: float | None = None,
-    known: Causes | None = None,
-) -> Causes | None:
     """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
 
-    A large misfit without a cause is reported as well, so that no other test is blamed for it. `faults` are those of
-    the loop check, None if the loop could not be checked. `left` is the residual share of the torque under the law that
-    it found for the controller. `known` are the causes that `find_gross_cause` found. The others are as `find_causes`
-    has them.
+    A large misfit without a cause is reported as well, so that no other test is blamed for it.
+
+    Args:
+        estimate: of the record, under a loop.
+        record: that it is from.
+        findings: of the loop check, None if the loop could not be checked.
+        progress: called with each step.
+        local: whether the misfit is in a part of the time: that has only causes that the samples show.
     """
     loop, error = estimate.settings.loop, estimate.fit.filtered_error
     assert loop is not None and record.reference is not None
-    gross = any(_is_gross(one, estimate.data.sample_time) for one in faults or ())
-    poor = known is not None or gross
-    if not poor and faults is not None and not faults:
+    plain = find_broken_part(record) or find_standstill(record)
+    if plain is not None or local:
+        return None if plain is None else Causes(error, plain=plain)
+    # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
+    refused = any(p.value is None for p in estimate.params.rows)
+    gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
+    poor = gross or error > _SUSPICIOUS or (refused and _is_poor_far_below(estimate, record, loop))
+    if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     responses = find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
-    # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
-    refused = any(p.value is None for p in estimate.params.rows)
     strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
     if not (poor or strained or find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
+    left = next((one.left for one in findings or () if one.left is not None), None)
     if left is not None and not gross and left <= _MORE_OF_A_LAW * responses:
         return None  # under that law nothing more is wrong
-    causes = known or find_causes(record, loop, estimate, progress=progress)
+    causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
+
+
+def _is_poor_far_below(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
+    """Test whether even a rigid joint far below the resonance of a flexible one leaves much, however little is left."""
+    declared = Case(record, loop, estimate.settings.filtering)
+    rigid = fit_rigid([(None, declared)]) if isinstance(loop.joint, FlexibleJoint) else []
+    return bool(rigid) and rigid[0].error >= _POOR_START
 
 
 def _is_gross(one: FaultTest, period: float) -> bool:
@@ -262,6 +239,9 @@ def explain_failure(
 
 # The search
 
+Tried: TypeAlias = tuple[Change | None, Case]
+"""A case, and what it corrects; nothing in the declared one."""
+
 
 def find_causes(
     record: Record,
@@ -287,37 +267,38 @@ def find_causes(
     assert record.torque is not None and record.reference is not None
     if not np.any(record.torque.values):
         raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
-    plain = find_plain_cause(record) or find_standstill(record, loop)
+    left = math.inf if estimate is None else estimate.fit.filtered_error
+    plain = find_plain_cause(record) or find_standstill(record)
     if plain is not None:
-        return Causes(math.inf if estimate is None else estimate.fit.filtered_error, plain=plain)
+        return Causes(left, plain=plain)
     filtering, until = Filtering(), time.process_time() + _SECONDS
     if estimate is not None:
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *DRIVE_AND_LOG}
         free = [row.name for row in estimate.params.rows if row.name in names and not row.of_joint]
     filtering = filtering.resolve(record.torque.sample_time, loop.joint.model)
-    declared = Case(record, (loop,), filtering, beside=tuple(one for one in free if one not in INITIAL))
+    declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
     fits = fit_changes(tried, until)
-    left = math.inf if estimate is None else estimate.fit.filtered_error
     left = min((left, *(fit.error for fit in fits if fit.change is None)))
     problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-    memory = MEMORY * (max(case.factor or 1.0, 1.0) if case.free is None else 1.0)
+    memory = MEMORY if case.free else MEMORY * max(case.factor or 1.0, 1.0)
     reference = case.record.reference
-    responses = 0.0 if problem is None or reference is None else find_unexplained_share(
-        problem, reference.values, memory
-    )  # fmt: skip
+    responses = 0.0
+    if problem is not None and reference is not None:
+        responses = find_unexplained_share(problem, reference.values, memory)
     told = [
         [Cause(name, words, value, fit.error) for name, words, value in fit.change.say(fit.number, declared)]
         for fit in fits
         if fit.change is not None
     ]
-    told += [[one] for one in [_judge_motion(declared)] if one is not None]
-    least = min((each[0].left for each in told), default=math.inf)
-    if least > _TWICE * responses and time.process_time() < until:
-        told += [[one] for one in [_judge_mode(declared)] if one is not None and one.left * _TWICE <= least]
+    if isinstance(loop.joint, RigidJoint):
+        told += [[one] for one in _judge_motion(declared, loop.joint)]
+        least = min((each[0].left for each in told), default=math.inf)
+        if least > _TWICE * responses and time.process_time() < until:
+            told += [[one] for one in _judge_mode(declared, loop.joint) if one.left * _TWICE <= least]
     explaining = _explaining(sorted(told, key=lambda each: each[0].left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
@@ -332,7 +313,7 @@ def list_cases(declared: Case) -> list[Tried]:
     A torque that is computed from the controller has no mistakes of its own. Where the declared law makes the logged
     torque of the logged motor position, a corrected law or log must make it, too.
     """
-    record, (loop, *_) = declared.record, declared.loops
+    record, loop = declared.record, declared.loop
     law, found = compare_law(record, loop), list[Tried]()
     for change in list_changes(declared):
         for case in change.correct(declared):
@@ -340,14 +321,14 @@ def list_cases(declared: Case) -> list[Tried]:
                 continue
             excluded = law is not None and law.holds and _is_excluded(case, record, loop)
             found += [] if excluded or case.free in declared.beside else [(change, case)]
-    return [(None, declared), *sorted(found, key=lambda one: len(one[1].loops))]  # the cheapest first
+    return [(None, declared), *sorted(found, key=lambda one: len(one[1].starts))]  # the cheapest first
 
 
 def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
     """Test whether the motor position excludes a correction."""
     if corrected.record is record:
         return all(excludes(record, loop, one.controller) for one in corrected.loops)
-    law = compare_law(corrected.record, corrected.loops[0])
+    law = compare_law(corrected.record, corrected.loop)
     return law is not None and not law.holds
 
 
@@ -356,52 +337,37 @@ def _explaining(told: Sequence[Sequence[Cause]], left: float, declared: Case) ->
 
     Small changes of a number are attributed to an unmodelled friction or to noise.
     """
-    loop, torque = declared.loops[0], declared.record.torque
-    assert torque is not None
-
-    def matters(one: Cause) -> bool:
-        return not is_small(one.name, one.value, loop, torque.sample_time)
-
     best = told[0][0] if told else None
-    if best is None or not matters(best):
+    if best is None or is_small(best, declared):
         return ()
     most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left
     if best.left > min(most, max(_FITS, _CLEARLY * min(left, 1.0))):
         return ()
     found: dict[str, Cause] = {}
-    for one in (one for each in told if each[0].left <= _AS_GOOD * best.left for one in each if matters(one)):
-        found.setdefault(one.name, one)
+    for one in (one for each in told if each[0].left <= _AS_GOOD * best.left for one in each):
+        if not is_small(one, declared):
+            found.setdefault(one.name, one)
     return tuple(found.values())[:_NAMED]
 
 
-def _judge_motion(declared: Case) -> Cause | None:
-    """Return a reference that is the position of a rigid joint's motor, with its residual; None if it cannot be."""
-    moved, joint = replace(declared.record, motor_position=declared.record.reference), declared.loops[0].joint
-    if not isinstance(joint, RigidJoint):
-        return None
-    try:
+def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
+    """Yield a reference that is the position of a rigid joint's motor, with its residual, unless it cannot be."""
+    moved = replace(declared.record, motor_position=declared.record.reference)
+    with contextlib.suppress(*_FAILS):
         left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
-    except _FAILS:
-        return None
-    words = "the channel given as the reference is the motor's actual position"
-    return Cause("reference_is_position", words, left=left)
+        words = "the channel given as the reference is the motor's actual position"
+        yield Cause("reference_is_position", words, left=left)
 
 
-def _judge_mode(declared: Case) -> Cause | None:
-    """Return the mode of a record of a rigid joint, with its residual; None where it shows none."""
-    loop = declared.loops[0]
-    if not isinstance(loop.joint, RigidJoint):
-        return None
-    flexible = replace(loop, joint=loop.joint.flexible)
-    try:
+def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
+    """Yield the mode of a record of a rigid joint, with its residual, if it shows one."""
+    flexible = replace(declared.loop, joint=joint.flexible)
+    with contextlib.suppress(*_FAILS):  # the other causes stand
         found = identify_record(declared.record, flexible, DIDIM(free=declared.beside), declared.filtering)
-    except _FAILS:  # the other causes stand
-        return None
-    if found.params["stiffness"].value is None:
-        return None
-    mode = found.frequencies["free_free"]
-    words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
-    return Cause("flexible", words, mode, found.fit.filtered_error)
+        if found.params["stiffness"].value is not None:
+            mode = found.frequencies["free_free"]
+            words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
+            yield Cause("flexible", words, mode, found.fit.filtered_error)
 
 
 # The joint in each case
@@ -420,21 +386,19 @@ class Fit:
     @property
     def number(self) -> float | None:
         """The corrected number; None if the case has none."""
-        if self.case.free is not None:
-            return (self.case.factor or 1.0) * self.problem.values(self.x)[self.case.free]
-        if len(self.case.loops) > 1:  # the period of the loop whose start ended best
-            return self.problem.axis.law.period
-        return self.case.factor
+        if not self.case.free:
+            return self.case.factor
+        return (self.case.factor or 1.0) * self.problem.values(self.x)[self.case.free]
 
     def free_number(self) -> Fit:
         """Return the fit with the number of its case free, within wide bounds."""
         name = self.case.free
-        if name is None:
+        if not name:
             return self
         problem = self.problem.freeing(name)
-        for own in (p for p in problem.parameters if p.name == name):
-            wide = replace(own, lower=(own.start or 0.0) / _RANGE, upper=(own.start or 0.0) * _RANGE)
-            problem = problem.replace_parameters({name: wide})
+        own = next(p for p in problem.parameters if p.name == name)
+        start = own.start or 0.0
+        problem = problem.replace_parameters({name: replace(own, lower=start / _RANGE, upper=start * _RANGE)})
         return replace(self, problem=problem, x=problem.vector(self.problem.values(self.x)))
 
     def descend(self, evaluations: int) -> Fit | None:
@@ -454,7 +418,7 @@ def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
     What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
     """
     fits = fit_rigid(tried, until)
-    if not isinstance(tried[0][1].loops[0].joint, FlexibleJoint):
+    if not isinstance(tried[0][1].loop.joint, FlexibleJoint):
         return fits
     least = min((fit.error for fit in fits), default=math.inf)
     near = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
@@ -463,7 +427,7 @@ def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
 
 def fit_rigid(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
     """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_changes`."""
-    loss = _ROUGHLY if isinstance(tried[0][1].loops[0].joint, FlexibleJoint) else 0.0
+    loss = _ROUGHLY if isinstance(tried[0][1].loop.joint, FlexibleJoint) else 0.0
     return _race([_list_rigid_starts(one) for one in tried], until, loss)
 
 
@@ -507,11 +471,9 @@ def _list_rigid_starts(one: Tried) -> Iterator[Fit]:
 def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
     """Yield starts with modes, near the number of the rigid joint, which is approximate, and at a few others."""
     case, values = rigid.case, rigid.problem.values(rigid.x)
-    name, loops = case.free, case.loops
-    if name in case.numbers:
-        near = case.at(name, (values[name] * by for by in _NEAR)).loops
-        loops = (*near, *(loops if len(loops) <= _LOOPS else ()))
-    for problem in (_pose(case, loop) for loop in loops):
+    near = [values[case.free] * by for by in _NEAR] if case.free in case.numbers else []
+    case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= _LOOPS else ())))
+    for problem in (_pose(case, loop) for loop in case.loops):
         if problem is None:
             continue
         modes = frequencies_to_try(problem.axis.law, values["inertia"], problem.sample_time)[::_APART]

@@ -176,6 +176,7 @@ class OtherLaw:
         remedy: its declaration.
         controller: with that law.
         rate: of the law, Hz, if that differs.
+        evident: whether it is tried only where a record surely shows it.
     """
 
     fault: Fault
@@ -183,6 +184,7 @@ class OtherLaw:
     remedy: str
     controller: Controller
     rate: float = 0.0
+    evident: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
 from jointid.diagnostics.diagnose import Diagnosis, Solved, diagnose_joint, diagnose_robot
-from jointid.diagnostics.explain import explain_misfit, find_gross_cause
+from jointid.diagnostics.explain import explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.diagnostics.samples import find_lost_samples, find_too_short
 from jointid.diagnostics.search import find_part_of_loop
@@ -174,12 +174,7 @@ def _fail(*reasons: Message) -> Verdict:
 def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
     problem, x = solved
-    gross = causes = found = None
-    with contextlib.suppress(*_OF_RECORD):
-        local = find_part_of_loop(problem, x) is not None
-        gross = find_gross_cause(assemble(fit), record, progress, local=local)
-    if gross is not None and gross.is_clear:
-        return CheckResults((_fail(gross.message),))
+    causes = found = None
     progress("checking loop and log")
     whole = all(p.value is not None for p in fit.params.rows)
     try:
@@ -190,18 +185,21 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
             verdict = check_without_joint(record, problem.loop_at(x))
     except _OF_RECORD as error:
         verdict = skip_test(Subject.LOOP, f"not checked: {error}")
-    if found is not None and found.axes[0].faults.part is not None:
-        return CheckResults((verdict,), diagnosis=found)
-    findings = () if found is None else found.axes[0].faults.findings
-    faults = None if found is None else tuple(finding.test for finding in findings)
-    left = next((finding.left for finding in findings if finding.left is not None), None)
+    faults = None if found is None else found.axes[0].faults
     with contextlib.suppress(*_OF_RECORD):
-        causes = explain_misfit(assemble(fit), record, faults, progress, left, gross)
+        part = find_part_of_loop(problem, x) if faults is None else faults.part
+        findings = None if faults is None else faults.findings
+        causes = explain_misfit(assemble(fit), record, findings, progress, local=part is not None)
     if causes is not None:
         return CheckResults((_fail(causes.message),), diagnosis=found)
+    if faults is not None and faults.part is not None:
+        return CheckResults((verdict,), diagnosis=found)
     law = None if found is None else found.axes[0].law
+    named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
+<<<<<<< HEAD
     of_joint = all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike))
+    if of_joint and law is not None and la    of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
     if of_joint and law is not None and law.agreement.code in (Agreement.DIFFERS, Agreement.SCALED):
         verdict = _fail(law.agreement, *(verdict.reasons if verdict.good is False else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on

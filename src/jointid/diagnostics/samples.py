@@ -1,8 +1,7 @@
 """Causes that the samples of a record show by themselves: too little motion, samples that are missing, another scale.
 
 A record that is too short, or moves in one direction only, fits many drives: Coulomb friction and offset are one number
-then. The controller of a motor at rest sees the whole reference as an error. That torque is simulated with an immovable
-mass: a record with this torque is of an axis at rest.
+then.
 """
 
 from __future__ import annotations
@@ -10,20 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import join, number, pluralise
 from jointid.diagnostics.model_free import SHORTEST
 from jointid.estimation.result.verdict import Reason
-from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Record
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.synthesis import simulate
 
-_IMMOVABLE = 1e20  # kg or kg m2
 _FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them
-_AS_AT_REST, _SAME_SIZE = 0.15, 0.25  # of the torque's scatter, and of its size: that of an axis at rest is so near
 _LEAST = 1.0  # s of motion: a shorter record is not relied on
 _BACK = 0.05  # of all the way: who goes back less moves one way only
 _FEWEST_STEPS = 10  # of a motion
@@ -234,50 +227,19 @@ def find_profiled_steps(record: Record) -> Message | None:
     return _found("profiled_steps", None, clause + "log the setpoint behind its profile as the reference")
 
 
-def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:
-    """Return the message of an axis that hardly moves, by its motor's position or its torque; else None."""
-    if record.injected is not None:  # that moves the joint, too
-        return None
-    said = _see_motor_rest(record) or _see_torque_at_rest(record, loop)
-    if said is None or record.reference is None:
-        return None
-    asked = f"{number(float(np.ptp(record.reference.values)), 2)} {record.reference.unit}"
-    clause = f"the axis hardly moves: {said} where {asked} are asked; record a larger or faster motion"
-    return Message(Reason.HARDLY_MOVES, clause, {}, clause)
+def find_standstill(record: Record) -> Message | None:
+    """Return the message of a motor that hardly moves; None where it does, or where its position is not logged.
 
-
-def _see_motor_rest(record: Record) -> str | None:
-    """Return by how little the logged motor moves; None where it moves."""
-    motor = record.motor_position
-    if motor is None:
+    Beside the reference its travel would say nothing: that may be in other units, or another channel.
+    """
+    motor, reference = record.motor_position, record.reference
+    if record.injected is not None or motor is None or reference is None:  # a signal moves the joint, too
         return None
-    # Beside the reference its travel would say nothing: that may be in other units, or another channel.
     moved, step = float(np.ptp(motor.values)), find_encoder_step(motor)
     steps = moved / step if step else 0.0
     if steps > _FEW_STEPS or (moved and not step):
         return None
-    return f"the motor moves by {number(moved, 2)} {motor.unit}, {steps:.0f} steps of its encoder,"
-
-
-def _see_torque_at_rest(record: Record, loop: ClosedLoop) -> str | None:
-    """Return that the torque is the one of a motor at rest; None where it is not, or where that is not simulated."""
-    joint = loop.joint.rigid if isinstance(loop.joint, FlexibleJoint) else loop.joint
-    still = ClosedLoop(joint, loop.controller)
-    values = dict.fromkeys((p.name for p in joint.parameters), 0.0) | {"inertia": _IMMOVABLE}
-    try:
-        with np.errstate(all="ignore"):
-            at_rest = simulate(still, prepare(still, record), values).torque
-    except JointidError:
-        return None
-    assert record.torque is not None
-    count = min(at_rest.size, record.torque.values.size)
-    torque, at_rest = record.torque.values[:count], at_rest[:count]
-    if not (np.all(np.isfinite(at_rest)) and np.ptp(torque) and np.ptp(at_rest)):
-        return None
-    # Where the motor stands is not known, and an integral sums that up.
-    columns = np.column_stack([at_rest, np.ones(count), np.linspace(0.0, 1.0, count)])
-    share = np.linalg.lstsq(columns, torque, rcond=None)[0]
-    left = float(np.linalg.norm(torque - columns @ share)) / float(np.linalg.norm(torque - torque.mean()))
-    if left >= _AS_AT_REST or abs(share[0] - 1.0) >= _SAME_SIZE:
-        return None
-    return f"with the motor at rest the controller would make all of this torque but {number(100 * left, 2)} %,"
+    asked = f"{number(float(np.ptp(reference.values)), 2)} {reference.unit}"
+    clause = f"the axis hardly moves: the motor moves by {number(moved, 2)} {motor.unit}, {steps:.0f} steps of its "
+    clause += f"encoder, where {asked} are asked; record a larger or faster motion"
+    return Message(Reason.HARDLY_MOVES, clause, {}, clause)

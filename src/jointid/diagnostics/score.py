@@ -40,7 +40,6 @@ _ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white
 _RANK = 1e-10  # of the largest singular value of columns
 _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the joint's parameters is rounding
 _SAME = 0.999  # cosine of two collinear columns
-_MANY = 1e9  # degrees of freedom: a normal distribution
 _MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
 _KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
@@ -69,7 +68,6 @@ def score(
     where: Cells,
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
     widened: float = _WIDENED,
-    blocks: Sequence[slice] = (slice(None),),
     along_measured_motion: bool = False,
 ) -> tuple[FaultTest, ...]:
     """Test each fault alone, the strongest first of those that are significant.
@@ -85,18 +83,15 @@ def score(
         by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
             only where a test is significant.
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
-        blocks: rows of each axis, where each column of a fault is 0 in all of them but one.
         along_measured_motion: whether the columns contain the answer of the loop to a force; deviations are widened for
             the bias that this may be, as those of the estimate are (`Influence.widen_for_motion`).
     """
-    from scipy.stats import f, t
+    from scipy.stats import chi2, norm
 
-    common, rest = _find_common_basis(own, signatures, blocks), residual.copy()
-    for rows, part in common:
-        rest[rows] -= part @ (part.T @ residual[rows])
-    whiten = fit_whitener(_give_back(rest, _fitted_share(residual.size, *(part for _, part in common))))
+    every = orthonormal_basis(np.column_stack([own, *(one.column for one in signatures)]), _RANK)
+    whiten = fit_whitener(_give_back(residual - every @ (every.T @ residual), every))
     basis, error = orthonormal_basis(whiten(own), _RANK), whiten(residual)
-    left, taken = error - basis @ (basis.T @ error), _fitted_share(residual.size, basis)
+    left = error - basis @ (basis.T @ error)
     best: dict[tuple[int, Fault], _Step] = {}
     shapes: Counter[tuple[int, Fault]] = Counter()
     for one in (one for one in signatures if one.fault in declared):
@@ -109,28 +104,28 @@ def score(
 
     @cache
     def simulate_forces() -> FloatArray:
-        return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
+        return np.array([whiten(one) for one in by_forces()])
 
     def test(group: Sequence[_Step]) -> FaultTest:
         (signature, size, column, _), fault = group[0], group[0].signature.fault
         alone, rest = column[:, np.newaxis], left - size * column
-        after = _give_back(rest, taken + _fitted_share(left.size, alone / column_norms(alone)))
+        after = _give_back(rest, np.column_stack([basis, alone / column_norms(alone)]))
+        influence = Influence(alone, after)
         same = [other.signature for other in group[1:] if other.signature.axis == signature.axis]
         family = of_mechanics.count(fault.mechanical) * (RARER if fault.mechanical else 1)
         tests = shapes[signature.axis, fault] * family
 
-        def judge(std: float, degrees: float = _MANY) -> FaultTest:
+        def judge(std: float) -> FaultTest:
             ratio = size / std if std > 0 else 0.0
-            tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
+            tail = norm.sf(ratio) if fault.one_sided else 2 * norm.sf(abs(ratio))
             if fault.parts > 1:  # a size that its coefficients make has no sign
-                tail = f.sf(ratio**2 / fault.parts, fault.parts, degrees)
+                tail = chi2.sf(ratio**2, fault.parts)
             p_value = min(float(tail) * tests, 1.0) if abs(size) >= fault.least else 1.0
             return FaultTest(
                 fault, tuple(one.fault for one in same), declared[fault], size, std, p_value, signature.shape,
                 signature.axis,
             )  # fmt: skip
 
-        influence = Influence(alone, after)
         covariance = influence.robust()
         found = judge(float(covariance.std[0]))
         if found.p_value > widened:
@@ -141,12 +136,12 @@ def score(
         found = judge(float(covariance.std[0]))
         if found.p_value > _WIDENED or not simulate_forces().size:
             return found
-        shown = simulate_forces() @ column / float(column @ column)  # (forces,) sizes
         # A spectrum shows the size of force and noise roughly, and with them the fault: the rest has their size.
-        scale = float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1))))
+        scale = float(np.linalg.norm(after) / np.linalg.norm(simulate_forces(), axis=1).mean())
+        shown = simulate_forces() @ column / float(column @ column)
         spread = scale * float(np.sqrt(np.mean(shown**2)))
         # A fault of another kind may look like a force: so its size and its place among the significant stand.
-        return replace(found, p_value=judge(spread, shown.size).p_value) if spread > _MORE * found.std else found
+        return replace(found, p_value=judge(spread).p_value) if spread > _MORE * found.std else found
 
     return rank_tests(map(test, groups), _WIDENED)
 
@@ -177,36 +172,11 @@ def fit_whitener(residual: FloatArray) -> Filter:
     return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
 
 
-def _find_common_basis(
-    own: FloatArray, signatures: Sequence[FaultSignature], blocks: Sequence[slice]
-) -> list[tuple[slice, FloatArray]]:
-    """Return an orthonormal basis of the free parameters' columns and of those of all faults: rows and parts of it.
-
-    The basis of what is in one block is that block's, so what all blocks share has only the parameters' columns.
-    """
-    shared, parts = own / column_norms(own), []
-    for block in blocks:
-        columns = [one.column[block] for one in signatures if np.any(one.column[block])]
-        if columns:
-            part = orthonormal_basis(np.column_stack(columns), _RANK)
-            for _ in range(2):  # one pass leaves rounding of the size of what it takes
-                shared[block] -= part @ (part.T @ shared[block])
-            parts.append((block, part))
-    return [*parts, (slice(None), orthonormal_basis(shared, _RANK, 1.0))]
-
-
-def _fitted_share(rows: int, *bases: FloatArray) -> FloatArray:
-    """Return the share of a residual at each frequency, (rows // 2 + 1,), that orthonormal columns fit.
-
-    Columns that are 0 outside of a block are given in it.
-    """
-    taken = np.sum([smoothed_spectrum(basis, rows, rows)[0] for basis in bases], axis=0)
-    return np.concatenate([taken[:1], taken])
-
-
-def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
-    """Return a residual, (rows,), scaled at each frequency to its size before the fit of a share `taken`."""
-    return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - taken, _KEPT)), residual.size)
+def _give_back(residual: FloatArray, fitted: FloatArray) -> FloatArray:
+    """Return a residual, (rows,), scaled at each frequency to its size before orthonormal columns were fitted."""
+    taken = smoothed_spectrum(fitted, residual.size)[0]
+    shares = np.concatenate([taken[:1], taken])
+    return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - shares, _KEPT)), residual.size)
 
 
 def _step_along(signature: FaultSignature, whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:

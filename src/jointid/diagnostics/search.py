@@ -13,10 +13,8 @@ joint by the size of its error.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -26,33 +24,21 @@ from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding, Part
 from jointid.diagnostics.model_free import LawOnPosition
-from jointid.diagnostics.score import RARER, rank_tests, score
-from jointid.diagnostics.search_state import LEVEL, MOST, RIVAL, SearchState, Tested, simulate_forces
-from jointid.diagnostics.seen import see_loop
-from jointid.diagnostics.suspects import (
-    DELAY,
-    FAULTS,
-    LIMIT,
-    LOG_DELAY,
-    LOG_GAIN,
-    OFFSET,
-    list_signatures,
-    number_fault,
-)
+from jointid.diagnostics.score import RARER, score
+from jointid.diagnostics.search_state import LEVEL, MOST, Tested
+from jointid.diagnostics.suspects import LIMIT, LOG_GAIN, OFFSET
 from jointid.diagnostics.variants import (
     OTHER_LAWS,
     WHOLE,
     LawTest,
-    Proof,
     choose_law,
     find_other_law,
     find_undecided,
     test_laws,
 )
 from jointid.estimation.descent import descend, least_squares
-from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers import with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import SPRINGS
@@ -102,42 +88,38 @@ def search_faults(
         level: largest share of records without a fault in which one is found.
         most: faults named at most, one after another.
     """
-    begun = state = SearchState(problem, np.asarray(x, dtype=np.float64))
-    proof = Proof(record, problem.loop) if record is not None and law is not None and law.holds else None
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
-    first = found = _run_tests(state, level, std or {}, record, proof)
+    if np.linalg.norm(problem.residual(x)) > exact:  # a rigid joint's DIDIM ends near the least squares, not on them
+        x = descend(problem, x, _TOLERANCE).x
+    proved = problem.loop if law is not None and law.holds else None
+    begun = found = Tested(problem, np.asarray(x, dtype=np.float64), level, std or {}, record, proved)
     findings, suspected = list[Finding](), list[Finding]()
-    if np.linalg.norm(found.residual) > exact:  # a rigid joint's DIDIM ends near the least squares, not on them
-        state = replace(state, x=descend(problem, state.x, _TOLERANCE).x)
-        found = replace(found, state=state)
-    while np.linalg.norm(found.residual) > exact:
-        laws = test_laws(found, proof)
+    while len(findings) < most and np.linalg.norm(found.residual) > exact:
+        laws = test_laws(found)
         stated = choose_law([one for one in laws if one.explains(found)])
         if stated is not None:
-            alike = [one for one in laws if one is not stated and one.possible and one.as_likely([stated])]
+            alike = [one for one in laws if one is not stated and one.possible and one.as_likely(stated)]
             findings.append(find_other_law(found, stated, alike))
-            named = (*state.named, *(one.law.fault.name for one in (stated, *alike)))
-            state = replace(state, problem=stated.problem, x=stated.x, named=named)
+            named = (*found.named, *(one.law.fault.name for one in (stated, *alike)))
+            found = replace(found, problem=stated.problem, x=stated.x, named=named)
         elif found.significant:
-            finding, state = _find(found, found.tests[0])
+            finding, found = _find(found, found.tests[0])
             findings.append(finding)
         else:
             suspected = [*_list_suspected(found, laws, () if findings else found.excluded[:1])]
-        if len(findings) == most or state is found.state:
             break
-        found = _run_tests(state, level, std or {}, record, proof)
-    part = find_part_of_loop(state.problem, state.x)
+    part = find_part_of_loop(found.problem, found.x)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
-        findings, suspected, state = [], [], begun
+        findings, suspected, found = [], [], begun
     joint, explained = problem.loop.joint, None
     if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
-        before, after = problem.residual(x), state.problem.residual(state.x)
+        before, after = problem.residual(x), found.problem.residual(found.x)
         explained = 1.0 - float(after @ after) / float(before @ before)
     units = {p.name: joint.unit(p) for p in joint.parameters}
     motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
     units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
     return AxisFaults(
-        tuple(findings), first.tests,
+        tuple(findings), begun.tests,
         symbols={p.name: p.symbol for p in joint.parameters}, units=units, laws=list_laws(joint),
         suspected=tuple(suspected), part=part, explained=explained,
     )  # fmt: skip
@@ -165,85 +147,36 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
     return (*(law.name for law in laws if even or not law.offset_identifiable), *springs)
 
 
-def compute_signatures(
-    problem: ClosedLoopProblem, x: FloatArray
-) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
-    """Return the residual, the columns of the free parameters, (rows, free), and the signatures of all faults.
-
-    Those of numbers of the law and the log are exact derivatives. A wrong ``drive_gain`` scales the whole record, and
-    with it the joint, so it is not identifiable.
-    """
-    taken = {p.name for p in problem.free}
-    numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
-    apart = {fault.name for fault in FAULTS if fault.columns and fault is not LOG_DELAY}
-    wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in apart)]
-    of_log = () if problem.seen is not None else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
-    names = [name for name in (*wanted, *of_log) if name not in taken]
-    wider = problem.freeing(*names)
-    residual, slopes = wider.linearise(wider.vector(problem.values(x)))
-    columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
-    own = np.column_stack([columns[p.name] for p in problem.free])
-    along = list_signatures(see_loop(problem, x, residual, own))
-    found = [
-        *(FaultSignature(number_fault(name), columns[name]) for name in names),
-        *(replace(one, column=problem.filter(one.column)) for one in along),
-    ]
-    return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
-
-
-def _run_tests(
-    state: SearchState, level: float, known: Mapping[str, float], record: Record | None, proof: Proof | None
-) -> Tested:
-    """Return the tests of the faults of a state that are not named yet."""
-    residual, own, signatures = compute_signatures(state.problem, state.x)
-    controller = state.problem.loop.controller
-    declared = {
-        fault: surrounding(fault.name, controller).start or 0.0 if fault.declared is None else fault.declared
-        for fault in dict.fromkeys(one.fault for one in signatures)
-        if not {fault.name, fault.kin} & {*state.named}
-    }
-    where, by_forces = state.problem.cells(state.problem.simulate(state.x)), cache(lambda: simulate_forces(state))
-    columns = np.column_stack([own, *(a.column for a in state.corrected)])
-    tests = rank_tests(score(residual, columns, signatures, declared, where, by_forces), level)
-    excluded = [] if proof is None else [one for one in tests if one.p_value <= level and proof.excludes(one)]
-    tests = tuple(one for one in tests if one not in excluded)
-    return Tested(state, residual, columns, level, known, record, where, by_forces, signatures, tests, tuple(excluded))
-
-
-def _find(found: Tested, test: FaultTest) -> tuple[Finding, SearchState]:
-    """Return a test as a finding, with what nearly as likely ones would shift, and the state with it corrected."""
-    after, least = _correct(found, test), test.strength**2 - RIVAL
-    rivals = [one for one in found.tests if one is not test and one.p_value <= found.level]
-    rivals = [one for one in rivals if one.strength**2 > least]
-    values = after.problem.values(after.x)
-    changes = found.shifts_to({**values, **after.identified})
+def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
+    """Return a test as a finding, with what nearly as likely ones would shift, and the problem with it corrected."""
+    after, rivals = _correct(found, test), found.list_rivals(test)
+    values, changes = after.values, found.shifts_to(after.values)
     for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
-        other = _correct(found, one)
-        beside = found.shifts_to({**other.problem.values(other.x), **other.identified})
+        beside = found.shifts_to(_correct(found, one).values)
         changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
-    if len(after.corrected) > len(found.state.corrected):
+    if len(after.corrected) > len(found.corrected):
         left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
-        return Finding(test, None, tuple(rivals), changes, left=left if after.identified else None), after
+        return Finding(test, None, rivals, changes, left=left if after.identified else None), after
     if test.fault is LIMIT:
-        return Finding(test, values[test.name] * _torque_per_unit(after.problem), tuple(rivals), changes), after
+        return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
-    return Finding(test, values[test.name], tuple(rivals), changes), after
+    return Finding(test, values[test.name], rivals, changes), after
 
 
-def _correct(found: Tested, test: FaultTest) -> SearchState:
-    """Return the state with a fault corrected, and the problem solved again.
+def _correct(found: Tested, test: FaultTest) -> Tested:
+    """Return the problem with a fault corrected, solved again.
 
     The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
     those of the joint, so that the error of its size does not mislead later tests.
     """
-    state, problem, fault = found.state, found.state.problem, test.fault
+    problem, fault = found.problem, test.fault
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (fault, test.shape))
-    named = (*state.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
-    held = SearchState(problem, state.x, (*state.corrected, signature), named)
+    named = (*found.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
+    held = replace(found, corrected=(*found.corrected, signature), named=named, identified={})
     if signature.raw is not None and fault is not LIMIT:
         change, identified = _search_law(found, signature) or (test.size * signature.raw, {})
         problem = replace(problem, measured=problem.measured - change)
-        return replace(held, problem=problem, x=descend(problem, state.x, _TOLERANCE).x, identified=identified)
+        return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x, identified=identified)
     start = test.declared + test.size
     if fault is LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
@@ -251,7 +184,7 @@ def _correct(found: Tested, test: FaultTest) -> SearchState:
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
     try:
-        x = descend(wider, wider.vector(problem.values(state.x) | {test.name: start}), _TOLERANCE).x
+        x = descend(wider, wider.vector(problem.values(found.x) | {test.name: start}), _TOLERANCE).x
         wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
@@ -260,7 +193,7 @@ def _correct(found: Tested, test: FaultTest) -> SearchState:
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held
-    return SearchState(wider, x, state.corrected, named)
+    return replace(held, problem=wider, x=x, corrected=found.corrected)
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
@@ -280,7 +213,7 @@ def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, M
     other, start = signature.trial
     try:
         end = solve(other, least_squares(_ROUGHLY, _FEW), start)
-        change = require_success(other.simulate(end.x)).torque - found.state.problem.torque(found.state.x)
+        change = require_success(other.simulate(end.x)).torque - found.problem.torque(found.x)
     except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
         return None
     smaller = np.linalg.norm(end.residual) < np.linalg.norm(found.residual)
@@ -322,9 +255,7 @@ def search_axes(
         if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in shapes})):
             break
         declared = {one.fault: 1.0 if one.fault == LOG_GAIN else 0.0 for one in shapes}
-        tests = score(
-            residual, own, shapes, declared, where, blocks=rows, along_measured_motion=torques.along_measured_motion
-        )
+        tests = score(residual, own, shapes, declared, where, along_measured_motion=torques.along_measured_motion)
         first = first or tests
         # What one drive does otherwise moves the other joints: which of them do so, too, is seen once it is declared.
         gone = OTHER_LAWS if any(one.test.name in OTHER_LAWS for each in found for one in each) else ()

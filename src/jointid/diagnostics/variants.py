@@ -24,7 +24,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,13 +34,12 @@ from jointid.common.text import number
 from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
-from jointid.diagnostics.suspects import LOG_DELAY, LOG_GAIN, REFERENCE_DELAY
+from jointid.diagnostics.suspects import REFERENCE_DELAY
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
-from jointid.models.controllers import PD, PID, Cascade, numbers_of, with_numbers, with_present_sample
+from jointid.models.controllers import PD, PID, Cascade, numbers_of, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
-from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.resampling import default_interpolation
 from jointid.simulation.loop_input import RobotLoop
@@ -56,7 +55,6 @@ _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a ra
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _REACH = 2.0  # times what half of the log's period changes any faster drive changes
 _MATTERS = 1.5  # deviations: a law that moves no parameter so far by one step is not searched for
-_AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
 _OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
@@ -84,24 +82,11 @@ _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are sai
 # What may be other
 
 
-class Variant(NamedTuple):
-    """Alternative behaviour of a drive.
+def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[tuple[OtherLaw, ...]]:
+    """Yield the ways in which a drive may use reference, position and velocity, each by its laws, the plainest first.
 
-    Attributes:
-        fault: that it does.
-        laws: that do it, the plainest first: what that changes shows whether the record can tell.
-        evident: whether they are tried only where it surely does.
-    """
-
-    fault: Fault
-    laws: tuple[OtherLaw, ...]
-    evident: bool = False
-
-
-def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[Variant]:
-    """Yield the ways in which a drive may use reference, position and velocity, with their rates.
-
-    Cubics matter to a law that differentiates the reference: from lines it gets the velocity half a sample late.
+    What the first one changes shows whether the record can tell. Cubics matter to a law that differentiates the
+    reference: from lines it gets the velocity half a sample late.
 
     Args:
         law: as declared.
@@ -112,10 +97,10 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
     assert record.reference is not None
     for way in _list_other_ways(law, record, period):
         said, filled = f"the reference is {_DONE[way]} between its samples", replace(law, interpolation=way)
-        yield _alone(OtherLaw(INTERPOLATIONS[way], said, f'interpolation = "{way}"', filled))
+        yield (OtherLaw(INTERPOLATIONS[way], said, f'interpolation = "{way}"', filled),)
     if isinstance(law, DiagramController) and not law.reference_average:
-        yield Variant(AVERAGED, (_average(law, _SCREENED * log),), evident=True)
-    yield from map(_alone, list_feedback_laws(law, period))
+        yield (_average(law, _SCREENED * log),)
+    yield from ((one,) for one in list_feedback_laws(law, period))
     if not isinstance(law, DiagramController) or law.period is not None:
         return
     used, least = law.interpolation or default_interpolation(record.reference), log / _TIMES_FASTER[0]
@@ -124,24 +109,20 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
             continue
         faster: Any = law if other is None else replace(law, interpolation=other)
         more = "" if other is None else f", with its reference {_DONE[other]}"
-        laws = tuple(
+        yield tuple(
             OtherLaw(
                 PERIOD, f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{more}",
                 f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{other or used}"',
-                replace(faster, period=log / times), times / log,
+                replace(faster, period=log / times), times / log, evident=other == "hold",  # no usual guess
             )
             for times in _TIMES_FASTER
         )  # fmt: skip
-        yield Variant(PERIOD, laws, evident=other == "hold")  # no usual guess
-
-
-def _alone(law: OtherLaw) -> Variant:
-    return Variant(law.fault, (law,), evident=law.fault is MEASURED_VELOCITY)
 
 
 def _average(law: Any, mean: float) -> OtherLaw:
     said = f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
-    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
+    other = replace(law, reference_average=mean)
+    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", other, evident=True)
 
 
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
@@ -166,7 +147,8 @@ def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
     if getattr(controller, "velocity_filter", None) == (1.0,):
         words = "the velocity is measured or observed, half a period earlier than a difference of positions"
         earlier = replace(controller, velocity_filter=_HALF_A_PERIOD_EARLIER)
-        yield OtherLaw(MEASURED_VELOCITY, words, f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}", earlier)
+        remedy = f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}"
+        yield OtherLaw(MEASURED_VELOCITY, words, remedy, earlier, evident=True)
 
 
 def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
@@ -224,13 +206,12 @@ class LawTest:
         """Whether the other law leaves hardly less, by its own noise."""
         return other.gain > 0 and (other.gain - self.gain) * other.likelihood <= RIVAL * other.gain
 
-    def as_likely(self, others: Sequence[LawTest]) -> bool:
-        """Whether none of others is far likelier.
+    def as_likely(self, best: LawTest) -> bool:
+        """Whether the likeliest law is not far likelier.
 
-        The residuals are compared by the variance of the likeliest law's test: each law has its own spectrum of the
-        noise in its test, so two likelihoods differ even where two laws leave the same residual.
+        The residuals are compared by the variance of its test: each law has its own spectrum of the noise in its test,
+        so two likelihoods differ even where two laws leave the same residual.
         """
-        best = max(others, key=lambda one: one.likelihood)
         return self.likelihood >= best.likelihood - RIVAL or self.leaves_as_little(best)
 
 
@@ -243,7 +224,7 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
     likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
     if likeliest is None or likeliest.test.fault not in _OF_REFERENCE:
         return likeliest
-    likely = [one for one in explaining if one.test.fault in _OF_REFERENCE and one.as_likely([likeliest])]
+    likely = [one for one in explaining if one.test.fault in _OF_REFERENCE and one.as_likely(likeliest)]
     best = max(likely, key=lambda one: one.gain)
     return next((one for one in likely if one.leaves_as_little(best)), None)
 
@@ -260,41 +241,36 @@ def _may_matter(found: Tested, step: FaultTest, moved: FloatArray) -> bool:
     return any(_REACH * abs(one) > _MATTERS * std for one, std in zip(by, found.std.values(), strict=False))
 
 
-def test_laws(found: Tested, proof: Proof | None) -> list[LawTest]:
-    """Return the tests of other laws that are not named already, and that neither screen nor motor position excludes.
-
-    Args:
-        found: where they are tested.
-        proof: what the motor position excludes.
-    """
+def test_laws(found: Tested) -> list[LawTest]:
+    """Return the tests of other laws that are not named already, and that nothing excludes."""
     tests: list[LawTest] = []
-    problem, x, record = found.state.problem, found.state.x, found.record
+    problem, x, record = found.problem, found.x, found.record
     if record is None:
         return tests
     law = problem.loop.controller
     fixed = not numbers_of(law).keys() & {p.name for p in problem.free}  # a free number may stand for any law
-    for variant in list_variants(law, record, problem.sample_time, problem.axis.law.period):
-        kin = _OF_REFERENCE if variant.fault is AVERAGED else (variant.fault,)
-        if {one.name for one in kin} & {*found.state.named} or not (fixed or variant.fault.name in WHOLE):
+    for first, *others in list_variants(law, record, problem.sample_time, problem.axis.law.period):
+        kin = _OF_REFERENCE if first.fault is AVERAGED else (first.fault,)
+        if {one.name for one in kin} & {*found.named} or not (fixed or first.fault.name in WHOLE):
             continue
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
-            moved = found.residual - problem.under(variant.laws[0].controller, record).residual(x)
-            step, start = found.test_law(variant.fault, moved), x
-            if not (step.p_value <= found.level if variant.evident else _may_matter(found, step, moved)):
+            moved = found.residual - problem.under(first.controller, record).residual(x)
+            step, start = found.test_law(first.fault, moved), x
+            if not (step.p_value <= found.level if first.evident else _may_matter(found, step, moved)):
                 continue
-            for other in _list_late(problem, x) if variant.fault is AVERAGED else variant.laws:
+            for other in _list_late(problem, x) if first.fault is AVERAGED else (first, *others):
                 one = _test_law(found, other, record, start)
                 if one is None or (other.fault is PERIOD and not one.possible):
                     break
                 start = one.x
-                if proof is None or not excludes(record, proof.loop, other.controller):
+                if found.proved is None or not excludes(record, found.proved, other.controller):
                     tests.append(one)
     return tests
 
 
 def _test_law(found: Tested, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
     """Return the test of another law by the joint that is identified under it; None where it changes nothing."""
-    other = found.state.problem.under(law.controller, record)
+    other = found.problem.under(law.controller, record)
     x = descend(other, start, _SOLVED).x
     left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
@@ -306,12 +282,10 @@ def _test_law(found: Tested, law: OtherLaw, record: Record, start: FloatArray) -
 
 def find_other_law(found: Tested, other: LawTest, alike: Sequence[LawTest] = ()) -> Finding:
     """Return another law as a finding, with its shifts and equally likely laws."""
-    least = other.test.strength**2 - RIVAL
-    rivals = tuple(s for s in found.tests if s.p_value <= found.level and s.strength**2 > least)
     left = other.problem.filtered_error(other.problem.residual(other.x))
     others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
     value, shifts = 1 / other.law.rate if other.law.rate else None, found.shifts_to(other.problem.values(other.x))
-    return Finding(other.test, value, rivals, shifts, other.law, left, others)
+    return Finding(other.test, value, found.list_rivals(other.test), shifts, other.law, left, others)
 
 
 def find_undecided(found: Tested, tests: Sequence[LawTest]) -> Finding | None:
@@ -320,40 +294,14 @@ def find_undecided(found: Tested, tests: Sequence[LawTest]) -> Finding | None:
     Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
     """
     moving = list[tuple[float, float, Finding]]()
-    for one in tests:
-        kin = [other for other in tests if other.test.fault == one.test.fault]
-        if one.possible and one.test.fault in _OPEN and one.as_likely(kin):
+    for one in (one for one in tests if one.possible and one.test.fault in _OPEN):
+        kin = (other for other in tests if other.test.fault == one.test.fault)
+        if one.as_likely(max(kin, key=lambda other: other.likelihood)):
             finding = find_other_law(found, one)
             sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
             asked, most = sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
             moving += [(asked, most, finding)] if most > INTERVAL else []
     return max(moving, key=lambda one: one[:2], default=(0.0, 0.0, None))[2]
-
-
-# What the motor position excludes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Proof:
-    """A record whose declared law makes the logged torque of the logged motor position."""
-
-    record: Record
-    loop: ClosedLoop
-
-    def excludes(self, test: FaultTest) -> bool:
-        """Test whether the position excludes a fault of this size."""
-        controller, size = self.loop.controller, test.size
-        if test.fault is LOG_GAIN:
-            return excludes(self.record, self.loop, controller, gain=size)
-        if test.fault is LOG_DELAY:
-            return excludes(self.record, self.loop, controller, late=size)
-        if (declared := numbers_of(controller).get(test.name)) is None or test.name == "limit":
-            return False
-        most = _AT_MOST * abs(declared) or abs(size)
-        with contextlib.suppress(JointidError):  # no law has such a number
-            other = with_numbers(controller, {test.name: declared + max(-most, min(size, most))})
-            return excludes(self.record, self.loop, other)
-        return False
 
 
 # Of a robot
@@ -376,8 +324,8 @@ def list_reference_laws(
     """
     log, each = problem.sample_time, list[dict[Fault, Any]]()
     for law, record, read in cast("Any", zip(setup.controllers, records, problem.log.experiment.axes, strict=True)):
-        variants = [one for one in list_variants(law, record, log, read.law.period) if one.fault in _OF_REFERENCE]
-        each.append({one.fault: one.laws[0].controller for one in variants})
+        variants = (first for first, *_ in list_variants(law, record, log, read.law.period))
+        each.append({one.fault: one.controller for one in variants if one.fault in _OF_REFERENCE})
     found: list[list[FaultSignature]] = [[] for _ in each]
     for fault in dict.fromkeys(fault for laws in each for fault in laws):
         laws = tuple(own.get(fault, law) for own, law in zip(each, setup.controllers, strict=True))
