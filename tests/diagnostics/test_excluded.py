@@ -68,7 +68,7 @@ def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
 
     def names(record: Record) -> set[str]:
         found = list_cases(Case(record, loop, ji.Filtering().resolve(1e-3, "rigid")))
-        return {change.name for change, _ in found if change is not None}
+        return {case.change.name for case in found if case.change is not None}
 
     gross = {"position_gain", "swapped_gains", "torque_sign"}
     assert gross | {"delay"} <= names(record.without("motor_position"))

@@ -78,6 +78,7 @@ class Case:
         starts: of that number of the controller.
         factor: of the correction of the record, if it is a number; the number that is free comes on top of it.
         beside: names of what the identification finds beside the joint, free as well.
+        change: that corrects the mistake; None as declared.
     """
 
     record: Record
@@ -87,6 +88,7 @@ class Case:
     starts: tuple[float, ...] = ()
     factor: float | None = None
     beside: tuple[str, ...] = ()
+    change: Change | None = None
 
     @property
     def controller(self) -> Any:

@@ -124,32 +124,26 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = 
     """
     if not 0 < level < 1:
         raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
+    both = before, after
     try:
-        return _compare_documents((before, after), level)
+        here, there = map(_describe_system, both)
+        for what, one in here.items():
+            if one != there.get(what):
+                raise MethodError(
+                    f"A and B are not of the same system: the {what} is {one} in A and {there.get(what)} in B; "
+                    "identify both with the same file and options."
+                )
+        same = not _fingerprints(before).isdisjoint(_fingerprints(after))
+        sums = [_sums(one) for one in both]
+        parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
+        rows = [_compare(name, a.get(name), b.get(name), same) for a, b in parts for name in dict.fromkeys((*a, *b))]
+        return EstimateComparison(
+            (str(before["data"]["record"]), str(after["data"]["record"])), same, _adjust_p_values(rows), level
+        )
     except (LookupError, TypeError, ValueError, AttributeError):
         raise RecordError(
             "One of these is no estimate, or a damaged one; give what `to_dict` or `read_report` returned of each."
         ) from None
-
-
-def _compare_documents(both: Sequence[Mapping[str, Any]], level: float) -> EstimateComparison:
-    here, there = map(_describe_system, both)
-    for what, one in here.items():
-        if one != there.get(what):
-            raise MethodError(
-                f"A and B are not of the same system: the {what} is {one} in A and {there.get(what)} in B; identify "
-                "both with the same file and options."
-            )
-    same = not _fingerprints(both[0]).isdisjoint(_fingerprints(both[1]))
-    sums = [_sums(one) for one in both]
-    parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
-    rows = [
-        _compare(name, before.get(name), after.get(name), same)
-        for before, after in parts
-        for name in dict.fromkeys((*before, *after))
-    ]
-    records = str(both[0]["data"]["record"]), str(both[1]["data"]["record"])
-    return EstimateComparison(records, same, _adjust_p_values(rows), level)
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
@@ -196,21 +190,19 @@ def _compare(
     Raises:
         MethodError: its unit is another one.
     """
-    known, both = before or after, {"A": before, "B": after}
-    assert known is not None
-    if {q.unit for q in both.values() if q is not None} != {known.unit}:
+    both = {which: one for which, one in zip("AB", (before, after), strict=True) if one is not None}
+    known, *others = both.values()
+    if any(one.unit != known.unit for one in others):
         raise MethodError(f"{name} is not in {known.unit} in both A and B; identify both with one file.")
-    lost = [which for which, q in both.items() if q is None or q.value is None]
-    kept = [which for which, q in both.items() if q is not None and (not q.free or q.stderr is None)]
-    first, second = (None if q is None else q.value for q in (before, after))
-    spread = math.hypot(*(q.stderr or 0.0 for q in both.values() if q is not None))
+    first, second = (None if one is None else one.value for one in (before, after))
     difference = None if first is None or second is None else second - first
-    std, p_value, reason = None, None, ""
-    if lost or kept:
-        reason = f"not identified in {join(lost)}" if lost else f"fixed in {join(kept)}"
-    elif same or not spread > 0:
-        reason = "same record: not tested" if same else "standard deviation 0: not tested"
-    elif difference is not None:
+    lost = [which for which in "AB" if which not in both or both[which].value is None]
+    kept = [which for which, one in both.items() if not one.free or one.stderr is None]
+    std, p_value, spread = None, None, math.hypot(*(one.stderr or 0.0 for one in both.values()))
+    reason = f"not identified in {join(lost)}" if lost else f"fixed in {join(kept)}" if kept else ""
+    if same or not spread > 0:
+        reason = reason or ("same record: not tested" if same else "standard deviation 0: not tested")
+    elif difference is not None and not reason:
         std, p_value = spread, math.erfc(abs(difference) / spread / math.sqrt(2))
     return QuantityChange(name, known.symbol, known.unit, first, second, difference, std, p_value, reason)
 

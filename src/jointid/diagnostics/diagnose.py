@@ -33,7 +33,7 @@ from jointid.diagnostics.intervals import rebuild_problem, take_identified_torqu
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
-from jointid.diagnostics.samples import find_plain_cause, find_standstill
+from jointid.diagnostics.samples import find_plain_cause
 from jointid.diagnostics.search import list_laws, search_axes, search_faults
 from jointid.diagnostics.search_state import MOST
 from jointid.diagnostics.variants import OTHER_LAWS
@@ -395,7 +395,7 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
     if math.isfinite(limit):
         yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))
     if record.reference is not None:
-        plain = find_plain_cause(record) or (None if loop is None else find_standstill(record))
+        plain = find_plain_cause(record)
         if plain is not None:
             yield Symptom(_POOR_MOTION, plain.words)
     law = None if loop is None else compare_law(record, loop)

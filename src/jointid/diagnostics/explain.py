@@ -22,7 +22,6 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -31,10 +30,10 @@ from jointid.common.errors import FaultsError, JointidError, RecordError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
-from jointid.diagnostics.changes import Case, Cause, Change, is_small, list_changes
+from jointid.diagnostics.changes import Case, Cause, is_small, list_changes
 from jointid.diagnostics.faults import FaultTest, Finding
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
-from jointid.diagnostics.samples import find_broken_part, find_plain_cause, find_standstill, find_steps
+from jointid.diagnostics.samples import find_plain_cause, find_steps
 from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
@@ -143,8 +142,6 @@ def explain_misfit(
     record: Record,
     findings: Sequence[Finding] | None,
     progress: Progress = ignore_progress,
-    *,
-    local: bool = False,
 ) -> Causes | None:
     """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
 
@@ -155,13 +152,9 @@ def explain_misfit(
         record: that it is from.
         findings: of the loop check, None if the loop could not be checked.
         progress: called with each step.
-        local: whether the misfit is in a part of the time: that has only causes that the samples show.
     """
     loop, error = estimate.settings.loop, estimate.fit.filtered_error
     assert loop is not None and record.reference is not None
-    plain = find_broken_part(record) or find_standstill(record)
-    if plain is not None or local:
-        return None if plain is None else Causes(error, plain=plain)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     refused = any(p.value is None for p in estimate.params.rows)
     gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
@@ -183,7 +176,7 @@ def explain_misfit(
 def _is_poor_far_below(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
     """Test whether even a rigid joint far below the resonance of a flexible one leaves much, however little is left."""
     declared = Case(record, loop, estimate.settings.filtering)
-    rigid = fit_rigid([(None, declared)]) if isinstance(loop.joint, FlexibleJoint) else []
+    rigid = fit_rigid([declared]) if isinstance(loop.joint, FlexibleJoint) else []
     return bool(rigid) and rigid[0].error >= _POOR_START
 
 
@@ -239,9 +232,6 @@ def explain_failure(
 
 # The search
 
-Tried: TypeAlias = tuple[Change | None, Case]
-"""A case, and what it corrects; nothing in the declared one."""
-
 
 def find_causes(
     record: Record,
@@ -268,7 +258,7 @@ def find_causes(
     if not np.any(record.torque.values):
         raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
     left = math.inf if estimate is None else estimate.fit.filtered_error
-    plain = find_plain_cause(record) or find_standstill(record)
+    plain = find_plain_cause(record)
     if plain is not None:
         return Causes(left, plain=plain)
     filtering, until = Filtering(), time.process_time() + _SECONDS
@@ -280,8 +270,8 @@ def find_causes(
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    fits = fit_changes(tried, until)
-    left = min((left, *(fit.error for fit in fits if fit.change is None)))
+    fits = fit_cases(tried, until)
+    left = min((left, *(fit.error for fit in fits if fit.case.change is None)))
     problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY if case.free else MEMORY * max(case.factor or 1.0, 1.0)
@@ -290,9 +280,9 @@ def find_causes(
     if problem is not None and reference is not None:
         responses = find_unexplained_share(problem, reference.values, memory)
     told = [
-        [Cause(name, words, value, fit.error) for name, words, value in fit.change.say(fit.number, declared)]
+        [Cause(name, words, value, fit.error) for name, words, value in fit.case.change.say(fit.number, declared)]
         for fit in fits
-        if fit.change is not None
+        if fit.case.change is not None
     ]
     if isinstance(loop.joint, RigidJoint):
         told += [[one] for one in _judge_motion(declared, loop.joint)]
@@ -307,21 +297,21 @@ def find_causes(
     return Causes(left, () if more else explaining, best if more else None, responses)
 
 
-def list_cases(declared: Case) -> list[Tried]:
+def list_cases(declared: Case) -> list[Case]:
     """Return the declared drive, and a case for every mistake that this record and controller can have.
 
     A torque that is computed from the controller has no mistakes of its own. Where the declared law makes the logged
     torque of the logged motor position, a corrected law or log must make it, too.
     """
     record, loop = declared.record, declared.loop
-    law, found = compare_law(record, loop), list[Tried]()
+    law, found = compare_law(record, loop), list[Case]()
     for change in list_changes(declared):
         for case in change.correct(declared):
             if record.computed and case.record.torque is not record.torque:
                 continue
             excluded = law is not None and law.holds and _is_excluded(case, record, loop)
-            found += [] if excluded or case.free in declared.beside else [(change, case)]
-    return [(None, declared), *sorted(found, key=lambda one: len(one[1].starts))]  # the cheapest first
+            found += [] if excluded or case.free in declared.beside else [replace(case, change=change)]
+    return [declared, *sorted(found, key=lambda one: len(one.starts))]  # the cheapest first
 
 
 def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
@@ -377,7 +367,6 @@ def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
 class Fit:
     """Solution of a case: problem with its number free, parameters, and residual share of the torque."""
 
-    change: Change | None
     case: Case
     problem: ClosedLoopProblem
     x: FloatArray
@@ -390,17 +379,6 @@ class Fit:
             return self.case.factor
         return (self.case.factor or 1.0) * self.problem.values(self.x)[self.case.free]
 
-    def free_number(self) -> Fit:
-        """Return the fit with the number of its case free, within wide bounds."""
-        name = self.case.free
-        if not name:
-            return self
-        problem = self.problem.freeing(name)
-        own = next(p for p in problem.parameters if p.name == name)
-        start = own.start or 0.0
-        problem = problem.replace_parameters({name: replace(own, lower=start / _RANGE, upper=start * _RANGE)})
-        return replace(self, problem=problem, x=problem.vector(self.problem.values(self.x)))
-
     def descend(self, evaluations: int) -> Fit | None:
         """Return the fit after a limited descent; None if it fails."""
         try:
@@ -412,22 +390,22 @@ class Fit:
         return replace(self, x=solution.x, error=error) if error < _ASTRAY else None
 
 
-def fit_changes(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
+def fit_cases(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
     """Fit the joint in each case, the best first.
 
     What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
     """
     fits = fit_rigid(tried, until)
-    if not isinstance(tried[0][1].loop.joint, FlexibleJoint):
+    if not isinstance(tried[0].loop.joint, FlexibleJoint):
         return fits
     least = min((fit.error for fit in fits), default=math.inf)
     near = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
     return _race([_list_flexible_starts(fit) for fit in near], until)
 
 
-def fit_rigid(tried: Sequence[Tried], until: float = math.inf) -> list[Fit]:
-    """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_changes`."""
-    loss = _ROUGHLY if isinstance(tried[0][1].loop.joint, FlexibleJoint) else 0.0
+def fit_rigid(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
+    """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_cases`."""
+    loss = _ROUGHLY if isinstance(tried[0].loop.joint, FlexibleJoint) else 0.0
     return _race([_list_rigid_starts(one) for one in tried], until, loss)
 
 
@@ -439,8 +417,7 @@ def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> l
 
     def choose(own: Iterator[Fit]) -> list[Fit]:
         in_time = itertools.takewhile(lambda _: time.process_time() < until, own)
-        best = sorted((fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)
-        return [fit.free_number() for fit in best[:_STARTS]]
+        return sorted((fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)[:_STARTS]
 
     def go_on(fit: Fit, evaluations: int) -> Fit | None:
         return fit.descend(evaluations) if time.process_time() < until else fit
@@ -455,17 +432,17 @@ def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> l
     return sorted(ends, key=lambda fit: fit.error)
 
 
-def _list_rigid_starts(one: Tried) -> Iterator[Fit]:
+def _list_rigid_starts(case: Case) -> Iterator[Fit]:
     """Yield starts by the inverted controller, and by a motor that follows the reference exactly, at some delays."""
-    posed = (_pose(one[1], loop, low=True) for loop in one[1].loops)
-    for problem in (problem for problem in posed if problem is not None):
+    for problem in (_pose(case, loop, low=True) for loop in case.loops):
         starts = list[dict[str, float]]()
         with contextlib.suppress(JointidError):
-            starts = rigid_starts(problem, ignore_progress)
+            starts = [] if problem is None else rigid_starts(problem, ignore_progress)
         for values in starts:
+            assert problem is not None
             values["inertia"] = abs(values["inertia"])
             values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
-            yield from _delayed(one, problem, values)
+            yield from _delayed(case, problem, values)
 
 
 def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
@@ -473,27 +450,26 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
     case, values = rigid.case, rigid.problem.values(rigid.x)
     near = [values[case.free] * by for by in _NEAR] if case.free in case.numbers else []
     case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= _LOOPS else ())))
-    for problem in (_pose(case, loop) for loop in case.loops):
-        if problem is None:
-            continue
+    for problem in filter(None, (_pose(case, loop) for loop in case.loops)):
         modes = frequencies_to_try(problem.axis.law, values["inertia"], problem.sample_time)[::_APART]
         for hertz, share in itertools.product(modes, _SHARES):
-            yield from _delayed((rigid.change, case), problem, start_with_mode(problem, values, hertz, share))
+            yield from _delayed(case, problem, start_with_mode(problem, values, hertz, share))
 
 
-def _delayed(one: Tried, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
+def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
     """Yield a start with its residual share of the torque, at some delays where one is free and none declared."""
     undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
+    begun = {p.name: p.start or 0.0 for p in problem.parameters if p.name == case.free}
     for late in ({DELAY: late} for late in DELAYS) if undeclared else ({},):
-        x, left = problem.vector({**values, **late}), math.inf
+        x, left = problem.vector({**values, **late, **begun}), math.inf
         if problem.size > 0.0:  # else a torque that the filter removes
             with np.errstate(all="ignore"):  # a loop that runs away
                 left = float(np.linalg.norm(problem.residual(x))) / problem.size
-        yield Fit(*one, problem, x, left if math.isfinite(left) else math.inf)
+        yield Fit(case, problem, x, left if math.isfinite(left) else math.inf)
 
 
 def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
-    """Return the problem of a case with one of its loops, its number fixed; None if there is none."""
+    """Return the problem of a case with one of its loops, its number free within wide bounds; None if there is none."""
     around = [one for one in case.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
     filtering, torque = case.filtering, case.record.torque
     assert torque is not None
@@ -502,6 +478,9 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
         filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
     try:
         problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
-        return problem.keeping({"initial_velocity": 0.0}).freeing(*around)
+        problem = problem.keeping({"initial_velocity": 0.0}).freeing(*around, *filter(None, [case.free]))
     except JointidError:
         return None
+    own = ((p, p.start or 0.0) for p in problem.parameters if p.name == case.free)
+    wide = {p.name: replace(p, lower=start / _RANGE, upper=start * _RANGE) for p, start in own}
+    return problem.replace_parameters(wide)

@@ -17,7 +17,7 @@ from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclare
 from jointid.diagnostics.diagnose import Diagnosis, Solved, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law
-from jointid.diagnostics.samples import find_lost_samples, find_too_short
+from jointid.diagnostics.samples import find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.search import find_part_of_loop
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import part_of, windows_of
@@ -173,6 +173,9 @@ def _fail(*reasons: Message) -> Verdict:
 
 def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
     """Return the checks of a joint's fit; see `run_checks`."""
+    broken = find_broken_part(record)
+    if broken is not None:
+        return CheckResults((_fail(broken),))
     problem, x = solved
     causes = found = None
     progress("checking loop and log")
@@ -188,8 +191,8 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     faults = None if found is None else found.axes[0].faults
     with contextlib.suppress(*_OF_RECORD):
         part = find_part_of_loop(problem, x) if faults is None else faults.part
-        findings = None if faults is None else faults.findings
-        causes = explain_misfit(assemble(fit), record, findings, progress, local=part is not None)
+        if part is None:  # what acts all the time does not explain a part of it
+            causes = explain_misfit(assemble(fit), record, None if faults is None else faults.findings, progress)
     if causes is not None:
         return CheckResults((_fail(causes.message),), diagnosis=found)
     if faults is not None and faults.part is not None:
@@ -197,9 +200,7 @@ def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progre
     law = None if found is None else found.axes[0].law
     named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
-<<<<<<< HEAD
-    of_joint = all(fault.of_model for one in faults or () for fault in (one.fault, *one.alike))
-    if of_joint and law is not None and la    of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
+    of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
     if of_joint and law is not None and law.agreement.code in (Agreement.DIFFERS, Agreement.SCALED):
         verdict = _fail(law.agreement, *(verdict.reasons if verdict.good is False else ()))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on

@@ -45,8 +45,8 @@ def find_plain_cause(record: Record) -> Message | None:
 
 
 def find_broken_part(record: Record) -> Message | None:
-    """Return the message of a part of the record that belongs to something else; None without one."""
-    return find_lost_samples(record) or find_parts_off(record) or find_new_zero(record)
+    """Return the message of a record whose motion is none of the joint's, all of it or a part; None without one."""
+    return find_lost_samples(record) or find_parts_off(record) or find_new_zero(record) or find_standstill(record)
 
 
 def find_too_short(record: Record) -> Message | None:

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import MethodError
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding, Part
@@ -36,20 +36,17 @@ from jointid.diagnostics.variants import (
     find_undecided,
     test_laws,
 )
-from jointid.estimation.descent import descend, least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Record
-from jointid.simulation.simulate import require_success
-from jointid.solvers.solve import solve
 from jointid.uncertainty.position_dependent_error import cells
 
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
-_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 _FEWEST = 4  # rows to a column, of each fault one
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
@@ -61,7 +58,7 @@ _BLOCKS = 40  # of a residual, in time
 _FEWEST_ROWS = 4  # rows of a block
 _SHORTEST = 2  # blocks of a part
 _TIMES = 25.0  # as much as elsewhere: on healthy drives it is about 3, with a known fault that is not all taken off 20
-_ORDERS, _CHANCE = 199, 0.1  # of the blocks, at random
+_MOST_OF_IT = 0.5  # of the blocks of a part
 
 # Of a joint
 
@@ -150,13 +147,14 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
 def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
     """Return a test as a finding, with what nearly as likely ones would shift, and the problem with it corrected."""
     after, rivals = _correct(found, test), found.list_rivals(test)
-    values, changes = after.values, found.shifts_to(after.values)
+    values = after.problem.values(after.x)
+    changes = found.shifts_to(values)
     for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
-        beside = found.shifts_to(_correct(found, one).values)
+        other = _correct(found, one)
+        beside = found.shifts_to(other.problem.values(other.x))
         changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
     if len(after.corrected) > len(found.corrected):
-        left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
-        return Finding(test, None, rivals, changes, left=left if after.identified else None), after
+        return Finding(test, None, rivals, changes), after
     if test.fault is LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
@@ -172,11 +170,10 @@ def _correct(found: Tested, test: FaultTest) -> Tested:
     problem, fault = found.problem, test.fault
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (fault, test.shape))
     named = (*found.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
-    held = replace(found, corrected=(*found.corrected, signature), named=named, identified={})
+    held = replace(found, corrected=(*found.corrected, signature), named=named)
     if signature.raw is not None and fault is not LIMIT:
-        change, identified = _search_law(found, signature) or (test.size * signature.raw, {})
-        problem = replace(problem, measured=problem.measured - change)
-        return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x, identified=identified)
+        problem = replace(problem, measured=problem.measured - test.size * signature.raw)
+        return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x)
     start = test.declared + test.size
     if fault is LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
@@ -200,24 +197,6 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     """Return the torque on the joint per unit of the controller output."""
     controller = problem.loop.controller
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
-
-
-def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
-    """Return the change of the torque, (samples,), by another law of the joint, and its parameters, by a short search.
-
-    What a secant shows of a large effect is too little: the other parameters absorb a part of it. None without such a
-    law, or if no residual is smaller.
-    """
-    if signature.trial is None:
-        return None
-    other, start = signature.trial
-    try:
-        end = solve(other, least_squares(_ROUGHLY, _FEW), start)
-        change = require_success(other.simulate(end.x)).torque - found.problem.torque(found.x)
-    except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
-        return None
-    smaller = np.linalg.norm(end.residual) < np.linalg.norm(found.residual)
-    return (change, other.values(end.x)) if smaller else None
 
 
 # Of a robot
@@ -300,8 +279,8 @@ def find_part(residual: FloatArray, time: FloatArray) -> Part | None:
 
     A contact, a hand on the arm or a drive that is off acts for a part of the record. No number of the joint, the loop
     or the log explains it, and each that is fitted to it is wrong. A run of blocks is a finding where its mean square
-    is far above that of the rest, and where the same blocks in random order seldom have a run that exceeds it by as
-    much. A run at the beginning is none: a wrong model of the first motion is seen there.
+    and that of most of its blocks are far above that of the rest. A run at the beginning is none: a wrong model of the
+    first motion is seen there.
 
     Args:
         residual: (rows,) in the order of time.
@@ -311,28 +290,18 @@ def find_part(residual: FloatArray, time: FloatArray) -> Part | None:
     if size < _FEWEST_ROWS or not np.any(residual):
         return None
     squares = np.sum(residual[: size * _BLOCKS].reshape(_BLOCKS, size) ** 2, axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(squares)])
     begin, end = np.triu_indices(_BLOCKS + 1, _SHORTEST)
     inside = (end - begin <= _BLOCKS // 2) & (begin > 1)
     begin, end = begin[inside], end[inside]
-    count = end - begin
-
-    def exceed(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return by how much each run exceeds the rest, by the deviation of its sum, and the sums."""
-        ends = np.concatenate([[0.0], np.cumsum(blocks)])
-        within = ends[end] - ends[begin]
-        rest = (ends[-1] - within) / (_BLOCKS - count)
-        return (within - count * rest) / np.sqrt(count), within
-
-    strength, within = exceed(squares)
-    best = int(np.argmax(strength))
-    whole = float(np.sum(squares))
-    if within[best] / count[best] < _TIMES * (whole - within[best]) / (_BLOCKS - count[best]):
+    within, count = ends[end] - ends[begin], end - begin
+    rest = (ends[-1] - within) / (_BLOCKS - count)
+    best = int(np.argmax((within - count * rest) / np.sqrt(count)))
+    first, last, least = int(begin[best]), int(end[best]), _TIMES * float(rest[best])
+    part = squares[first:last]
+    if np.mean(part) < least or np.mean(part > least) <= _MOST_OF_IT:
         return None
-    random = np.random.default_rng(0)
-    by_chance = sum(np.max(exceed(random.permutation(squares))[0]) >= strength[best] for _ in range(_ORDERS))
-    if (1 + by_chance) / (1 + _ORDERS) > _CHANCE:
-        return None
-    return Part(float(time[begin[best] * size]), float(time[end[best] * size - 1]), float(within[best]) / whole)
+    return Part(float(time[first * size]), float(time[last * size - 1]), float(within[best] / ends[-1]))
 
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Part | None:

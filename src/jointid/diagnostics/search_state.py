@@ -50,7 +50,6 @@ class Tested:
         proved: the declared loop, if its law makes the logged torque of the record's motor position.
         corrected: faults taken off the torque, for which the problem has no parameter.
         named: faults that are not tested again.
-        identified: the parameters, by name, as they are beside the last fault, where a law of the joint has it.
     """
 
     problem: ClosedLoopProblem
@@ -61,7 +60,6 @@ class Tested:
     proved: ClosedLoop | None = None
     corrected: tuple[FaultSignature, ...] = ()
     named: tuple[str, ...] = ()
-    identified: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def _shown(self) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
@@ -125,11 +123,6 @@ class Tested:
         names = [p.name for p in self.problem.free_joint]
         by_itself = Influence(self.own, self.residual).robust().std
         return {name: self.known.get(name, float(std)) for name, std in zip(names, by_itself, strict=False)}
-
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters by name, with the last fault corrected."""
-        return {**self.problem.values(self.x), **self.identified}
 
     def test_law(self, fault: Fault, moved: FloatArray) -> FaultTest:
         """Return the test of another law, which moves the torque by `moved`, (rows,), beside the faults."""
