@@ -21,7 +21,7 @@ def name_first(seed: int, loop: Loop, noise: Noise, fault: str) -> str:
     """Return what is named first where there is a fault, or `NOTHING`; nothing is solved again, which costs less."""
     where = setting(loop)
     made = problem(where, None if fault == NOTHING else on(loop, fault), noise, seed)
-    top = rank_tests(search_faults(made, solved(made, where, 1e-4), level=1e-300).tests, _LEVEL)[0]
+    top = rank_tests(search_faults(made, solved(made, where, 1e-4), most=0).tests, _LEVEL)[0]
     return top.name if top.p_value <= _LEVEL else NOTHING
 
 

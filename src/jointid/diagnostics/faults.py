@@ -14,6 +14,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
@@ -85,6 +86,7 @@ class FaultSignature:
         shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
         raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
         axis: that has it.
+        trial: the problem of the joint with it, and (free,) a start, if a law of the joint has it.
     """
 
     fault: Fault
@@ -92,6 +94,7 @@ class FaultSignature:
     shape: float | None = None
     raw: FloatArray | None = None
     axis: int = 0
+    trial: tuple[ClosedLoopProblem, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)

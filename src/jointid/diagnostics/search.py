@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding, Part
@@ -36,17 +36,20 @@ from jointid.diagnostics.variants import (
     find_undecided,
     test_laws,
 )
-from jointid.estimation.descent import descend
+from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Record
+from jointid.simulation.simulate import require_success
+from jointid.solvers.solve import solve
 from jointid.uncertainty.position_dependent_error import cells
 
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
+_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 _FEWEST = 4  # rows to a column, of each fault one
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
@@ -70,7 +73,6 @@ def search_faults(
     record: Record | None = None,
     law: LawOnPosition | None = None,
     *,
-    level: float = LEVEL,
     most: int = MOST,
 ) -> AxisFaults:
     """Return the faults of a joint, its loop and its log.
@@ -78,18 +80,16 @@ def search_faults(
     Args:
         problem: with the identified parameters free; those are not tested.
         x: (free,) its solution.
-        std: standard errors of the joint's parameters by name, in which shifts are given; autocorrelation-robust ones
-            when None.
+        std: standard errors of the joint's parameters by name, in which shifts are given.
         record: of the problem; without it a drive that runs faster than the log is not searched for.
         law: what the declared law leaves of the torque along the record's motor position; None without one.
-        level: largest share of records without a fault in which one is found.
         most: faults named at most, one after another.
     """
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
     if np.linalg.norm(problem.residual(x)) > exact:  # a rigid joint's DIDIM ends near the least squares, not on them
         x = descend(problem, x, _TOLERANCE).x
     proved = problem.loop if law is not None and law.holds else None
-    begun = found = Tested(problem, np.asarray(x, dtype=np.float64), level, std or {}, record, proved)
+    begun = found = Tested(problem, np.asarray(x, dtype=np.float64), std or {}, record, proved)
     findings, suspected = list[Finding](), list[Finding]()
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
@@ -129,7 +129,7 @@ def _list_suspected(found: Tested, laws: Sequence[LawTest], more: Sequence[Fault
     drive that the record does not exclude.
     """
     first = next((one for one in found.tests if one.fault.mechanical), None)
-    near = first is not None and found.level < first.p_value <= RARER * found.level
+    near = first is not None and LEVEL < first.p_value <= RARER * LEVEL
     for one in (*([first] if first is not None and near else []), *more):
         yield _find(found, one)[0]
     law = find_undecided(found, laws)
@@ -147,11 +147,9 @@ def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
 def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
     """Return a test as a finding, with what nearly as likely ones would shift, and the problem with it corrected."""
     after, rivals = _correct(found, test), found.list_rivals(test)
-    values = after.problem.values(after.x)
-    changes = found.shifts_to(values)
+    values, changes = after.values, found.shifts_to(after.values)
     for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
-        other = _correct(found, one)
-        beside = found.shifts_to(other.problem.values(other.x))
+        beside = found.shifts_to(_correct(found, one).values)
         changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
     if len(after.corrected) > len(found.corrected):
         return Finding(test, None, rivals, changes), after
@@ -170,10 +168,11 @@ def _correct(found: Tested, test: FaultTest) -> Tested:
     problem, fault = found.problem, test.fault
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (fault, test.shape))
     named = (*found.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
-    held = replace(found, corrected=(*found.corrected, signature), named=named)
+    held = replace(found, corrected=(*found.corrected, signature), named=named, beside={})
     if signature.raw is not None and fault is not LIMIT:
-        problem = replace(problem, measured=problem.measured - test.size * signature.raw)
-        return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x)
+        change, values = _search_law(found, signature) or (test.size * signature.raw, {})
+        problem = replace(problem, measured=problem.measured - change)
+        return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x, beside=values)
     start = test.declared + test.size
     if fault is LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
@@ -197,6 +196,24 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     """Return the torque on the joint per unit of the controller output."""
     controller = problem.loop.controller
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
+
+
+def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
+    """Return the change of the torque, (samples,), by another law of the joint, and its parameters, by a short search.
+
+    What a secant shows of a large effect is too little: the other parameters absorb a part of it. None without such a
+    law, or if no residual is smaller.
+    """
+    if signature.trial is None:
+        return None
+    other, start = signature.trial
+    try:
+        end = solve(other, least_squares(_ROUGHLY, _FEW), start)
+        change = require_success(other.simulate(end.x)).torque - found.problem.torque(found.x)
+    except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
+        return None
+    smaller = np.linalg.norm(end.residual) < np.linalg.norm(found.residual)
+    return (change, other.values(end.x)) if smaller else None
 
 
 # Of a robot

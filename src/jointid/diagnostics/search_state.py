@@ -22,7 +22,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import Cells
 from jointid.uncertainty.residual_tests import whiteness
 
@@ -44,22 +43,22 @@ class Tested:
     Attributes:
         problem: of a joint's loop.
         x: (free,) its solution.
-        level: largest share of records without a fault in which one is found.
-        known: standard errors of the parameters by name; autocorrelation-robust ones of those that are not there.
+        std: standard errors of the joint's parameters by name, in which shifts are given.
         record: of the problem, None if no other law is searched for.
         proved: the declared loop, if its law makes the logged torque of the record's motor position.
         corrected: faults taken off the torque, for which the problem has no parameter.
         named: faults that are not tested again.
+        beside: the parameters, by name, as they are beside the last fault, where a law of the joint has it.
     """
 
     problem: ClosedLoopProblem
     x: FloatArray
-    level: float = LEVEL
-    known: Mapping[str, float] = field(default_factory=dict)
+    std: Mapping[str, float] = field(default_factory=dict)
     record: Record | None = None
     proved: ClosedLoop | None = None
     corrected: tuple[FaultSignature, ...] = ()
     named: tuple[str, ...] = ()
+    beside: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def _shown(self) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
@@ -97,7 +96,7 @@ class Tested:
             if not {fault.name, fault.kin} & known
         }
         tests = score(self.residual, self.own, self.signatures, declared, self._where, lambda: self._forced)
-        return rank_tests(tests, self.level)
+        return rank_tests(tests, LEVEL)
 
     @cached_property
     def excluded(self) -> tuple[FaultTest, ...]:
@@ -105,7 +104,7 @@ class Tested:
         record, loop = self.record, self.proved
         if record is None or loop is None:
             return ()
-        return tuple(one for one in self._all_tests if one.p_value <= self.level and excludes_fault(record, loop, one))
+        return tuple(one for one in self._all_tests if one.p_value <= LEVEL and excludes_fault(record, loop, one))
 
     @cached_property
     def tests(self) -> tuple[FaultTest, ...]:
@@ -115,14 +114,12 @@ class Tested:
     @property
     def significant(self) -> float:
         """The greatest square of a significant test's strength; 0 without one."""
-        return max((one.strength**2 for one in self.tests if one.p_value <= self.level), default=0.0)
+        return max((one.strength**2 for one in self.tests if one.p_value <= LEVEL), default=0.0)
 
-    @cached_property
-    def std(self) -> dict[str, float]:
-        """Standard errors of the joint's parameters, by name."""
-        names = [p.name for p in self.problem.free_joint]
-        by_itself = Influence(self.own, self.residual).robust().std
-        return {name: self.known.get(name, float(std)) for name, std in zip(names, by_itself, strict=False)}
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters by name, with the last fault corrected."""
+        return {**self.problem.values(self.x), **self.beside}
 
     def test_law(self, fault: Fault, moved: FloatArray) -> FaultTest:
         """Return the test of another law, which moves the torque by `moved`, (rows,), beside the faults."""
@@ -133,14 +130,14 @@ class Tested:
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:
         """Return the significant tests of other faults that are not far less likely."""
         least = test.strength**2 - RIVAL
-        likely = (one for one in self.tests if one.p_value <= self.level and one.strength**2 > least)
+        likely = (one for one in self.tests if one.p_value <= LEVEL and one.strength**2 > least)
         return tuple(one for one in likely if one is not test)
 
     def shifts_to(self, values: Mapping[str, float]) -> dict[str, ParameterShift]:
         """Return the shifts of the joint's parameters to other values."""
         found = {}
-        for (name, std), x in zip(self.std.items(), self.x.tolist(), strict=False):
-            by = float(values[name] - x)
+        for name, x in zip((p.name for p in self.problem.free_joint), self.x.tolist(), strict=False):
+            by, std = values[name] - x, self.std.get(name, 0.0)
             found[name] = ParameterShift(by, by / std if std > 0 else 0.0)
         return found
 

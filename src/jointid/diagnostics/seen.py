@@ -72,6 +72,11 @@ class Seen:
         return {} if self.loop is None else self.loop[0].values(self.loop[1])
 
     @cached_property
+    def trials(self) -> dict[int, tuple[ClosedLoopProblem, FloatArray]]:
+        """The problem and the start of each joint with other laws, by the identity of what it changes of the torque."""
+        return {}
+
+    @cached_property
     def _plain(self) -> FloatArray:
         return np.zeros(0) if self.loop is None else self.loop[0].torque(self.loop[1])
 
@@ -114,11 +119,13 @@ class Seen:
         own = tuple(given.get(p.name, p) for p in joint.parameters)
         beside = problem.parameters[len(problem.joint.parameters) :]
         other = replace(problem, loop=replace(problem.loop, joint=joint), parameters=(*own, *beside))
+        start = other.vector({**self.values, **values})
         try:
-            faulty = require_success(other.simulate(other.vector({**self.values, **values})))
+            faulty = require_success(other.simulate(start))
         except JointidError:  # a loop that is unstable with it is not that of the record
             return None
         raw = (faulty.torque - self._plain) / size
+        self.trials[id(raw)] = other, start
         return raw if np.all(np.abs(size * raw) < _WILD * float(np.max(np.abs(self._plain)))) else None
 
     def limited(self, level: float) -> FloatArray | None:

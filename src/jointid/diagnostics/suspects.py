@@ -362,4 +362,4 @@ def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
     for fault in (*FAULTS, *coupled):
         for shape, raw in () if fault.columns is None else fault.columns(seen):
             if raw is not None:
-                yield FaultSignature(fault, raw, shape, raw)
+                yield FaultSignature(fault, raw, shape, raw, trial=seen.trials.get(id(raw)))

@@ -33,7 +33,7 @@ from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.diagnostics.model_free import excludes
-from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
+from jointid.diagnostics.search_state import INTERVAL, LEVEL, RIVAL, Tested
 from jointid.diagnostics.suspects import REFERENCE_DELAY
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -198,7 +198,7 @@ class LawTest:
     def explains(self, found: Tested) -> bool:
         """Whether the record excludes the declared law, and no fault explains it better."""
         test = self.test
-        if not self.possible or test.size <= 0 or test.p_value > found.level:
+        if not self.possible or test.size <= 0 or test.p_value > LEVEL:
             return False
         return self.likelihood >= max((one.strength**2 for one in found.tests), default=0.0) - RIVAL
 
@@ -235,10 +235,11 @@ def _may_matter(found: Tested, step: FaultTest, moved: FloatArray) -> bool:
         return False
     if _REACH * step.strength**2 < found.significant - RIVAL:
         return False
-    if step.size > 0 and step.p_value <= found.level:
+    if step.size > 0 and step.p_value <= LEVEL:
         return True
     by = np.linalg.lstsq(found.own, moved, rcond=None)[0]
-    return any(_REACH * abs(one) > _MATTERS * std for one, std in zip(by, found.std.values(), strict=False))
+    stds = (found.std.get(p.name, 0.0) for p in found.problem.free_joint)
+    return any(_REACH * abs(one) > _MATTERS * std for one, std in zip(by, stds, strict=False))
 
 
 def test_laws(found: Tested) -> list[LawTest]:
@@ -256,7 +257,7 @@ def test_laws(found: Tested) -> list[LawTest]:
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
             moved = found.residual - problem.under(first.controller, record).residual(x)
             step, start = found.test_law(first.fault, moved), x
-            if not (step.p_value <= found.level if first.evident else _may_matter(found, step, moved)):
+            if not (step.p_value <= LEVEL if first.evident else _may_matter(found, step, moved)):
                 continue
             for other in _list_late(problem, x) if first.fault is AVERAGED else (first, *others):
                 one = _test_law(found, other, record, start)
