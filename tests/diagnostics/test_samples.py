@@ -10,10 +10,9 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill, find_steps
 from jointid.estimation.result.verdict import Reason
-from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
 from studies.mechanics import lose
-from tests.mistakes import AxisName, axis, run, tell
+from tests.mistakes import AxisName, axis, run
 
 T = 1e-3
 REFERENCE = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, T, rest=0.5, duration=8.0)
@@ -129,25 +128,24 @@ def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cau
         assert (None if found is None else found.values["causes"][0]["cause"]) == cause
 
 
-def smaller(name: AxisName, share: float) -> tuple[Record, ClosedLoop]:
+def smaller(name: AxisName, share: float) -> Record:
     """An axis that is asked for so much of its motion only, with little of its noise."""
     made = axis(name)
     reference = made.reference[0] + share * (made.reference - made.reference[0])
     made = replace(made, reference=reference, noise=0.03 * made.noise, log_noise=0.03 * made.log_noise)
-    return run(made, made.controller), ClosedLoop(made.joint, made.controller)
+    return run(made, made.controller)
 
 
 @pytest.mark.parametrize(("name", "share"), [("direct", 4e-4), ("flexible", 2e-5)])
 def test_an_axis_that_its_friction_holds_hardly_moves(name: AxisName, share: float) -> None:
-    record, loop = smaller(name, share)
+    record = smaller(name, share)
     assert np.ptp(record.motor_position.values) == 0  # type: ignore[union-attr]
     assert find_standstill(record).code is Reason.HARDLY_MOVES  # type: ignore[union-attr]
-    assert "the axis hardly moves" in tell(record, loop)[1]
-    assert find_standstill(smaller(name, 1.0)[0]) is None
+    assert find_standstill(smaller(name, 1.0)) is None
 
 
 def test_a_few_steps_of_an_encoder_are_hardly_a_motion() -> None:
-    record, _ = smaller("direct", 0.01)
+    record = smaller("direct", 0.01)
     motor = record.motor_position
     step = np.ptp(motor.values) / 6
     coarse = record.with_channels({"motor_position": replace(motor, values=step * np.round(motor.values / step))})

@@ -197,7 +197,7 @@ class Finding:
         rivals: tests of faults that are at most 20 times less likely.
         changes: of the joint's parameters, by name, when it is corrected.
         law: that the drive runs instead of the declared one, where that is the fault.
-        left: residual share of the filtered torque under that law.
+        left: residual share of the filtered torque under that law, or with that fault in the joint.
         alike: equally good laws, the likeliest first.
     """
 

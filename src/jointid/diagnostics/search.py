@@ -152,7 +152,8 @@ def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
         beside = found.shifts_to(_correct(found, one).values)
         changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
     if len(after.corrected) > len(found.corrected):
-        return Finding(test, None, rivals, changes), after
+        left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
+        return Finding(test, None, rivals, changes, left=left if after.beside else None), after
     if test.fault is LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
