@@ -24,7 +24,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.didim import search_robot
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.start import begin
 from tests.estimation.robots.test_rigid_robots import recorded
@@ -55,7 +55,7 @@ def loops() -> None:
     """Print the time and the error of a closed loop, ours and MuJoCo's."""
     for name, twin in (("rigid", six()), ("flexible", six(True))):
         loop = twin.loop()
-        experiment, numbers = prepare(loop, twin.records(10.0)), RobotNumbers.of(twin.robot)
+        experiment, numbers = prepare(loop, twin.records(10.0)), Numbers.of(twin.robot)
         exact = run_loop(experiment, numbers, steps=16).torque
         own = shortest(lambda: run_loop(experiment, numbers))  # noqa: B023
         print(f"{name}, times of the processor: ours {own[1]:.3f} s, ", end="")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.plant import JointNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from tests.plants import LAWS, prismatic, rotary, with_law
 
@@ -39,8 +39,8 @@ def main() -> None:
             loop, values = with_law(case, name)
             names = [p.name for p in loop.joint.parameters]
             whole = ratio(
-                lambda: run_loop(experiment, JointNumbers(loop.joint, values)),  # noqa: B023
-                lambda: run_loop(experiment, JointNumbers(case.loop.joint, case.truth)),  # noqa: B023
+                lambda: run_loop(experiment, Numbers.of_joint(loop.joint, values)),  # noqa: B023
+                lambda: run_loop(experiment, Numbers.of_joint(case.loop.joint, case.truth)),  # noqa: B023
                 7,
             )
             slopes = ratio(

@@ -28,7 +28,7 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.synthesis import simulate
 
@@ -223,7 +223,7 @@ def judge(seed: int, flexible: bool) -> Found | None:
         refused = tuple(f"{one.joint}." for one in fit.springs if not one.shown)
     except JointidError:
         return Found()
-    truth = fit.parameters.group(RobotNumbers.of(made.loop.robot))
+    truth = fit.parameters.group(Numbers.of(made.loop.robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
     free &= ~np.array([name.startswith(refused) for name in fit.names])
     free &= ~np.array([place.is_of_record for place in fit.parameters.places])

@@ -16,7 +16,7 @@ from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 
 T = TypeVar("T", bound=ji.Estimate)
 
@@ -36,7 +36,7 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
         other = replace(part, nominal=part.parameters_of(bodies))
         return [axis.nominal_error for axis in ji.validate(replace(estimate, robot=other), records).axes]
     problem: Any = pose_robot(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
-    return [*errors_of(problem, RobotNumbers.of(bodies))]
+    return [*errors_of(problem, Numbers.of(bodies))]
 
 
 def faults_of(estimate: Estimate, record: Record, most: int = MOST) -> AxisFaults:

@@ -11,17 +11,11 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD
+from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import (
-    SPRING_NUMBERS,
-    MassNumbers,
-    NumberOf,
-    NumberPlace,
-    RobotNumbers,
-    law_places,
-)
+from jointid.simulation.plant import Numbers, Place
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 Z = (0.0, 0.0, 1.0)
@@ -209,24 +203,19 @@ def seven(flexible: bool = False) -> Twin:
     )
 
 
-def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
-    """Return the places of every number that a robot has: masses, then springs, then links."""
-    n = numbers.rotors.size
-    masses = [
-        NumberPlace(NumberOf.MASS, row, column)
-        for row in range(len(numbers.masses))
-        for column in (*((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:6]) else range(4)), 6)
-        if (row in numbers.rotors or column in (1, 2)) and (column != 6 or numbers.masses[row, 7] > 0.0)
-    ]
-    masses += [
-        place
-        for place, _ in law_places(numbers)
-        if place.of is NumberOf.MASS and place.column >= MassNumbers.PRESLIDING
-    ]
-    springs = [
-        NumberPlace(NumberOf.SPRING, i, SPRING_NUMBERS.index(p.name))
-        for i, (_, law) in enumerate(numbers.laws)
-        for p in (() if law is None else law.parameters)
-    ]
-    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
-    return (*masses, *springs, *links)
+def all_places(numbers: Numbers) -> tuple[Place, ...]:
+    """Return the places of every number that a robot has: of the joints, then of the links."""
+    own = [Place(i, name) for i, of in enumerate(numbers.values) for name in of if name != "load_offset"]
+    links = [Place(i, symbol) for i in range(len(numbers.joints)) for symbol in SYMBOLS]
+    return (*(place for place in own if place in numbers), *links)
+
+
+def with_springs(numbers: Numbers, factor: float) -> Numbers:
+    """Return a robot with other stiffnesses and dampings."""
+    own = [Place(int(i), name) for i in np.flatnonzero(numbers.flexible) for name in ("stiffness", "damping")]
+    return numbers.with_values(own, [factor * numbers[place] for place in own])
+
+
+def stiffness_of(robot: Robot) -> FloatArray:
+    """Return the stiffnesses of a robot's springs, (n,); 0 of rigid joints."""
+    return np.array([0.0 if joint.spring is None else joint.spring.stiffness for joint in robot.joints])

@@ -23,10 +23,10 @@ class Engine(Peer):
 
     def torque(self, parameters: Array) -> Array:
         """Return the torque that an optimiser is given for one candidate."""
-        from jointid.simulation.plant import JointNumbers
+        from jointid.simulation.plant import Numbers
         from jointid.simulation.simulate import run_loop
 
-        return run_loop(self.experiment, JointNumbers(self.closed.joint, _values(parameters))).torque
+        return run_loop(self.experiment, Numbers.of_joint(self.closed.joint, _values(parameters))).torque
 
     def slopes(self, parameters: Array) -> tuple[Array, Array]:
         """Return the torque and its exact derivatives."""

@@ -14,7 +14,7 @@ from jointid.estimation.identify import fit
 from jointid.records.record import Tap
 from jointid.simulation.derivatives import respond_to_laws
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from tests.robots_plants import two
 
@@ -88,7 +88,7 @@ def test_a_robot_responds_to_another_law_as_its_simulation_does(other, tap, peri
     driven = [replace(one, tap=tap) for one in twin.records(1.5)]
     first, second = twin.loop().controllers
     loop = replace(twin.loop(), controllers=(first, replace(second, period=period or second.period)))
-    experiment, numbers = prepare(loop, driven), RobotNumbers.of(twin.robot)
+    experiment, numbers = prepare(loop, driven), Numbers.of(twin.robot)
     run = run_loop(experiment, numbers, keep=True)
     for joint, own in enumerate(experiment.axes):
         law = replace(loop.controllers[joint], **other)

@@ -14,7 +14,7 @@ from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.output.figures.charts import AxisSignals
 from jointid.paper.twin import twin
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate
 
 SAMPLE_TIME = 2e-3
@@ -225,7 +225,7 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
         computed.append(ji.controller.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))
     problem = pose_robot(loop, computed, robot_parameters(twin.robot))
     assert problem.filtering.cutoff is not None and problem.filtering.cutoff < 30.0
-    error = problem.error_of(RobotNumbers.of(twin.robot))
+    error = problem.error_of(Numbers.of(twin.robot))
     assert error is not None
     rows = problem.by_joint(error)
     spanned = (rows.shape[1] - 1) * (problem.filtering.decimation or 1)

@@ -14,7 +14,8 @@ from jointid.models.springs import Spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.joints import _holding_torque
 from jointid.simulation.drive_side import PARTS, DriveSide, prescribe, run_drive_side
-from jointid.simulation.plant import JointNumbers
+from jointid.simulation.plant import Numbers, Place
+from jointid.simulation.start import steady_joint
 
 RIGID = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
 WAVED = {"harmonic_1_cosine": 8.0, "harmonic_1_sine": -5.0}
@@ -37,7 +38,7 @@ def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> 
     joint = FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load"))
     joint = joint if spring is None else replace(joint, spring=Spring(spring))
     values = TABLE_2 | SWINGS | {"cubic_stiffness": 0.0, "load_harmonic_1_cosine": 80.0, "load_harmonic_1_sine": 0.0}
-    hung = joint.hang(values, 0.0, 0.0)
+    hung = steady_joint(Numbers.of_joint(joint, values), 0.0, 0.0, 0.0).settle()[0][1]
     force = 80.0 * np.cos(2 * np.pi / RIPPLE.period * hung)
     assert -hung == pytest.approx(force / TABLE_2["stiffness"])
 
@@ -47,11 +48,11 @@ def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
     q = 0.05 * np.sin(2 * np.pi * 0.7 * t)
     names = tuple(WAVED)
     motion = prescribe(q[:, np.newaxis], 1e-3, PARTS)
-    run = run_drive_side(motion, JointNumbers(RigidJoint("prismatic", ripple=RIPPLE), RIGID | WAVED))
-    plain = run_drive_side(motion, JointNumbers(RigidJoint("prismatic"), RIGID))
+    run = run_drive_side(motion, Numbers.of_joint(RigidJoint("prismatic", ripple=RIPPLE), RIGID | WAVED))
+    plain = run_drive_side(motion, Numbers.of_joint(RigidJoint("prismatic"), RIGID))
     columns = RIPPLE.columns(run.motion.position[:, 0])
     np.testing.assert_allclose((run.torque - plain.torque)[:, 0], columns @ list(WAVED.values()), atol=1e-9)
-    np.testing.assert_allclose(run.columns(names)[0][1], columns)
+    np.testing.assert_allclose(run.columns([Place(0, name) for name in names])[0][1], columns)
     with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):
         DriveSide(FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load")))
 

@@ -14,7 +14,7 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.plant import JointNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, motion_of
 
 T = 1e-3
@@ -22,7 +22,7 @@ JOINT = FlexibleJoint("prismatic")
 
 
 def run_along(position: np.ndarray, values: dict[str, float], parts: int = PARTS, joint: Joint = JOINT) -> DriveSideRun:
-    return run_drive_side(prescribe(position[:, np.newaxis], T, parts), JointNumbers(joint, values))
+    return run_drive_side(prescribe(position[:, np.newaxis], T, parts), Numbers.of_joint(joint, values))
 
 
 def wave(samples: int = 3000, pause: bool = False) -> np.ndarray:

@@ -11,8 +11,8 @@ from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.simulation.kernels import drive
 from jointid.simulation.kernels.tables import FINISHED, TAPE, TOO_STIFF, Trace
-from jointid.simulation.plant import JointNumbers
-from jointid.simulation.simulate import integrate, motion_of, pass_on
+from jointid.simulation.plant import Numbers
+from jointid.simulation.simulate import integrate, lines_of, motion_of, pass_on
 from tests.simulation.reference import simulate
 
 T = 1e-3
@@ -30,7 +30,7 @@ def free(
 
     The ways are the maps of lines ("exact"), the steps of any law, and the slow reference.
     """
-    plant, loop = JointNumbers(joint, values).plant, pass_on(torque[np.newaxis, np.newaxis], period)
+    plant, loop = Numbers.of_joint(joint, values).plant, pass_on(torque[np.newaxis, np.newaxis], period)
     n, none = len(plant.masses), np.zeros((1, 0))
     place, speed, before = x0[: 2 * n : 2], x0[1 : 2 * n : 2], torque[:1]
     if way == "reference":
@@ -45,7 +45,7 @@ def free(
     tape, modes = np.zeros((0, TAPE)), np.zeros(torque.size, dtype=np.int16)
     trace = Trace(np.zeros(torque.size), np.zeros((0, 1)), states, modes, tape, counts)
     x = np.append(x0, np.zeros(4 - x0.size))
-    status = drive.run(joint.coefficients(values), loop, float(before[0]), none, x, math.inf, trace)
+    status = drive.run(lines_of(plant), loop, float(before[0]), none, x, math.inf, trace)
     return status, states[:, : 2 * n : 2], states[:, 1 : 2 * n : 2], int(counts[0])
 
 

@@ -13,8 +13,8 @@ from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.drive_side import PARTS, DriveSideRun, differentiate_drive_side, prescribe, run_drive_side
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.plant import JointNumbers
-from jointid.simulation.start import Initial
+from jointid.simulation.plant import Numbers
+from jointid.simulation.start import Initial, steady_joint
 from jointid.simulation.synthesis import simulate
 from tests.plants import prismatic, rotary
 from tests.simulation.differences import error_beside_differences
@@ -55,7 +55,7 @@ def test_the_equation_of_a_link_in_gravity_holds(joint: Joint, values: dict[str,
     motion = prescribe(whole.motor_position[:, np.newaxis], 1e-3, PARTS)
 
     def along_with(other: dict[str, float]) -> DriveSideRun:
-        return run_drive_side(motion, JointNumbers(joint, other))
+        return run_drive_side(motion, Numbers.of_joint(joint, other))
 
     prescribed = along_with(values)
     ((own, slopes),), moved = prescribed.columns(names), differentiate_drive_side(prescribed, names)[:, 0]
@@ -82,7 +82,7 @@ def test_derivatives_of_a_link_that_begins_off_its_reference(joint: Joint, value
 
 
 def test_a_load_at_rest_hangs_where_its_spring_carries_it() -> None:
-    load = HANGING[1][0].hang(VALUES, 0.7, 0.0)
+    load = steady_joint(Numbers.of_joint(HANGING[1][0], VALUES), 0.7, 0.0, 0.0).settle()[0][1]
     weight = 36.0 * math.cos(load) + 15.0 * math.sin(load) - 1.0 * load
     assert VALUES["stiffness"] * (0.7 - load) == pytest.approx(weight, rel=1e-10)
 

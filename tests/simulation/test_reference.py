@@ -12,7 +12,7 @@ from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
 from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
-from jointid.simulation.plant import JointNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
@@ -51,7 +51,7 @@ def agree(
     """Assert that torque and positions are the reference's; return the run, and its events there."""
     found = simulate(loop, experiment, values, initial)
     assert found.outcome is Outcome.FINISHED
-    command, q, _, events = of_loop(experiment, JointNumbers(loop.joint, values), initial)
+    command, q, _, events = of_loop(experiment, Numbers.of_joint(loop.joint, values), initial)
     torque = to_log(experiment.axis, seen_torque(experiment.axis, command[0]))
     assert np.max(np.abs(found.torque - torque)) <= within * np.max(np.abs(torque))
     travel = np.ptp(q[:, 0]) + np.max(np.abs(q[:, 0] - q[:, -1]))

@@ -16,10 +16,10 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
+from jointid.simulation.plant import LOAD_STATE, Numbers, Place
 from jointid.simulation.simulate import Outcome, Simulation, motion_of
 from jointid.simulation.synthesis import simulate
-from tests.robots_plants import Twin, all_places, inertial, six, two
+from tests.robots_plants import Twin, all_places, inertial, six, two, with_springs
 from tests.simulation.test_robots import COUPLED, changed
 
 
@@ -61,23 +61,23 @@ def error(found: DriveSideRun, run: Simulation, parts: int = 1, first: int = 0) 
 )
 def test_the_torque_is_that_of_the_loop_that_moved_the_motors(twin: Twin) -> None:
     run = played(twin)
-    numbers = RobotNumbers.of(twin.robot)
+    numbers = Numbers.of(twin.robot)
     found = run_drive_side(prescribed(twin.robot, run), numbers)
     assert found.outcome is Outcome.FINISHED
     # What a link that begins to stick does to the motor of a rigid joint is a jump within a sample.
     bounds = np.where(numbers.flexible, 2e-4, 1e-3)
     assert np.all(error(found, run) < bounds)
     # Springs that are a hundredth stiffer are seen.
-    stiffer = replace(numbers, springs=1.01 * numbers.springs)
+    stiffer = with_springs(numbers, 1.01)
     assert np.max(error(run_drive_side(prescribed(twin.robot, run), stiffer), run)) > 2e-3
 
 
 def test_where_the_motors_are_at_the_ends_of_the_parts_is_right_to_the_fourth_order() -> None:
     twin = two((12.0, 18.0))
-    run, numbers, off = played(twin), RobotNumbers.of(twin.robot), []
+    run, numbers, off = played(twin), Numbers.of(twin.robot), []
     for parts in (1, 2, 4):
         found = run_drive_side(prescribed(twin.robot, run, parts), numbers)
-        there = places_of(found)[::parts, numbers.rotors]
+        there = places_of(found)[::parts, numbers.motors]
         off.append(float(np.max(np.abs(there[600:] - run.motor_position[600:]))))
     assert off[0] < 1e-6
     assert off[0] / off[1] > 10.0
@@ -87,11 +87,12 @@ def test_where_the_motors_are_at_the_ends_of_the_parts_is_right_to_the_fourth_or
 def test_a_record_may_begin_in_motion() -> None:
     """With the links where they were at its first sample; from steady motion their swing would be missed."""
     twin, first = two((12.0, 18.0)), 1000
-    run, numbers = played(twin), RobotNumbers.of(twin.robot)
+    run, numbers = played(twin), Numbers.of(twin.robot)
     motion = prescribed(twin.robot, run, first=first)
-    steady = run_drive_side(motion, replace(numbers, beside=np.zeros((2, 2))))
+    steady = run_drive_side(motion, numbers)
     beside = np.column_stack([run.load_position[first] - steady.start[:2], run.load_velocity[first] - motion.speeds])
-    found = run_drive_side(motion, replace(numbers, beside=beside))
+    places = [Place(j, name) for j in range(2) for name in LOAD_STATE]
+    found = run_drive_side(motion, numbers.with_values(places, beside.ravel()))
     at = places_of(found)[: len(run.load_position) - first, :2]
     assert at == pytest.approx(run.load_position[first:], abs=3e-6)
     lost = places_of(steady)[:500, :2] - run.load_position[first : first + 500]
@@ -110,21 +111,19 @@ def test_a_record_may_begin_in_motion() -> None:
 def test_derivatives_are_those_of_differences(hertz: tuple[float | None, float | None]) -> None:
     twin = two(hertz)
     run = played(twin, 1.0)
-    numbers = replace(RobotNumbers.of(twin.robot), beside=np.zeros((2, 2)), log=np.zeros((1, 1)))
+    first = [Place(int(i), LOAD_STATE[0]) for i in np.flatnonzero(Numbers.of(twin.robot).flexible)]
+    numbers = Numbers.of(twin.robot).with_values(first, np.zeros(len(first)))
     motion = prescribed(twin.robot, run, parts=4)
-    places = (
-        *all_places(numbers),
-        *(NumberPlace(NumberOf.BESIDE, int(i), 0) for i in np.flatnonzero(numbers.flexible)),
-    )
+    places = (*all_places(numbers), *first)
     found = run_drive_side(motion, numbers)
     slopes = differentiate_drive_side(found, places)
     for i, (own, columns) in enumerate(found.columns(places)):
         slopes[:, i, own] += columns
     sizes = np.linalg.norm(slopes, axis=(0, 1))
     for c, place in enumerate(places):
-        value = place.read(numbers)
-        step = 1e-6 if place.of is NumberOf.BESIDE else 1e-4 * max(abs(value), 1e-2)
-        ends = [run_drive_side(motion, with_values(numbers, (place,), np.array([value + d]))) for d in (step, -step)]
+        value = numbers[place]
+        step = 1e-6 if place in first else 1e-4 * max(abs(value), 1e-2)
+        ends = [run_drive_side(motion, numbers.with_values((place,), np.array([value + d]))) for d in (step, -step)]
         difference = (ends[0].torque - ends[1].torque) / (2 * step)
         size = max(float(np.linalg.norm(difference)), 1e-6 * float(np.median(sizes)))
         assert np.linalg.norm(slopes[:, :, c] - difference) < 0.01 * size, place
@@ -137,16 +136,16 @@ def test_a_heavy_load_does_not_move_a_motor_that_is_held() -> None:
     )
     robot = Robot((link,), (RobotJoint("arm", 10.0, spring=JointSpring(4.6e6, 1e4, 1.0, 1.0)),))
     motion = prescribe(np.zeros((15001, 1)), 4e-3, 1, robot.tree, True)
-    found = run_drive_side(motion, RobotNumbers.of(robot))
+    found = run_drive_side(motion, Numbers.of(robot))
     assert found.torque[[0, -1], 0] == pytest.approx(-981.0, rel=1e-5)
 
 
 def test_what_cannot_be_simulated_is_said() -> None:
     twin = two((12.0, 18.0))
-    motion, numbers = prescribed(twin.robot, played(twin, 1.0)), RobotNumbers.of(twin.robot)
+    motion, numbers = prescribed(twin.robot, played(twin, 1.0)), Numbers.of(twin.robot)
     for other, outcome in (
-        (replace(numbers, springs=-numbers.springs), Outcome.INVALID),
-        (replace(numbers, springs=1e8 * numbers.springs), Outcome.TOO_STIFF),
+        (with_springs(numbers, -1.0), Outcome.INVALID),
+        (with_springs(numbers, 1e8), Outcome.TOO_STIFF),
         (replace(numbers, inertials=-numbers.inertials), Outcome.NOT_POSITIVE),
     ):
         found = run_drive_side(motion, other)

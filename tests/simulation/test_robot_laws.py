@@ -11,14 +11,10 @@ from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import (
-    SPRING_NUMBERS,
-    MassNumbers,
-    NumberOf,
-    NumberPlace,
-    RobotNumbers,
+from jointid.simulation.plant import (
+    Numbers,
+    Place,
     robot_with,
-    with_values,
 )
 from jointid.simulation.simulate import Outcome, run_loop
 from jointid.simulation.start import Initial
@@ -98,38 +94,23 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if not joint.straight else 1e-9)
 
 
-def own_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
+def own_places(numbers: Numbers) -> list[Place]:
     """Return the places of all numbers that the laws of a robot of one joint have."""
-    found = [NumberPlace(NumberOf.LINK, 0, 9)]
-    beside = {
-        "stribeck_force": MassNumbers.RISE, "stribeck_speed": MassNumbers.SPEED,
-        "presliding_distance": MassNumbers.PRESLIDING, "viscous_drift": MassNumbers.VISCOUS_DRIFT,
-        "coulomb_drift": MassNumbers.COULOMB_DRIFT, "friction_per_torque": MassNumbers.PER_TORQUE,
-    }  # fmt: skip
-    for row, law in enumerate(numbers.frictions):
-        viscous = (4, 5) if law.two_ways else (1,)
-        columns = [*viscous, 2, 3, *(beside[p.name] for p in law.parameters() if p.name in beside)]
-        if row >= numbers.rotors.size:
-            columns = [column for column in columns if column != MassNumbers.PER_TORQUE]
-        columns = [0, *columns] if row in numbers.rotors else columns
-        found += [NumberPlace(NumberOf.MASS, row, int(column)) for column in columns]
-    law = numbers.laws[0][1]
-    springs = [] if law is None else [SPRING_NUMBERS.index(p.name) for p in law.parameters]
-    return (*found, *(NumberPlace(NumberOf.SPRING, 0, column) for column in springs))
+    return [Place(0, "Izz"), *(Place(0, name) for name in numbers.values[0] if name != "load_offset")]
 
 
 @JOINTS
 def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None:
     """Of order 2 in the pieces of the tape: by every number of every law."""
     record, robot = reference(), robot_of(joint)
-    driven, numbers = prepare(RobotLoop(robot, (LAW,)), (record,)), RobotNumbers.of(robot)
+    driven, numbers = prepare(RobotLoop(robot, (LAW,)), (record,)), Numbers.of(robot)
     places = own_places(numbers)
     found = differentiate(run_loop(driven, numbers, keep=True, steps=4), places)[0][0]
     for column, place in enumerate(places):
-        value = place.read(numbers)
+        value = numbers[place]
         step = 1e-5 * max(abs(value), 0.05)
         high, low = (
-            run_loop(driven, with_values(numbers, (place,), np.array([value + by])), steps=4).torque[:, 0]
+            run_loop(driven, numbers.with_values((place,), np.array([value + by])), steps=4).torque[:, 0]
             for by in (step, -step)
         )
         expected = (high - low) / (2.0 * step)
@@ -139,8 +120,7 @@ def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None
 @JOINTS
 def test_a_robot_has_again_what_its_numbers_say(joint: Joint) -> None:
     robot = robot_of(joint)
-    numbers = RobotNumbers.of(robot)
-    again = RobotNumbers.of(robot_with(robot, numbers))
-    assert again.masses == pytest.approx(numbers.masses, abs=1e-15)
-    assert again.springs == pytest.approx(numbers.springs, abs=1e-15)
-    assert again.laws == numbers.laws
+    numbers = Numbers.of(robot)
+    again = Numbers.of(robot_with(robot, numbers))
+    assert again.values[0] == pytest.approx(numbers.values[0], abs=1e-15)
+    assert again.joints == numbers.joints

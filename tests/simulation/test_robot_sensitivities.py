@@ -10,7 +10,7 @@ from jointid.models.controllers import PD, PID, Cascade
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, with_values
+from jointid.simulation.plant import DELAY, Numbers, Place
 from jointid.simulation.simulate import run_loop
 from tests.robots_plants import all_places, six, two
 from tests.simulation.test_robots import COUPLED, changed, faster
@@ -29,14 +29,12 @@ LIMITED = tuple(
 )
 
 
-def differences(
-    experiment: LoopInput, numbers: RobotNumbers, places: tuple[NumberPlace, ...], steps: int
-) -> FloatArray:
+def differences(experiment: LoopInput, numbers: Numbers, places: tuple[Place, ...], steps: int) -> FloatArray:
     """Return the derivatives by central differences of whole runs, (samples, n, parameters)."""
-    x, columns = np.array([place.read(numbers) for place in places]), []
+    x, columns = np.array([numbers[place] for place in places]), []
     for c in range(x.size):
         step = 1e-5 * max(abs(x[c]), 0.05) * (np.arange(x.size) == c)
-        both = [run_loop(experiment, with_values(numbers, places, x + s), steps=steps).torque for s in (step, -step)]
+        both = [run_loop(experiment, numbers.with_values(places, x + s), steps=steps).torque for s in (step, -step)]
         columns.append((both[0] - both[1]) / (2 * step[c]))
     return np.stack(columns, axis=2)
 
@@ -68,7 +66,7 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
             for one in records
             if one.reference
         )
-    experiment, numbers = prepare(loop, records), RobotNumbers.of(loop.robot)
+    experiment, numbers = prepare(loop, records), Numbers.of(loop.robot)
     places = all_places(numbers)
     if len(loop.controllers) == 6:
         places = places[::7]
@@ -88,11 +86,11 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
 def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
     """Of a parameter that nothing feels, such as the mass of a first link on an upright axis, there is none."""
     loop = six().loop()
-    experiment, numbers = prepare(loop, six().records(0.5)), RobotNumbers.of(loop.robot)
-    places = tuple(place for place in all_places(numbers) if (place.of, place.row) == (0, 0))
+    experiment, numbers = prepare(loop, six().records(0.5)), Numbers.of(loop.robot)
+    places = tuple(place for place in all_places(numbers) if place.axis == 0 and place.of_link)
     found = np.stack(differentiate(run_loop(experiment, numbers, keep=True), places)[0], axis=1)
     felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
-    assert [place.column for place, one in zip(places, felt, strict=True) if one] == [9]
+    assert [place.name for place, one in zip(places, felt, strict=True) if one] == ["Izz"]
 
 
 @pytest.mark.parametrize(
@@ -112,14 +110,14 @@ def test_variation_by_delays_is_the_derivative_of_the_run(loop: RobotLoop, avera
     if averaged:
         shown = Channel(np.ones(len(records[0].reference or ())), "N m", 1e-3, Timing.AVERAGED)
         records = tuple(replace(one, torque=shown, tap=Tap.MEASURED) for one in records)
-    experiment, places = prepare(loop, records), tuple(NumberPlace(NumberOf.DELAY, j, 0) for j in range(2))
-    numbers = replace(RobotNumbers.of(loop.robot), delays=np.array([[1.3e-3], [2.9e-3]]))
+    experiment, places = prepare(loop, records), tuple(Place(j, DELAY) for j in range(2))
+    numbers = Numbers.of(loop.robot).with_values(places, [1.3e-3, 2.9e-3])
     run = run_loop(experiment, numbers, keep=True, steps=2)
     assert run.events > 2
     found = np.stack(differentiate(run, places)[0], axis=1)
     for c, place in enumerate(places):
-        step, at = 2e-6, place.read(numbers)
-        ends = (with_values(numbers, (place,), np.array([at + by])) for by in (step, -step))
+        step, at = 2e-6, numbers[place]
+        ends = (numbers.with_values((place,), np.array([at + by])) for by in (step, -step))
         later, earlier = (run_loop(experiment, one, steps=4).torque for one in ends)
         expected = (later - earlier) / (2 * step)
         assert np.linalg.norm(found[:, :, c] - expected) < 5e-3 * np.linalg.norm(expected)

@@ -10,10 +10,10 @@ from jointid.models.controllers import PD, PID
 from jointid.records.record import Channel, Record
 from jointid.simulation.kernels.tables import FREE, LENGTH, STATE
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome, Run, motion_at, run_loop
 from jointid.simulation.synthesis import add_feed_forward, simulate
-from tests.robots_plants import Twin, seven, six, two
+from tests.robots_plants import Twin, seven, six, two, with_springs
 from tests.simulation.reference import of_loop
 
 
@@ -59,7 +59,7 @@ def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name
     twin, duration = TWINS[name]
     loop = twin.loop()
     records = faster(twin.records(5.0 * duration), 8.0)
-    experiment, numbers = prepare(loop, records), RobotNumbers.of(loop.robot)
+    experiment, numbers = prepare(loop, records), Numbers.of(loop.robot)
     exact = of_loop(experiment, numbers)[0].T
     peak = np.max(np.abs(exact), axis=0)
     runs = {steps: run_loop(experiment, numbers, steps=steps) for steps in (1, 2, 4)}
@@ -80,10 +80,8 @@ def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
         records[j] = Record(reference=Channel(np.full(len(held), held.values[0]), "rad", 1e-3))
     loop = twin.loop()
     # Friction large enough for what the other joints do to these two.
-    numbers = RobotNumbers.of(loop.robot)
-    masses = numbers.masses.copy()
-    masses[[1, 4], 2] = 80.0
-    run = simulate(loop, records, replace(numbers, masses=masses))
+    numbers = Numbers.of(loop.robot)
+    run = simulate(loop, records, numbers.with_values([Place(1, "coulomb"), Place(4, "coulomb")], [80.0, 80.0]))
     assert run.outcome is Outcome.FINISHED
     assert np.all(run.load_position[:, [1, 4]] == run.load_position[0, [1, 4]])
     assert np.all(run.motion.direction[:, [1, 4]] == 0)
@@ -94,7 +92,7 @@ def test_no_mass_slides_against_its_friction() -> None:
     """Where several events lie in one step, the earliest is taken, however they seemed from the ends of the step."""
     twin = six(True)
     records = twin.records(10.0, sample_time=5e-3, multisine=0.003)
-    run = run_loop(prepare(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
+    run = run_loop(prepare(twin.loop(4.0), records), Numbers.of(twin.robot), keep=True, steps=1)
     assert run.outcome is Outcome.FINISHED
     assert run.events > 500
     n = run.numbers.count
@@ -105,7 +103,7 @@ def test_no_mass_slides_against_its_friction() -> None:
 
 def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], worst: float) -> Run:
     """Return a run at one step a part, of which the torque is that near to the adaptive reference's, of its peak."""
-    experiment, numbers = prepare(loop, records), RobotNumbers.of(loop.robot)
+    experiment, numbers = prepare(loop, records), Numbers.of(loop.robot)
     exact = of_loop(experiment, numbers)[0].T
     run = run_loop(experiment, numbers, steps=1, keep=True)
     assert run.outcome is Outcome.FINISHED
@@ -170,10 +168,9 @@ def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
 def test_a_robot_begins_where_its_controllers_hold_its_weight(twin: Twin) -> None:
     records = tuple(Record(reference=Channel(np.full(300, q), "rad", 1e-3)) for q in twin.home)
     loop = twin.loop()
-    numbers = RobotNumbers.of(loop.robot)
-    masses = numbers.masses.copy()
-    masses[:, 2] = 0.0  # nothing but the controllers hold it
-    run = simulate(loop, records, replace(numbers, masses=masses))
+    numbers = Numbers.of(loop.robot)
+    friction = [Place(i, f"{side}coulomb") for i, side in numbers.sides]
+    run = simulate(loop, records, numbers.with_values(friction, np.zeros(len(friction))))  # the controllers hold it
     assert np.max(np.abs(run.motor_velocity)) < 1e-9
     assert np.ptp(run.torque, axis=0).max() < 1e-8
 
@@ -201,23 +198,19 @@ def test_a_feed_forward_of_the_inverse_model_tracks_better(twin: Twin) -> None:
 def test_outcomes() -> None:
     twin = two()
     loop, records = twin.loop(), twin.records(1.0)
-    numbers = RobotNumbers.of(loop.robot)
+    numbers = Numbers.of(loop.robot)
 
-    def outcome(loop: RobotLoop, numbers: RobotNumbers | None = None) -> Outcome:
+    def outcome(loop: RobotLoop, numbers: Numbers | None = None) -> Outcome:
         return simulate(loop, records, numbers).outcome
 
     assert outcome(loop) is Outcome.FINISHED
-    negative = numbers.inertials.copy()
-    negative[1, 7] = -3.0
-    assert outcome(loop, replace(numbers, inertials=negative)) is Outcome.NOT_POSITIVE
-    for column, value in ((1, -0.1), (2, -0.1), (0, np.nan)):
-        masses = numbers.masses.copy()
-        masses[1, column] = value
-        assert outcome(loop, replace(numbers, masses=masses)) is Outcome.INVALID
+    assert outcome(loop, numbers.with_values([Place(1, "Iyy")], [-3.0])) is Outcome.NOT_POSITIVE
+    for name, value in (("viscous", -0.1), ("coulomb", -0.1), ("inertia", np.nan)):
+        assert outcome(loop, numbers.with_values([Place(1, name)], [value])) is Outcome.INVALID
     wild = RobotLoop(twin.robot, tuple(PD(position_gain=1e6, derivative_gain=0.0) for _ in range(2)))
     run = simulate(wild, records)
     assert run.outcome is Outcome.DIVERGED
     assert np.all(np.isfinite(run.torque))
     assert simulate(loop, records, steps=65).outcome is Outcome.FINISHED  # as many as are asked for
-    stiff = RobotNumbers.of(two((None, 16.0)).robot)
-    assert outcome(loop, replace(stiff, springs=1e8 * stiff.springs)) is Outcome.TOO_STIFF
+    stiff = Numbers.of(two((None, 16.0)).robot)
+    assert outcome(loop, with_springs(stiff, 1e8)) is Outcome.TOO_STIFF

@@ -155,7 +155,7 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
 
     measured, predicted = measured.reshape(n, -1), predicted.reshape(n, -1)
     if motion is None:  # under controllers
-        moved, rotors = Simulation.of(solved.runs[0]).motion, part.numbers().rotors
+        moved, rotors = Simulation.of(solved.runs[0]).motion, part.numbers().motors
         q, v, a = (one[:, rotors] for one in (moved.position, moved.velocity, moved.acceleration))
         known = list_reference_laws(cast("RobotLoop", part.setup), records, problem, part.numbers(), predicted)
     else:

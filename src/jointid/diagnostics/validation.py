@@ -411,13 +411,14 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted
     (run,), error, parameters, compared = runs, problem.error(runs), problem.parameters, 1.0
     if part.has_controllers:
         moved = motion_at(run, problem.log.experiment.clock.log_index)
-        q, v = moved.position[:, numbers.rotors], moved.velocity[:, numbers.rotors]
+        q, v = moved.position[:, numbers.motors], moved.velocity[:, numbers.motors]
     else:
         motion = problem.log.motion
         q, v, compared = motion.q @ robot.coupling.T, motion.v @ robot.coupling.T, motion.moving
 
     def fit_anew() -> FloatArray | None:
-        free = replace(problem, parameters=replace(parameters, base=replace(parameters.base, log=numbers.log)))
+        base = parameters.base.with_record(numbers, (LOG_DELAY.name,))
+        free = replace(problem, parameters=replace(parameters, base=base))
         x, left = parameters.to_search_variables(parameters.group(run.numbers)), error
         for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
             free = free.reweight(left, 0)

@@ -43,7 +43,7 @@ from jointid.models.controllers.servo_base import DiagramController, Interpolati
 from jointid.records.record import Record
 from jointid.records.resampling import default_interpolation
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 
 _TIMES_FASTER = (2, 4, 8)  # than the log: at these rates a drive may run whose period is not declared
 _SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
@@ -309,7 +309,7 @@ def find_undecided(found: Tested, tests: Sequence[LawTest]) -> Finding | None:
 
 
 def list_reference_laws(
-    setup: RobotLoop, records: Sequence[Record], problem: Simulated, numbers: RobotNumbers, predicted: FloatArray
+    setup: RobotLoop, records: Sequence[Record], problem: Simulated, numbers: Numbers, predicted: FloatArray
 ) -> list[list[FaultSignature]]:
     """Return the changes of the torque of each joint by other uses of its reference, per unit of size, (rows,).
 

@@ -234,11 +234,12 @@ class Friction:
         return np.stack(columns).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
-        """Return the coefficients for both directions of motion."""
+        """Return the coefficients for both directions of motion; a value without a direction is of both."""
         if not self.two_ways:
             viscous, coulomb = values[f"{prefix}viscous"], values[f"{prefix}coulomb"]
             return viscous, viscous, coulomb, coulomb
-        forwards, held, backwards, held_back = (values[prefix + one.name] for one in _TWO_WAYS)
+        names = ((f"{prefix}{one.name}", f"{prefix}{one.part}") for one in _TWO_WAYS)
+        forwards, held, backwards, held_back = (values[own if own in values else both] for own, both in names)
         return forwards, backwards, held, held_back
 
     def beside(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
@@ -253,9 +254,10 @@ class Friction:
         """
         viscous, viscous_back, coulomb, coulomb_back = whole = self.directions(values, prefix)
         found: list[tuple[float, Directions]] = []
-        if _TERMS["stribeck"] in self.terms:
-            change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
-            speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
+        names = f"{prefix}stribeck_force", f"{prefix}stribeck_speed"
+        change, speed = (values[name] for name in names) if _TERMS["stribeck"] in self.terms else (0.0, 0.0)
+        if change or speed:  # below no speed there is no change
+            speed = speed or math.nan
             for (low, more), (high, less) in pairwise(KNOTS):
                 slope = (less - more) / (high - low)
                 steeper, higher = change * slope / speed, change * (more - slope * low)

@@ -37,8 +37,6 @@ MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
 
 _BY_DIDIM = 'simulate and identify the closed loop by the method "didim"'
-_SETTLING, _AT_REST = 200, 1e-13  # iterations that find where the load hangs, at most, and the last one's step
-_ASIDE, _SLOPE = 1e-6, 0.5  # of them: the difference's step, and the smallest slope
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
@@ -76,7 +74,12 @@ class _JointBase:
     @property
     def laws(self) -> tuple[Friction | Spring, ...]:
         """The laws of friction and, where there is one, of the spring."""
-        return (self.friction,)
+        return (self.friction, *self.springs)
+
+    @property
+    def springs(self) -> tuple[Spring, ...]:
+        """The law of the spring, where there is one."""
+        return ()
 
     @property
     def stepped(self) -> bool:
@@ -114,7 +117,7 @@ class _JointBase:
         return unit_of(parameter.quantity, self.kind, self.force_unit)
 
     @property
-    def _forces(self) -> list[tuple[int, Gravity | PositionHarmonics]]:
+    def forces(self) -> list[tuple[int, Gravity | PositionHarmonics]]:
         """Forces that follow a position, each with the side on which it acts: 0, the motor's, or -1."""
         found: list[tuple[int, Gravity | PositionHarmonics]] = [] if self.gravity is None else [(-1, self.gravity)]
         return found if self.ripple is None else [*found, (-1 if self.ripple.side == "load" else 0, self.ripple)]
@@ -148,7 +151,7 @@ class _JointBase:
             *(() if spring is None else spring.parameters),
             *(p for one in load for p in one),
             offset if identifiable else offset.fix(0.0),
-            *(p for _, force in self._forces for p in force.parameters),
+            *(p for _, force in self.forces for p in force.parameters),
         )
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
@@ -178,21 +181,13 @@ class _JointBase:
         if len(moving) > 1:
             stretched, slips = (getattr(moving[1], of) - getattr(moving[0], of) for of in ("position", "velocity"))
             found[:, at["stiffness"]], found[:, at["damping"]] = (-stretched, stretched), (-slips, slips)
-        for side_of, force in self._forces:
+        for side_of, force in self.forces:
             first, columns = at[force.parameters[0].name], force.columns(moving[side_of].position).T
             found[side_of, first : first + len(columns)] = columns
         return found.transpose(0, 2, 1)
 
-    def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
-        """Return the load's position at rest or in steady motion; the motor's if rigid.
-
-        At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing. A
-        load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
-        """
-        del values, velocity
-        return position
-
-    def _gravity_constant(self, values: Mapping[str, float]) -> float:
+    def gravity_constant(self, values: Mapping[str, float]) -> float:
+        """Return the part of gravity that is the same in all positions."""
         return 0.0 if self.gravity is None else self.gravity.coefficients(values)[0]
 
 
@@ -213,12 +208,6 @@ class RigidJoint(_JointBase):
 
     model = "rigid"
     sides = ("",)
-
-    def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the drive for the simulation (`simulation.kernels`): a motor, and a load without a spring."""
-        friction = self.friction.directions(values, "")
-        offset = values["offset"] + self._gravity_constant(values)
-        return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
     @property
     def linear(self) -> RigidJoint:
@@ -253,9 +242,9 @@ class FlexibleJoint(_JointBase):
     spring: Spring = field(default_factory=Spring)
 
     @property
-    def laws(self) -> tuple[Friction | Spring, ...]:
-        """The laws of friction and spring."""
-        return self.friction, self.spring
+    def springs(self) -> tuple[Spring, ...]:
+        """The law of the spring."""
+        return (self.spring,)
 
     @property
     def rigid(self) -> RigidJoint:
@@ -267,27 +256,6 @@ class FlexibleJoint(_JointBase):
     def linear(self) -> FlexibleJoint:
         """The joint with a linear spring, the lines of its friction alone, and without a ripple."""
         return replace(self, spring=self.spring.lines, friction=self.friction.lines, ripple=None)
-
-    def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the coefficients of the drive, its spring linear, for the simulation (`simulation.kernels`)."""
-        drive = [values[name] for name in ("motor_inertia", "load_inertia", "stiffness", "damping")]
-        motor, load = (self.friction.directions(values, side) for side in ("motor_", "load_"))
-        return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
-
-    def hang(self, values: Mapping[str, float], position: float, velocity: float) -> float:
-        """Return the position in which the spring carries the load, by Newton's method."""
-        found = position
-        for _ in range(_SETTLING):
-            tried, weights = found + np.array([0.0, _ASIDE * (1.0 + abs(found))]), np.zeros(2)
-            for side, force in self._forces:
-                weights += force.columns(tried) @ [values[p.name] for p in force.parameters] if side else 0.0
-            loads = [weight + self.friction.drag(values, velocity, weight, "load_") for weight in weights.tolist()]
-            missing, beside = tried - position + [self.spring.deflection(values, load) for load in loads]
-            step = float(missing / max((beside - missing) / np.ptp(tried), _SLOPE))
-            found -= step
-            if abs(step) <= _AT_REST * (1.0 + abs(found)):
-                break
-        return found
 
     @staticmethod
     def frequencies(values: Mapping[str, float]) -> dict[str, float]:

@@ -41,7 +41,7 @@ from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers, robot_with
+from jointid.simulation.plant import Numbers, Place, robot_with
 from jointid.simulation.simulate import Simulation, require_success, run_loop
 from jointid.simulation.synthesis import add_feed_forward
 from jointid.uncertainty.covariance import covariance_of
@@ -59,6 +59,8 @@ _FOR_MODES = 0.2  # of speed and acceleration, kept for the multisine where ther
 _ABOUT = (0.6, 1.6)  # of a mode's frequency: the band of the multisine
 _LINES = 20
 _DRAWN, _SIMULATED = 20, 6  # robots that it may be, by the equations and under the controllers
+_OF_MASS = ("inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
+_OF_SPRING = ("stiffness", "damping")
 _LEAST = 0.2  # of a number that is drawn: less is no robot that somebody declared
 
 
@@ -117,9 +119,8 @@ class RobotModel:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Clauses on what is not known: a friction that nothing states is missing in the torque."""
-        numbers = RobotNumbers.of(self.robot)
-        slides = np.any(numbers.masses[:, 1:] != 0.0, axis=1)
-        without = [n for k, n in enumerate(self.names) if not (slides[k] or slides[numbers.rotors[k]])]
+        of_whole = [(joint.name, joint.rigid.values.items()) for joint in self.robot.joints]
+        without = [name for name, own in of_whole if not any(value for of, value in own if of != "inertia")]
         said = f"the torque is without the friction of {', '.join(without)}, which nothing states"
         return (f"{said}: give viscous and coulomb, or a first record",) if without else ()
 
@@ -202,7 +203,7 @@ class RobotModel:
         J = (columns * weights[:, np.newaxis]).reshape(-1, columns.shape[2])
         units = replace(self, loop=None).units
         for robot in self.robots:
-            values = self.base.group(RobotNumbers.of(robot.rigid))
+            values = self.base.group(Numbers.of(robot.rigid))
             torque = columns @ values
             reached = find_maxima((motion[0],), (motion[1],), motion[2], torque, step, self.sizes)
             yield _predicted(units, values, J, torque, step, reached)
@@ -214,7 +215,7 @@ class RobotModel:
         as much as the samples that it stands for.
         """
         parameters = robot_parameters(loop.robot)
-        kept = run_loop(prepare(loop, driven), RobotNumbers.of(loop.robot), keep=True)
+        kept = run_loop(prepare(loop, driven), Numbers.of(loop.robot), keep=True)
         run = require_success(Simulation.of(kept), "The robot's motion")
         problem = pose_robot(loop, run.records(driven), parameters, self.filtering)
         values = parameters.group(kept.numbers)
@@ -289,7 +290,7 @@ def robot_model(
     found = RobotModel((robot, *drawn), base, loop, *times, filtering, feed_forward, present, sizes, noise is None)
     if noise is None:
         q, v, a = np.random.default_rng(seed).standard_normal((3, _INSTANTS, len(robot))) * _USUAL
-        torque = found.columns((q, v, a)) @ base.group(RobotNumbers.of(robot.rigid))
+        torque = found.columns((q, v, a)) @ base.group(Numbers.of(robot.rigid))
         found = replace(found, sizes=_NOISE * np.sqrt(np.mean(torque**2, axis=0)))
     return found
 
@@ -368,18 +369,22 @@ def _identified_robot(estimate: Estimate, loop: RobotLoop | None) -> Robot:
 
 def _draw_robots(robot: Robot, within: float, count: int, seed: int) -> tuple[Robot, ...]:
     """Return robots whose numbers are each off by a factor of its own, 2 sigma of which are `within` percent."""
-    rng, numbers = np.random.default_rng([seed, 1]), RobotNumbers.of(robot)
+    rng, numbers = np.random.default_rng([seed, 1]), Numbers.of(robot)
 
     def factors(*shape: int) -> FloatArray:
         return np.maximum(1.0 + 0.005 * within * rng.standard_normal(shape), _LEAST)
 
     found = []
     for k in range(count):
-        masses, springs = numbers.masses.copy(), numbers.springs.copy()
-        masses[:, : MassNumbers.RISE + 1] *= factors(len(masses), MassNumbers.RISE + 1)
+        masses = factors(numbers.count, len(_OF_MASS))
         # Nothing moves a prediction as a mode does: the first two robots have the softest and the stiffest springs.
         ends = {0: max(1.0 - 0.01 * within, _LEAST), 1: 1.0 + 0.01 * within}
-        springs[:, :2] *= ends[k] if k in ends else factors(len(robot), 2)
-        bodies = numbers.inertials * factors(len(robot), 1)
-        found.append(robot_with(robot, replace(numbers, inertials=bodies, masses=masses, springs=springs)))
+        springs = np.full((len(robot), 2), ends[k]) if k in ends else factors(len(robot), 2)
+        drawn = {Place(i, name): by for i, two in enumerate(springs) for name, by in zip(_OF_SPRING, two, strict=True)}
+        for (i, side), several in zip(numbers.sides, masses, strict=True):
+            names = [Place(i, f"{side}{name}" if (side, name) != ("motor_", "offset") else name) for name in _OF_MASS]
+            drawn |= zip(names, several, strict=True)
+        own = [place for place in drawn if place in numbers]
+        moved = numbers.with_values(own, [numbers[place] * drawn[place] for place in own])
+        found.append(robot_with(robot, replace(moved, inertials=numbers.inertials * factors(len(robot), 1))))
     return tuple(found)

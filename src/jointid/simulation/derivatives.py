@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +28,9 @@ from jointid.records.record import Tap, Timing
 from jointid.simulation.kernels.tables import LANES, IntArray, Moved
 from jointid.simulation.kernels.tables import Slopes as Written
 from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
-from jointid.simulation.plant import NO_LINKS, JointNumbers, pack_seeds
-from jointid.simulation.robot_numbers import MassNumbers, NumberOf, NumberPlace, RobotNumbers, stribeck_share
-from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, motion_at, run_loop
-from jointid.simulation.start import INITIAL, Initial, Keys, Slopes, start_slopes
+from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, pack_seeds, stribeck_share
+from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, lines_of, motion_at, run_loop
+from jointid.simulation.start import INITIAL, Initial, Slopes, start_slopes
 
 if TYPE_CHECKING:
     from jointid.models.joints import ClosedLoop
@@ -91,26 +90,25 @@ def simulate_sensitivities(
     At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
     velocity includes a load that moves along.
     """
-    numbers = JointNumbers(loop.joint, values)
-    kept = run_loop(experiment, numbers, initial, keep=True, room=_ROOM)
-    (torque,), moved = differentiate(kept, names, positions=positions)
+    kept = run_loop(experiment, Numbers.of_joint(loop.joint, values), initial, keep=True, room=_ROOM)
+    (torque,), moved = differentiate(kept, [Place(0, name) for name in names], positions=positions)
     nothing = torque[:, :0]
     return Sensitivities(kept, torque, moved[:, 0] if positions else nothing,
                          moved[:, 1] if positions and moved.shape[1] > 1 else nothing)  # fmt: skip
 
 
-def differentiate(kept: Run, keys: Keys, *, positions: bool = False) -> tuple[list[FloatArray], FloatArray]:
+def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) -> tuple[list[FloatArray], FloatArray]:
     """Return the derivatives of the torques as the log shows them, by axis, (samples, keys) each, and of positions.
 
     Args:
         kept: that was kept. Of one that failed, and of a loop that flies apart, all are 0.
-        keys: names of a joint's parameters, see `simulate_sensitivities`; or places of a robot's.
+        keys: parameters, see `simulate_sensitivities`.
         positions: of a joint's motor and load, (samples, masses, keys); else (samples, 0, keys).
     """
     experiment, clock = kept.experiment, kept.experiment.clock
     of_law = [key for key in keys if _is_of_law(kept, key)]
-    for name in of_law:
-        number(experiment.axis.controller, name)
+    for key in of_law:
+        number(experiment.axes[key.axis].controller, key.name)
     shown = min(kept.start.places.size, 2) if positions else 0
     nothing = [np.zeros((clock.samples, len(keys))) for _ in experiment.axes]
     still = np.zeros((clock.samples, shown, len(keys)))
@@ -178,11 +176,11 @@ def _run_law(axis: AxisInput, position: FloatArray, speed: float) -> FloatArray:
     return run_law(law, inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed))
 
 
-def _show(kept: Run, j: int, command: FloatArray, keys: Keys) -> FloatArray:
+def _show(kept: Run, j: int, command: FloatArray, keys: Sequence[Place]) -> FloatArray:
     """Return derivatives of an axis' torque, (steps, keys), as the log shows them, (samples, keys)."""
     axis, clock = kept.experiment.axes[j], kept.experiment.clock
     logged = to_log(axis, clock.own(j, command, axis.periods))
-    late = [c for c, key in enumerate(keys) if _delays(key) == j]
+    late = [c for c, key in enumerate(keys) if key == (j, DELAY)]
     if late and axis.tap is Tap.MEASURED and axis.timing is Timing.AVERAGED:
         # An edge that moves takes its height from the mean over the sample time it stands in.
         torque = acting(axis, seen_torque(axis, clock.own(j, kept.command[j], axis.periods)))
@@ -190,27 +188,19 @@ def _show(kept: Run, j: int, command: FloatArray, keys: Keys) -> FloatArray:
     return logged[: clock.samples]
 
 
-def _delays(key: Any) -> int | None:
-    """Return the axis whose torque a parameter lets act later."""
-    if key == "delay":
-        return 0
-    return key.row if getattr(key, "of", None) is NumberOf.DELAY else None
+def _is_of_law(kept: Run, key: Place) -> bool:
+    return not (key in kept.numbers or key.name in (*INITIAL, DELAY))
 
 
-def _is_of_law(kept: Run, name: str | NumberPlace) -> bool:
-    of_joint = kept.experiment.tree is None
-    return of_joint and name not in (*INITIAL, "delay") and name not in kept.numbers.names
-
-
-def _propagate(kept: Run, keys: Keys, positions: bool) -> tuple[FloatArray, FloatArray]:
+def _propagate(kept: Run, keys: Sequence[Place], positions: bool) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, lanes)."""
     first = start_slopes(kept.experiment, kept.carried, kept.start, keys)
-    explicit = [_explicit(kept, name) for name in keys if _is_of_law(kept, name)]
+    explicit = [(key.axis, *_explicit(kept, key)) for key in keys if _is_of_law(kept, key)]
     return _follow(kept, keys, first, explicit, positions=positions)
 
 
 def _follow(
-    kept: Run, keys: Keys, first: Slopes, explicit: Sequence[tuple[FloatArray, FloatArray]] = (), *,
+    kept: Run, keys: Sequence[Place], first: Slopes, explicit: Sequence[tuple[int, FloatArray, FloatArray]] = (), *,
     pushes: tuple[Sequence[tuple[int, int]], FloatArray | None] = ((), None), positions: bool = False,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
@@ -220,28 +210,29 @@ def _follow(
     rows = clock.steps * clock.lengths.size if positions else 0
     states = _ROOM.array("moved", (rows, 4, width))
     limits = np.zeros((n, elements, width))
-    for c, (_, of_limits) in enumerate(explicit, count - len(explicit)):
-        limits[0, :, c] = of_limits
-    of_law = np.stack([one for one, _ in explicit], axis=2)[np.newaxis] if explicit else np.zeros((n, 0, elements, 0))
+    of_law = np.zeros((n, experiment.sampled.w.shape[2] if explicit else 0, elements, len(explicit)))
+    for c, (j, of_elements, of_limits) in enumerate(explicit):
+        own = of_limits.size
+        of_law[j, : len(of_elements), :own, c], limits[j, :own, count - len(explicit) + c] = of_elements, of_limits
     places, speeds, states_of_law = (_widen(one, width) for one in first)
     moved = Moved(places, speeds, states_of_law, of_law, count - len(explicit), limits)
     written = Written(command, states, NO_LINKS)
-    delays = [(c, j) for c, key in enumerate(keys) if (j := _delays(key)) is not None]
+    delays = [(c, key.axis) for c, key in enumerate(keys) if key.name == DELAY]
     if kept.lines is not None:
         from jointid.simulation.kernels.drive_sensitivities import follow as follow_lines
 
-        by_name, seeds, before = _seeds(numbers.joint), np.zeros((14, width)), float(kept.start.before[0])
+        by_name, seeds, before = _seeds(numbers.joints[0]), np.zeros((14, width)), float(kept.start.before[0])
         for c, key in enumerate(keys):
-            seeds[:, c] = by_name.get(str(key), 0.0)
+            seeds[:, c] = by_name.get(key.name, 0.0)
         later, rows = np.array(delays, dtype=np.int64).reshape(-1, 2), len(kept.tape)
         moved = moved._replace(dq=np.resize(places, (2, width)), dv=np.resize(speeds, (2, width)))  # of rigid ones, too
-        follow_lines(experiment.sampled, before, kept.lines, rows, numbers.drive, seeds, later, moved, written)
-    elif kept.plant is not None:
+        follow_lines(experiment.sampled, before, kept.lines, rows, lines_of(kept.plant), seeds, later, moved, written)
+    else:
         from jointid.simulation.kernels.variation import follow
 
+        links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
         packed = pack_seeds(
-            kept.plant, numbers.blocks(keys), links=numbers.links(keys), delays=delays, pushes=pushes[0],
-            pushed=pushes[1],
+            kept.plant, numbers.blocks(keys), links=links, delays=delays, pushes=pushes[0], pushed=pushes[1]
         )  # fmt: skip
         follow(
             kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
@@ -260,41 +251,47 @@ def _widen(slopes: FloatArray, width: int) -> FloatArray:
 @lru_cache(maxsize=64)
 def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     """Return the constant derivatives of the affine kernels' coefficients by a joint's parameters."""
-    nothing = dict.fromkeys((p.name for p in joint.parameters), 0.0)
-    constant = joint.coefficients(nothing)
-    return {name: joint.coefficients(nothing | {name: 1.0}) - constant for name in nothing}
+    nothing = dict.fromkeys(names_of(joint), 0.0)
+
+    def lines(values: Mapping[str, float]) -> FloatArray:
+        return lines_of(Numbers((joint,), (values,)).plant)
+
+    return {name: lines(nothing | {name: 1.0}) - lines(nothing) for name in nothing}
 
 
-def _explicit(kept: Run, name: str) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of elements, (periods, elements), and limits by a law's number.
+def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of an axis' elements, (periods, elements), and limits by its law's number.
 
     Position, and excesses of limits and gates, are held.
     """
-    axis, clock = kept.experiment.axis, kept.experiment.clock
+    (j, name), clock = key, kept.experiment.clock
+    axis, motor = kept.experiment.axes[j], kept.numbers.motors[j]
     value = number(axis.controller, name)
     if not math.isfinite(value):  # a limit that never acts
         return np.zeros((axis.periods, axis.law.limits.size)), np.zeros(axis.law.limits.size)
     unit = axis.law.period if name.endswith("delay") else 1.0
     steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
     inputs = axis.inputs.copy()
-    inputs[:, POSITION] = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, 0]
+    position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, motor]
+    inputs[:, POSITION] = clock.own(j, position, axis.periods)
     low, high = (axis.law_of(with_numbers(axis.controller, {name: value + by})) for by in steps)
     if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
             f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
             "declare another."
         )
-    held, width = np.asarray(kept.excess[0]), steps[1] - steps[0]
-    above, below = (respond(law, inputs, _start_states(law, inputs, kept), held) for law in (high, low))
+    held, width = np.asarray(kept.excess[j, : axis.periods, : low.limits.size]), steps[1] - steps[0]
+    above, below = (respond(law, inputs, _start_states(law, inputs, kept, j), held) for law in (high, low))
     with np.errstate(invalid="ignore"):
         limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
     return (above - below) / width, limits
 
 
-def _start_states(law: SampledLaw, inputs: FloatArray, kept: Run) -> FloatArray:
-    """States of a law at the first period of a run, (states,)."""
-    position, velocity = float(kept.start.places[0]), float(kept.start.speeds[0])
-    state, torque = law.known_memory(inputs) + law.memory(POSITION, position, velocity), kept.start.torques[0]
+def _start_states(law: SampledLaw, inputs: FloatArray, kept: Run, j: int) -> FloatArray:
+    """States of an axis' law at the first period of a run, (states,)."""
+    motor, torque = kept.numbers.motors[j], kept.start.torques[j]
+    position, velocity = float(kept.start.places[motor]), float(kept.start.speeds[motor])
+    state = law.known_memory(inputs) + law.memory(POSITION, position, velocity)
     integral = law.integral() if torque is not None else None
     if integral is None or torque is None:
         return state
@@ -302,8 +299,11 @@ def _start_states(law: SampledLaw, inputs: FloatArray, kept: Run) -> FloatArray:
     return np.asarray(state + integral * (torque - first))
 
 
+# Columns of a known motion
+
+
 def columns_of(
-    tree: Tree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion, rows: IntArray
+    tree: Tree | None, numbers: Numbers, places: Sequence[Place], motion: MassMotion, rows: Sequence[int]
 ) -> list[tuple[IntArray, FloatArray]]:
     """Return, for each of some masses, the derivatives of its equation by the parameters that act in it.
 
@@ -313,31 +313,32 @@ def columns_of(
 
     Args:
         tree: of the links.
-        numbers: of which only the rotors are read, and the speeds below which friction rises.
+        numbers: of which only the laws are read, and the speeds below which friction rises.
         places: of the parameters.
         motion: of all masses.
         rows: of the masses.
     """
     from jointid.models.robots.dynamics import regressor_of
 
-    samples, n = len(motion.position), numbers.rotors.size
-    carried = _find_carriers(tree.parents) if tree.joints.size == 0 else np.ones((n, n), dtype=np.bool_)
-    felt = [np.array([c for c, p in enumerate(places) if _acts(p, int(row), numbers, carried)], int) for row in rows]
+    samples, of_axes = len(motion.position), numbers.rows
+    n = len(of_axes)
+    carried = np.eye(n, dtype=np.bool_) if tree is None else _find_carriers(tree)
+    felt = [np.array([c for c, p in enumerate(places) if _acts(p, row, of_axes, carried)], int) for row in rows]
     ends = np.cumsum([own.size for own in felt])
     lines, of_links = np.empty((int(ends[-1]), samples)), []
-    position, velocity = motion[:2]
     for row, own, end in zip(rows, felt, ends, strict=True):
         for line, place in zip(range(int(end) - own.size, int(end)), (places[c] for c in own), strict=True):
-            if place.of is NumberOf.LINK:
-                of_links.append((row, len(SYMBOLS) * place.row + place.column, line))
-            elif place.of is NumberOf.MASS:
-                own_motion = (one[:, row] for one in motion[1:])
-                lines[line] = mass_column(place.column, numbers.masses[row], *own_motion)
-            else:
-                moved, motor = (velocity if place.column else position), numbers.rotors[place.row]
-                stretch = moved[:, motor] - moved[:, place.row]
+            if place.of_link:
+                of_links.append((row, len(SYMBOLS) * place.axis + place.column, line))
+            elif place.name in ("stiffness", "damping"):
+                motor, link = of_axes[place.axis]
+                moved = motion.position if place.name == "stiffness" else motion.velocity
+                stretch = moved[:, motor] - moved[:, link]
                 lines[line] = stretch if row == motor else -stretch
+            else:
+                lines[line] = mass_column(place, numbers, *(one[:, row] for one in motion))
     if of_links:
+        assert tree is not None
         whose, which, where = np.array(of_links).T
         joints = tree.joints if tree.joints.size else np.eye(n)
         of_joints = [np.ascontiguousarray(values[:, :n] @ joints.T) for values in motion[:3]]
@@ -352,35 +353,46 @@ def columns_of(
     return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]
 
 
-def _find_carriers(parents: IntArray) -> NDArray[np.bool_]:
-    """Return a matrix, (n, n), True where a link carries another or itself."""
-    found = np.eye(parents.size, dtype=np.bool_)
-    for i, parent in enumerate(parents):
+def _find_carriers(tree: Tree) -> NDArray[np.bool_]:
+    """Return a matrix, (n, n), True where a link carries another or itself; of coupled motors all do."""
+    if tree.joints.size:
+        return np.ones(tree.joints.shape, dtype=np.bool_)
+    found = np.eye(tree.parents.size, dtype=np.bool_)
+    for i, parent in enumerate(tree.parents):
         if parent >= 0:
             found[:, i] |= found[:, parent]
     return found
 
 
-def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[np.bool_]) -> bool:
+def _acts(place: Place, row: int, of_axes: list[list[int]], carried: NDArray[np.bool_]) -> bool:
     """True of a parameter that is in the equation of a mass."""
-    if place.of is NumberOf.DELAY:
+    if place.of_link:
+        return row < len(carried) and bool(carried[row, place.axis])
+    if place.of_record or row not in of_axes[place.axis]:
         return False
-    if place.of is NumberOf.LINK:
-        return row < len(carried) and bool(carried[row, place.row])
-    return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])
+    behind, own = place.side == "load_" or place.name.startswith(("gravity_", "counterbalance_")), of_axes[place.axis]
+    return place.name in ("stiffness", "damping") or row == own[min(int(behind), len(own) - 1)]
 
 
 def mass_column(
-    number: int, mass: FloatArray, velocity: FloatArray, acceleration: FloatArray, direction: FloatArray
-) -> FloatArray:
+    place: Place, numbers: Numbers, position: FloatArray, velocity: FloatArray, acceleration: FloatArray,
+    direction: FloatArray,
+) -> FloatArray:  # fmt: skip
     """Return the regressor column of a number of a mass in a motion, (samples,); it slides in the direction."""
-    plain = {MassNumbers.INERTIA: acceleration, MassNumbers.VISCOUS: velocity, MassNumbers.COULOMB: direction}
-    if number in plain:
-        return plain[MassNumbers(number)]
-    if number == MassNumbers.OFFSET:
+    own = place.own
+    if own in ("inertia", "viscous", "coulomb"):
+        return {"inertia": acceleration, "viscous": velocity, "coulomb": direction}[own]
+    if own == "offset":
         return np.ones_like(velocity)
-    if number == MassNumbers.RISE:
-        return np.asarray(direction * stribeck_share(mass, velocity))
-    if number not in (MassNumbers.FORWARDS, MassNumbers.BACKWARDS):
-        raise NotImplementedError(f"the equations are not linear in number {number} of a mass")
-    return np.asarray((np.maximum if number == MassNumbers.FORWARDS else np.minimum)(velocity, 0.0))
+    if own == "stribeck_force":
+        below = numbers.values[place.axis][f"{place.side}stribeck_speed"]
+        return np.asarray(direction * stribeck_share(below, velocity))
+    if own.startswith(("viscous_", "coulomb_")) and own.endswith(("forwards", "backwards")):
+        way = 1.0 if own.endswith("forwards") else -1.0
+        clip = np.maximum if way > 0.0 else np.minimum
+        return np.asarray(clip(velocity, 0.0) if own.startswith("viscous") else 0.5 * (way + direction))
+    for _, force in numbers.joints[place.axis].forces:
+        names = [p.name for p in force.parameters]
+        if place.name in names:
+            return np.asarray(force.columns(position)[:, names.index(place.name)])
+    raise NotImplementedError(f"the equations are not linear in {place.name}")

@@ -15,20 +15,19 @@ straight line through velocities takes from a curved motion (Euler and Maclaurin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
-from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.kernels.tables import STATE, IntArray, Moved, Slopes
-from jointid.simulation.plant import HEAVY, pack_seeds
-from jointid.simulation.robot_numbers import Bools, NumberOf
+from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place, pack_seeds
 from jointid.simulation.simulate import (
     OUTCOMES,
     STEPS,
@@ -39,14 +38,12 @@ from jointid.simulation.simulate import (
     motion_of,
     pass_on,
 )
-from jointid.simulation.start import Keys, Numbers, Steady, joint_slopes, joint_state
+from jointid.simulation.start import Steady
 
 PARTS = 4
 """Of a sample of a joint: with 2 a viscous friction of loads that stick errs by 2e-3 instead of 1e-3."""
 PARTS_OF_ROBOT = 1
 """Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
-LOAD_STATE = ("initial_load_position", "initial_load_velocity")
-"""The state of a joint's load at the first sample, beside where steady motion has it."""
 
 _DEGREE = 7  # of the spline, odd: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
 _HELD = 1e6  # kg m2 of one in a step's choice, which asks for numbers of one size
@@ -169,7 +166,7 @@ class DriveSideRun:
     """
 
     prescribed: PrescribedMotion
-    numbers: Any
+    numbers: Numbers
     outcome: Outcome
     start: FloatArray
     motion: MassMotion
@@ -177,9 +174,9 @@ class DriveSideRun:
     command: FloatArray
     tape: FloatArray
 
-    def columns(self, keys: Keys) -> Columns:
+    def columns(self, keys: Sequence[Place]) -> Columns:
         """Return the columns of the motors' equations on the motion, by axis: whose they are, (parts, own)."""
-        return _columns(self.prescribed, self.numbers, keys, self.motion)
+        return columns_of(self.prescribed.tree, self.numbers, keys, self.motion, self.numbers.motors)
 
 
 def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideRun:
@@ -188,23 +185,23 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
     The integrator takes as many steps as keep the fastest motion of a robot below 0.5 rad a step.
     """
     parts, n = prescribed.direction.shape
-    heavy, tape, command, taken = numbers.with_heavy_motors(HEAVY), np.zeros((0, STATE)), np.zeros((n, parts + 1)), 0
-    masses = numbers.count
+    heavy, tape, command, taken = replace(numbers, heavy=HEAVY), np.zeros((0, STATE)), np.zeros((n, parts + 1)), 0
+    masses, plant = numbers.count, heavy.plant
     start, outcome = np.zeros(masses), Outcome.INVALID
-    if numbers.possible(len(prescribed.position) * prescribed.step):
+    if numbers.possible(numbers.plant, len(prescribed.position) * prescribed.step):
         outcome = Outcome.FINISHED
         if prescribed.tree is not None:
-            links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
-            taken = choose_steps(prescribed.tree, links, prescribed.step, numbers.with_heavy_motors(_HELD))
+            links, held = prescribed.position[:: max(len(prescribed.position) // 5, 1)], replace(numbers, heavy=_HELD)
+            taken = choose_steps(prescribed.tree, links, prescribed.step, held.plant, numbers.inertials)
             outcome = outcome if taken <= STEPS else Outcome.TOO_STIFF
     if outcome is Outcome.FINISHED:
         start, places, speeds = _begin(prescribed, numbers)
-    if outcome is Outcome.FINISHED and len(heavy.plant.pairs):
-        held = np.diff(prescribed.joined, axis=0) / prescribed.step
+    if outcome is Outcome.FINISHED and len(plant.pairs):
+        accelerations = np.diff(prescribed.joined, axis=0) / prescribed.step
         # One more part follows the last one, so that its end is on the tape, too.
-        torques = HEAVY * np.vstack([held, held[-1:]]).T[:, np.newaxis]
+        torques = HEAVY * np.vstack([accelerations, accelerations[-1:]]).T[:, np.newaxis]
         status, command, _, tape, _ = integrate(
-            heavy.plant, prescribed.tree, heavy.inertials, pass_on(torques, prescribed.step), np.zeros(n),
+            plant, prescribed.tree, numbers.inertials, pass_on(torques, prescribed.step), np.zeros(n),
             np.full(n, np.inf), np.zeros((n, 0)), places, speeds, np.sign(speeds), keep=True, steps=taken,
         )  # fmt: skip
         outcome = OUTCOMES[status]
@@ -212,24 +209,25 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
     motion, torque = MassMotion(nothing, nothing, nothing, nothing), nothing[:, :n]
     if outcome is Outcome.FINISHED:
         motion = _mean_motion(prescribed, numbers, tape)
-        keys, values = numbers.not_zero()
-        each = _columns(prescribed, numbers, keys, motion)
+        keys = numbers.not_zero()
+        values = np.array([numbers[key] for key in keys])
+        each = columns_of(prescribed.tree, numbers, keys, motion, numbers.motors)
         torque = np.column_stack([columns @ values[own] for own, columns in each])
     return DriveSideRun(prescribed, numbers, outcome, start, motion, torque, command, tape)
 
 
-def differentiate_drive_side(run: DriveSideRun, keys: Keys) -> FloatArray:
+def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
     """Return how the torques change because the links move otherwise, (parts, n, parameters), by variation.
 
     Beside that a number acts where it stands in its motor's equation: `DriveSideRun.columns`.
 
     Args:
         run: that finished.
-        keys: names or places of the parameters.
+        keys: parameters.
     """
     from jointid.simulation.kernels.variation import follow
 
-    prescribed, heavy, count = run.prescribed, run.numbers.with_heavy_motors(HEAVY), len(keys)
+    prescribed, heavy, count = run.prescribed, replace(run.numbers, heavy=HEAVY), len(keys)
     parts, n = prescribed.direction.shape
     if not count or not len(run.tape):
         return np.zeros((parts, n, count))
@@ -237,7 +235,8 @@ def differentiate_drive_side(run: DriveSideRun, keys: Keys) -> FloatArray:
     found = np.zeros((n, parts + 1, count))
     moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
     plant = heavy.plant
-    seeds = pack_seeds(plant, heavy.blocks(keys), links=heavy.links(keys))
+    links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
+    seeds = pack_seeds(plant, heavy.blocks(keys), links=links)
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command[:, np.newaxis], prescribed.step), np.zeros(n),
         run.command, np.zeros((n, 0, 1)), run.tape, seeds, moved,
@@ -246,55 +245,36 @@ def differentiate_drive_side(run: DriveSideRun, keys: Keys) -> FloatArray:
     return found[:, :parts].transpose(1, 0, 2)
 
 
-def moves_links(key: Any, numbers: Numbers) -> bool:
+def moves_links(key: Place, numbers: Numbers) -> bool:
     """Test whether a number changes how the links move: those of the motors do not, nor any without a spring."""
-    if hasattr(numbers, "joint"):
-        return numbers.count > 1 and not key.startswith(("motor_", "offset", "log_"))
-    of_motor = key.of is NumberOf.MASS and key.row in numbers.rotors
-    return not of_motor and key.of is not NumberOf.LOG and bool(np.any(numbers.flexible))
+    of_motor = key.side == "motor_" or key.name in ("offset", LOG_DELAY) or not numbers.flexible[key.axis]
+    return bool(np.any(numbers.flexible)) and (key.of_link or not of_motor)
 
 
 def _steady(prescribed: PrescribedMotion, numbers: Numbers) -> Steady:
-    return Steady(
-        prescribed.tree, prescribed.speeds, prescribed.accelerations, numbers, prescribed.position[0]
-    )  # fmt: skip
+    free, speeds = prescribed.position[0], prescribed.speeds
+    return Steady(numbers, free, speeds, prescribed.accelerations, prescribed.tree)
 
 
 def _begin(prescribed: PrescribedMotion, numbers: Numbers) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the positions of steady motion, and positions and velocities of all masses at the first edge."""
-    if prescribed.tree is not None:
-        steady = _steady(prescribed, numbers)
-        start, _ = steady.settle()
-        places, speeds, n = start.copy(), steady.all_speeds, numbers.rotors.size
-        speeds[numbers.rotors] = prescribed.joined[0]
-        if numbers.beside.size:
-            places[:n] += numbers.beside[:, 0]
-            speeds[:n] += numbers.beside[:, 1]
-        return start, places, speeds
-    start, speeds = joint_state(numbers, float(prescribed.position[0, 0]), float(prescribed.speeds[0]), 1.0)
-    speeds[0] = prescribed.joined[0, 0]
-    beside = [numbers.values.get(name, 0.0) for name in LOAD_STATE]
-    places = start.copy()
-    places[1:] += beside[0]
-    speeds[1:] += beside[1]
+    steady = _steady(prescribed, numbers)
+    start, _ = steady.settle()
+    places, speeds = start.copy(), steady.of_masses(steady.speeds)
+    for (motor, *behind), values, speed in zip(numbers.rows, numbers.values, prescribed.joined[0], strict=True):
+        speeds[motor] = speed
+        places[behind] += values.get(LOAD_STATE[0], 0.0)
+        speeds[behind] += values.get(LOAD_STATE[1], 0.0)
     return start, places, speeds
 
 
-def _slopes_at_start(run: DriveSideRun, keys: Keys) -> tuple[FloatArray, FloatArray]:
+def _slopes_at_start(run: DriveSideRun, keys: Sequence[Place]) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of the first positions and velocities, (masses, keys) each."""
-    prescribed, numbers = run.prescribed, run.numbers
-    dq, dv = np.zeros((2, numbers.count, len(keys)))
-    if prescribed.tree is not None:
-        dq[:], _ = _steady(prescribed, numbers).slopes(run.start, keys)
-        for c, place in enumerate(keys):
-            if place.of is NumberOf.BESIDE:
-                (dv if place.column else dq)[place.row, c] = 1.0
-        return dq, dv
-    position, velocity = float(prescribed.position[0, 0]), float(prescribed.speeds[0])
-    dq[:, : len(keys)], dv[:, : len(keys)] = joint_slopes(numbers, keys, position, velocity, 1.0)
+    dq, _ = _steady(run.prescribed, run.numbers).slopes(run.start, keys)
+    dv = np.zeros_like(dq)
     for c, key in enumerate(keys):
-        if key in LOAD_STATE:
-            (dq, dv)[LOAD_STATE.index(str(key))][1:, c] = 1.0
+        if key.name in LOAD_STATE:
+            (dq, dv)[LOAD_STATE.index(key.name)][run.numbers.rows[key.axis][1:], c] = 1.0
     return dq, dv
 
 
@@ -314,30 +294,3 @@ def _mean_motion(prescribed: PrescribedMotion, numbers: Numbers, tape: FloatArra
     direction[:, motors] = prescribed.direction
     acceleration[:, motors] = np.diff(prescribed.velocity, axis=0) / step
     return MassMotion(position, velocity, acceleration, direction)
-
-
-def _columns(prescribed: PrescribedMotion, numbers: Numbers, keys: Keys, motion: MassMotion) -> Columns:
-    """Return the columns of the motors' equations, by axis: whose they are, and (parts, own)."""
-    if prescribed.tree is not None:
-        return columns_of(prescribed.tree, numbers, tuple(keys), motion, numbers.rotors)
-    joint, names = numbers.joint, [p.name for p in numbers.joint.parameters]
-    own = np.array([i for i, key in enumerate(keys) if key in names], dtype=np.int64)
-    motor, *load = (Motion(*(one[:, i] for one in motion[:3])) for i in range(numbers.count))
-    columns = joint.regressor(motor, load[0] if load else None)[0]
-    friction = _mean_friction(joint, prescribed.velocity[:, 0])
-    columns[:, 1 : 1 + friction.shape[1]] = friction
-    return [(own, columns[:, [names.index(str(keys[i])) for i in own]])]
-
-
-def _mean_friction(joint: Joint, velocity: FloatArray) -> FloatArray:
-    """Columns of the motor's friction, averaged over parts, (parts, parameters).
-
-    Velocity is linear within a part, so a reversal splits it.
-    """
-    before, after = velocity[:-1], velocity[1:]
-    size = np.abs(before) + np.abs(after)
-    share = np.where(before * after < 0, np.abs(after) / np.where(size > 0, size, 1.0), 1.0)[:, np.newaxis]
-    # Away from a reversal the mean of a linear column is that of the middle, within the direction of the part.
-    middle = joint.friction.columns(0.5 * (before + after))
-    reversed_ = joint.friction.columns(0.5 * before) * (1 - share) + joint.friction.columns(0.5 * after) * share
-    return np.where(share < 1.0, reversed_, middle)

@@ -35,6 +35,7 @@ from jointid.models.linear import SNAP
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.resampling import at_period, period_ratio, running_mean
+from jointid.simulation.plant import DELAY, Numbers
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.tables import SampledLoop
@@ -283,12 +284,14 @@ class LoopInput:
         """Return the inputs of a joint with another axis."""
         return replace(self, axes=(axis,))
 
-    def delayed(self, delays: FloatArray) -> LoopInput:
-        """Return the inputs with other delays of the torques, (n, 1) s; with their own of (0, 1)."""
-        if not delays.size:
+    def delayed(self, numbers: Numbers) -> LoopInput:
+        """Return the inputs of a robot with the delays of torques that are among its numbers."""
+        late = [own.get(DELAY) for own in numbers.values]
+        if self.tree is None or all(one is None for one in late):
             return self
-        each = zip(self.axes, delays[:, 0], strict=True)
-        return replace(self, axes=tuple(one.with_law(replace(one.law, delay=float(late))) for one, late in each))
+        each = zip(self.axes, late, strict=True)
+        laws = (one.law if by is None else replace(one.law, delay=float(by)) for one, by in each)
+        return replace(self, axes=tuple(map(AxisInput.with_law, self.axes, laws)))
 
     def to_log(self, signals: FloatArray) -> FloatArray:
         """Return torques that are put out in each step, (n, steps), as the log shows them, (samples, n)."""

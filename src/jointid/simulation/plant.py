@@ -1,20 +1,27 @@
-"""The numbers of a joint, and of masses and springs, as `kernels.engine` reads them."""
+"""The numbers of a joint or of a robot, by name, and the plant that they are to `kernels.engine`.
+
+A joint alone is a robot of one axis that stands in no tree. The names are those of a joint's parameters.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, TypeAlias
+from itertools import count, pairwise
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.friction import Friction
+from jointid.common.parameters import Parameter
+from jointid.models.friction import BESIDE, KNOTS, Friction
 from jointid.models.joints import Joint, RigidJoint
+from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.models.springs import Spring
 from jointid.simulation.kernels.tables import (
     BEGIN,
@@ -24,7 +31,9 @@ from jointid.simulation.kernels.tables import (
     HIGH,
     INERTIA,
     PER_TORQUE,
+    SLIDING,
     SLIPS,
+    VISCOUS,
     WAVE,
     WINDING,
     Plant,
@@ -33,25 +42,300 @@ from jointid.simulation.kernels.tables import (
 
 AnyArray: TypeAlias = NDArray[Any]
 Blocks: TypeAlias = list[tuple[int, int, FloatArray]]
+Bools: TypeAlias = NDArray[np.bool_]
 
-IMAGINARY = 1e-30
-"""A complex step: its square is nothing beside any value."""
+LOAD_STATE = ("initial_load_position", "initial_load_velocity")
+"""The state of a load at the first sample, beside where steady motion has it."""
+DELAY, LOG_DELAY = "delay", "log_delay"
+"""Seconds by which a motor's torque acts later than its law puts it out, and by which a log shows torques late."""
+OF_RECORD = (DELAY, LOG_DELAY, *LOAD_STATE)
+"""Numbers of a record and how it begins, or of the drives, not of the robot."""
+
 NO_LINKS = np.zeros((1, 0, 10))
-"""The inertials of a joint, which stands in no tree; and what no motor feels of any."""
+"""What no motor feels of any link."""
 HEAVY = 1e18
 """Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
+_IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _THIN = 1e-300  # m or rad: the width of a piece of none, in which a joint would never get on
+_WAYS = {"forwards": 1.0, "backwards": -1.0}
+_COLUMNS = {symbol: column for column, symbol in enumerate(SYMBOLS)}
 
 
-def lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], prefix: str = "") -> AnyArray:
+class Place(NamedTuple):
+    """The place of a parameter among numbers.
+
+    Attributes:
+        axis: of a joint, or of a link. name: as of a joint alone, see `Numbers`; of a link's number its symbol.
+    """
+
+    axis: int
+    name: str
+
+    @property
+    def of_link(self) -> bool:
+        """Whether it is an inertial parameter of a link."""
+        return self.name in _COLUMNS
+
+    @property
+    def column(self) -> int:
+        """Of a link's inertial parameters."""
+        return _COLUMNS[self.name]
+
+    @property
+    def of_record(self) -> bool:
+        """Whether it is of the record and how it begins, or of the drives, not of the robot."""
+        return self.name in OF_RECORD
+
+    @property
+    def side(self) -> str:
+        """The beginning of its name: "motor_", "load_", or "" of a rigid joint, a spring and the offset."""
+        side, _, own = self.name.partition("_")
+        return f"{side}_" if own and side in ("motor", "load") else ""
+
+    @property
+    def own(self) -> str:
+        """Its name without the side."""
+        return self.name.removeprefix(self.side)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbers:
+    """The numbers of a candidate, a joint or a robot.
+
+    Attributes:
+        joints: (n,) whose laws they are.
+        values: (n,) of each its numbers by name. Of a robot's joint the Coulomb friction of a side is the mean of both
+            directions, and half of their difference a part of "offset" or "load_offset"; what moves behind its spring
+            is a link. Those of a record, or of drives, may be among them: see `OF_RECORD`; others are not read.
+        inertials: (n, 10) of a robot's links; (0, 10) of a joint.
+        heavy: inertia of motors that follow a prescribed motion, their friction left out; 0 of those as they are.
+    """
+
+    joints: tuple[Joint, ...]
+    values: tuple[Mapping[str, Any], ...]
+    inertials: FloatArray = field(default_factory=lambda: NO_LINKS[0])
+    heavy: float = 0.0
+
+    @classmethod
+    def of_joint(cls, joint: Joint, values: Mapping[str, Any]) -> Numbers:
+        """Return those of a joint.
+
+        Raises:
+            MethodError: a parameter has no value.
+        """
+        if missing := [name for name in names_of(joint) if name not in values]:
+            raise MethodError(
+                f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give one."
+            )
+        return cls((joint,), (values,))
+
+    @classmethod
+    def of(cls, robot: Robot) -> Numbers:
+        """Return those of a robot."""
+        joints = robot.joints
+        return cls(tuple(joint.model for joint in joints), tuple(map(_values_of, joints)), robot.inertials)
+
+    def __getitem__(self, place: Place) -> Any:
+        """Return the number in a place."""
+        if place.of_link:
+            return float(self.inertials[place.axis, place.column])
+        return self.values[place.axis][place.name]
+
+    def __contains__(self, place: Place) -> bool:
+        """Test whether a place is of a number of the robot or the joint, not of a record or a controller."""
+        own = place.own in ("viscous", "coulomb", "offset") or place.name in names_of(self.joints[place.axis])
+        return place.of_link or (own and place.name in self.values[place.axis])
+
+    @property
+    def rows(self) -> list[list[int]]:
+        """The masses of each axis: motor, load, and what swings; a robot's links come before rotors behind springs."""
+        if not len(self.inertials):
+            swings = self.values[0].get("swinging_share", 0.0) > 0.0
+            return [list(range(len(self.joints[0].sides) + int(swings)))]
+        rotors = count(len(self.joints))
+        return [[next(rotors), i] if flexible else [i] for i, flexible in enumerate(self.flexible.tolist())]
+
+    @property
+    def sides(self) -> list[tuple[int, str]]:
+        """Axis and side of each mass in the order of these, but for what swings."""
+        each = [(own[0], i, joint.sides[0]) for i, (own, joint) in enumerate(zip(self.rows, self.joints, strict=True))]
+        each += [(own[1], i, "load_") for i, own in enumerate(self.rows) if len(own) > 1]
+        return [(i, side) for _, i, side in sorted(each)]
+
+    @property
+    def count(self) -> int:
+        """Number of masses."""
+        return sum(map(len, self.rows))
+
+    @property
+    def motors(self) -> list[int]:
+        """The mass that each motor drives."""
+        return [own[0] for own in self.rows]
+
+    @property
+    def flexible(self) -> Bools:
+        """Which joints are flexible, (n,)."""
+        return np.array([len(joint.sides) > 1 for joint in self.joints], dtype=np.bool_)
+
+    @property
+    def straight(self) -> bool:
+        """True of a joint whose laws are lines, its motor as it is: then its simulation is exact."""
+        return not len(self.inertials) and self.joints[0].straight and not self.heavy
+
+    @property
+    def plant(self) -> Plant:
+        """Masses and springs as the kernels read them."""
+        rows = self.rows
+        masses, carriers = [np.zeros((0, HIGH + 1))] * self.count, [-1] * self.count
+        springs, pairs = list[AnyArray](), list[tuple[int, int]]()
+        for own, joint, values in zip(rows, self.joints, self.values, strict=True):
+            lowered, tied = lower_joint(joint, values)
+            for row, mass in zip(own, lowered, strict=True):
+                masses[row] = mass
+            for pair, spring in zip(pairwise(own), tied, strict=True):
+                carriers[pair[1]] = len(springs)
+                springs.append(spring)
+                pairs.append(pair)
+        motors = [own[0] for own in rows]
+        plant = assemble(masses, springs, self.joints[0].places(self.values[0]), pairs, motors, carriers)
+        if self.heavy:
+            plant.masses[motors, :, :HIGH], plant.masses[motors, :, HIGH] = 0.0, math.inf
+            plant.masses[motors, :, INERTIA] = self.heavy
+        return plant
+
+    def possible(self, plant: Plant, duration: float) -> bool:
+        """Test for masses, springs and friction of a physical joint or robot, for that many seconds.
+
+        Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. Of
+        links the rotor's inertia may be negative: motion tells its sum with the link alone. No friction of a robot is
+        negative in any part, its springs have a stiffness, and its delays end before the record.
+        """
+        # Lists: arrays of so few numbers take longer than a joint's simulation of a second.
+        links = len(self.inertials)
+        whole = [number for bands in plant.masses.tolist() for band in bands for number in band[:HIGH]]
+        whole += [number for pieces in plant.springs.tolist() for piece in pieces for number in piece[:BEGIN]]
+        if not all(map(math.isfinite, (*whole, *plant.places.flat, *self.inertials.flat))):
+            return False
+        for i, bands in enumerate(plant.masses.tolist()):
+            rest, last = bands[0], bands[-1]
+            faded = min(rest[COULOMB], rest[COULOMB_BACK]) + min(rest[COULOMB_DRIFT], 0.0) * duration
+            cone = rest[COULOMB] + rest[COULOMB_BACK] >= 0.0 and (rest[COULOMB_DRIFT] >= 0.0 or faded >= 0.0)
+            mass = (i < links or rest[INERTIA] > 0.0) and rest[WINDING] >= 0.0 and 0.0 <= rest[PER_TORQUE] < 1.0
+            unsigned = not links or min(last[VISCOUS : COULOMB_BACK + 1]) >= 0.0
+            if not (cone and mass and unsigned and all(a[HIGH] <= b[HIGH] for a, b in pairwise(bands))):
+                return False
+        for pieces in plant.springs.tolist():
+            if min(min(*one[:2], *one[SLIPS : SLIDING + 1]) for one in pieces) < 0.0:
+                return False
+            if not all(a[BEGIN] <= b[BEGIN] for a, b in pairwise(pieces)):
+                return False
+        if links:
+            late = [own.get(DELAY, 0.0) for own in self.values]
+            held = [own.get("stiffness", 1.0) for own in self.values]
+            return bool(min(held) > 0.0 and min(late) >= 0.0 and max(late) <= duration)
+        return True
+
+    def carrying(self, payload: Sequence[float]) -> Numbers:
+        """Return the robot with a payload on its last link, (10,); or ()."""
+        if not payload:
+            return self
+        inertials = self.inertials.copy()
+        inertials[-1] += payload
+        return replace(self, inertials=inertials)
+
+    def with_values(self, places: Sequence[Place], values: Sequence[float] | FloatArray) -> Numbers:
+        """Return a candidate with other numbers in these places."""
+        found, inertials = [dict(own) for own in self.values], self.inertials.copy()
+        for place, value in zip(places, values, strict=True):
+            if place.of_link:
+                inertials[place.axis, place.column] = value
+            else:
+                found[place.axis][place.name] = float(value)
+        return replace(self, values=tuple(found), inertials=inertials)
+
+    def with_record(self, other: Numbers, names: Sequence[str] = OF_RECORD) -> Numbers:
+        """Return a candidate with the numbers of a record, and of drives, of another."""
+        each = zip(self.values, other.values, strict=True)
+        beside = [{**own, **{name: of[name] for name in names if name in of}} for own, of in each]
+        return replace(self, values=tuple(beside))
+
+    def not_zero(self) -> list[Place]:
+        """Return the places of the numbers that are not 0; of a rise towards standstill its share has the speed."""
+        links = [Place(int(axis), SYMBOLS[column]) for axis, column in np.argwhere(self.inertials)]
+        own = [Place(i, name) for i, values in enumerate(self.values) for name, value in values.items() if value]
+        return links + [place for place in own if place in self and place.own != "stribeck_speed"]
+
+    def neighbours(self, place: Place, share: float) -> tuple[Numbers, Numbers, float] | None:
+        """Return the numbers with less and more of one, and the difference; None of what is none of them."""
+        if place not in self:
+            return None
+        step = share * (abs(self[place]) or 1.0)
+        low, high = (self.with_values([place], [self[place] + by]) for by in (-step, step))
+        return low, high, 2.0 * step
+
+    def blocks(self, places: Sequence[Place]) -> Blocks:
+        """Return the derivatives of the plant's numbers by parameters, by a complex step; of others there are none."""
+        rows, found = self.rows, list[tuple[int, int, FloatArray]]()
+        behind = sum(map(len, rows)) + np.cumsum([0, *(len(own) - 1 for own in rows)])
+        for c, place in enumerate(places):
+            if place.of_link or place not in self:
+                continue
+            joint, values = self.joints[place.axis], self.values[place.axis]
+            moved = {**values, place.name: complex(values[place.name], _IMAGINARY)}
+            masses, springs = lower_joint(joint, moved)
+            own = zip(rows[place.axis][bool(self.heavy) :], masses[bool(self.heavy) :], strict=True)
+            found += [(c, row, _slope(mass[:, :HIGH])) for row, mass in own]
+            found += [(c, int(behind[place.axis]) + s, _slope(spring)) for s, spring in enumerate(springs)]
+            forces = joint.places(moved)[:, np.newaxis, :WAVE]
+            found += [(c, int(behind[-1]) + k, _slope(one)) for k, one in enumerate(forces)]
+        return found
+
+
+@lru_cache(maxsize=64)
+def names_of(joint: Joint) -> tuple[str, ...]:
+    """Return the names of a joint's parameters."""
+    return tuple(p.name for p in joint.parameters)
+
+
+def _slope(moved: AnyArray) -> FloatArray:
+    return np.asarray(np.imag(moved) / _IMAGINARY)
+
+
+# From the numbers of a joint to its plant
+
+
+def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray], list[AnyArray]]:
+    """Return the masses of a joint, the motor's first, and the springs between each two of them."""
+    friction, constant = joint.friction, joint.gravity_constant(values)
+    if isinstance(joint, RigidJoint):
+        return [_lower_mass(values["inertia"], values["offset"] + constant, friction, values, "")], []
+    beside, load = joint.spring.beside(values), values.get("load_inertia", 0.0)
+    share, stiffness, damping = (beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping"))
+    swings, whole = np.real(share) > 0.0, load
+    if np.real(share) < 0.0:
+        load = math.nan
+    elif swings or stiffness + damping == 0.0:
+        load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
+    masses = [
+        _lower_mass(values["motor_inertia"], values["offset"], friction, values, "motor_"),
+        _lower_mass(load, values.get("load_offset", 0.0) + constant, friction, values, "load_"),
+    ]
+    springs = [_lower_spring(joint.spring, values)]
+    if swings:
+        masses.append(np.array([[share * whole, *np.zeros(HIGH - 1), math.inf]]))
+        springs.append(_lower_spring(Spring(), {"stiffness": stiffness, "damping": damping}))
+    return masses, springs
+
+
+def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], side: str) -> AnyArray:
     """Return a mass in each band of its friction, (bands, MASS + 1); complex of complex values."""
-    own = law.beside(values, prefix)
+    own = law.beside(values, side)
     length, *beside = (own[n] for n in ("presliding_distance", "viscous_drift", "coulomb_drift", "friction_per_torque"))
     winds = 1.0 / length if length != 0.0 else 0.0
-    return np.array([[inertia, offset, *lines, winds, *beside, high] for high, lines in law.bands(values, prefix)])
+    return np.array([[inertia, offset, *lines, winds, *beside, high] for high, lines in law.bands(values, side)])
 
 
-def lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
+def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
     """Return a spring in each of its pieces, (pieces, SPRING); complex of complex values."""
     own = law.beside(values)
     cubic, slider, slips = (own[name] for name in ("cubic_stiffness", "hysteresis_stiffness", "hysteresis_torque"))
@@ -78,174 +362,16 @@ def assemble(
 ) -> Plant:  # fmt: skip
     """Return the plant of lowered masses and springs, filled up to equal numbers of bands and pieces."""
     pieces = max(map(len, springs), default=1)
-    lowered = []
-    for spring in springs:
-        beyond = np.repeat(spring[-1:], pieces - len(spring), axis=0)
-        beyond[:, BEGIN] = math.inf
-        lowered.append(np.vstack([spring, beyond]))
-    bands = max(map(len, masses))
-    whole = np.array([np.vstack([mass, np.repeat(mass[-1:], bands - len(mass), axis=0)]) for mass in masses])
-    tied = np.array(pairs, dtype=np.uint64).reshape(-1, 2)
-    of_springs = np.array(lowered) if lowered else np.zeros((0, pieces, BEGIN + 1))
+    tied, of_springs = np.array(pairs, dtype=np.uint64).reshape(-1, 2), np.zeros((len(springs), pieces, BEGIN + 1))
+    of_springs[..., BEGIN] = math.inf
+    for row, spring in zip(of_springs, springs, strict=True):
+        row[: len(spring)] = spring
+        row[len(spring) :, :BEGIN] = spring[-1, :BEGIN]
+    whole = np.empty((len(masses), max(map(len, masses)), HIGH + 1))
+    for row, mass in zip(whole, masses, strict=True):
+        row[: len(mass)] = mass
+        row[len(mass) :] = mass[-1]
     return Plant(whole, of_springs, places, tied, np.array(motors, dtype=np.uint64), np.array(carriers))
-
-
-def is_possible(plant: Plant, duration: float, links: int = 0) -> bool:
-    """Test for masses, springs and friction of a physical joint, for that many seconds.
-
-    Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. Of links,
-    the first masses, the rotor's inertia may be negative: motion tells its sum with the link alone.
-    """
-    masses, springs = plant.masses, plant.springs
-    numbers = masses[..., :HIGH], springs[..., :BEGIN], plant.places
-    rising = np.all(masses[:, 1:, HIGH] >= masses[:, :-1, HIGH]) and np.all(
-        springs[:, 1:, BEGIN] >= springs[:, :-1, BEGIN]
-    )
-    if not (rising and all(np.all(np.isfinite(one)) for one in numbers)):
-        return False
-    rest, per_torque = masses[:, 0], masses[:, 0, PER_TORQUE]
-    drift = rest[:, COULOMB_DRIFT]
-    faded = np.min(rest[:, [COULOMB, COULOMB_BACK]], axis=1) + np.minimum(drift, 0.0) * duration
-    cones = np.all(rest[:, COULOMB] + rest[:, COULOMB_BACK] >= 0) and np.all((drift >= 0) | (faded >= 0))
-    unsigned = springs[..., [0, 1, SLIPS, SLIPS + 1]]
-    return bool(
-        cones and np.all(rest[links:, INERTIA] > 0) and np.all((per_torque >= 0) & (per_torque < 1))
-        and np.all(rest[:, WINDING] >= 0) and np.all(unsigned >= 0)
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointNumbers:
-    """The numbers of a joint: a value for each of its parameters, by name.
-
-    Attributes:
-        heavy: inertia of a motor that follows a prescribed motion, its friction left out; 0 of one as the values say.
-    """
-
-    joint: Joint
-    values: Mapping[str, Any]
-    heavy: float = 0.0
-
-    inertials: ClassVar[FloatArray] = NO_LINKS[0]
-    delays: ClassVar[FloatArray] = np.zeros((0, 1))
-    motors: ClassVar[list[int]] = [0]
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Names of the joint's parameters."""
-        return names_of(self.joint)
-
-    @property
-    def count(self) -> int:
-        """Number of masses: motor, load, and what swings of an elastic load."""
-        swings = self.values.get("swinging_share", 0.0) > 0.0
-        return 1 if self.joint.model == "rigid" else 2 + swings
-
-    @property
-    def plant(self) -> Plant:
-        """Masses and springs as the kernels read them; complex ones of complex values."""
-        joint, values = self.joint, self.values
-        drive, places, friction = self.drive, joint.places(values), joint.friction
-        if isinstance(joint, RigidJoint):
-            return assemble([lower_mass(drive[0], drive[12], friction, values)], [], places, [], [0], [-1])
-        beside = joint.spring.beside(values)
-        share, stiffness, damping = (beside[f"swinging_{word}"] for word in ("share", "stiffness", "damping"))
-        load, swings = drive[1], np.real(share) > 0.0
-        if np.real(share) < 0.0:
-            load = math.nan
-        elif swings or stiffness + damping == 0.0:
-            load = (1.0 - share) * load  # a share that is just beginning moves with the load on its spring
-        masses = [
-            lower_mass(drive[0], drive[12], friction, values, "motor_"),
-            lower_mass(load, drive[13], friction, values, "load_"),
-        ]
-        springs = [lower_spring(joint.spring, values)]
-        if swings:
-            masses.append(np.array([[share * drive[1], *np.zeros(HIGH - 1), math.inf]]))
-            springs.append(lower_spring(Spring(), {"stiffness": stiffness, "damping": damping}))
-        pairs, carriers = [(0, 1), (1, 2)][: len(springs)], [-1, 0, 1][: len(masses)]
-        plant = assemble(masses, springs, places, pairs, [0], carriers)
-        if self.heavy:
-            plant.masses[0, :, :HIGH] = 0.0
-            plant.masses[0, :, INERTIA] = self.heavy
-        return plant
-
-    @property
-    def drive(self) -> FloatArray:
-        """The coefficients of a joint of straight lines, (14,), see `kernels.drive`.
-
-        Raises:
-            MethodError: a parameter has no value.
-        """
-        try:
-            return self.joint.coefficients(self.values)
-        except KeyError:
-            missing = ", ".join(p.name for p in self.joint.parameters if p.name not in self.values)
-            raise MethodError(
-                f"A simulation needs a value for every parameter; {missing} has none: give one."
-            ) from None
-
-    def possible(self, duration: float) -> bool:
-        """Return True if all numbers are physically possible for that many seconds."""
-        if not self.joint.straight:
-            return is_possible(self.plant, duration)
-        row = self.drive.tolist()  # a few plain numbers take less time than an array of them
-        cones = row[6] + row[7] >= 0 and row[10] + row[11] >= 0
-        return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
-
-    @property
-    def straight(self) -> bool:
-        """True if the laws are lines, and the motor as it is."""
-        return self.joint.straight and not self.heavy
-
-    def carrying(self, payload: Sequence[float]) -> JointNumbers:
-        """Return the joint, which carries nothing beside its load."""
-        del payload
-        return self
-
-    def with_heavy_motors(self, heavy: float) -> JointNumbers:
-        """Return the joint with a motor so heavy that it follows a prescribed motion."""
-        return replace(self, heavy=heavy)
-
-    def not_zero(self) -> tuple[list[str], FloatArray]:
-        """Return the parameters, and their values."""
-        names = [p.name for p in self.joint.parameters]
-        return names, np.array([self.values[name] for name in names], dtype=np.float64)
-
-    def neighbours(self, name: str, share: float) -> tuple[JointNumbers, JointNumbers, float] | None:
-        """Return the numbers with less and more of one, and the difference; None of what is no number of a joint."""
-        if name not in self.names:
-            return None
-        value = float(self.values[name])
-        step = share * (abs(value) or 1.0)
-        return self.with_value(name, value - step), self.with_value(name, value + step), 2.0 * step
-
-    def with_value(self, name: str, value: Any) -> JointNumbers:
-        """Return the numbers with another value of one parameter."""
-        return replace(self, values={**self.values, name: value})
-
-    def blocks(self, names: Sequence[Any]) -> Blocks:
-        """Return the derivatives of the plant's numbers by parameters, by a complex step; of others there are none."""
-        found: Blocks = []
-        for column, name in enumerate(names):
-            if name not in self.names:
-                continue
-            moved = self.with_value(name, complex(self.values[name], IMAGINARY)).plant
-            rows = [*moved.masses[..., :HIGH], *moved.springs, *moved.places[:, np.newaxis, :WAVE]]
-            found += [(column, row, slope(own)) for row, own in enumerate(rows)]
-        return found
-
-    @staticmethod
-    def links(names: Sequence[Any]) -> list[tuple[int, int, int]]:
-        """Return the parameters that are numbers of links: none."""
-        del names
-        return []
-
-
-@lru_cache(maxsize=64)
-def names_of(joint: Joint) -> frozenset[str]:
-    """Return the names of a joint's parameters."""
-    return frozenset(p.name for p in joint.parameters)
 
 
 def pack_seeds(
@@ -279,6 +405,90 @@ def pack_seeds(
     return Seeds(begin, numbers, columns, values, of_links, of_delays, of_pushes, none if pushed is None else pushed)
 
 
-def slope(moved: AnyArray) -> FloatArray:
-    """Return the derivatives of numbers after a complex step."""
-    return np.asarray(np.imag(moved) / IMAGINARY)
+# A robot and its numbers
+
+
+def _values_of(joint: RobotJoint) -> dict[str, float]:
+    """Return the numbers of a robot's joint; its link has one viscous friction unless two are declared."""
+    values, model = joint.values, joint.model
+    found = {name: values[name] for name in names_of(model) if name != "load_inertia"}
+    for side in model.sides if model.friction.two_ways else ():
+        forwards, backwards = (found.pop(f"{side}coulomb_{way}") for way in _WAYS)
+        offset = "load_offset" if side == "load_" else "offset"
+        found[f"{side}coulomb"] = 0.5 * (forwards + backwards)
+        found[offset] = found.get(offset, 0.0) + 0.5 * (forwards - backwards)
+        if side == "load_" and joint.friction is None and found[f"{side}viscous_forwards"] == values["load_viscous"]:
+            found["load_viscous"], _ = (found.pop(f"{side}viscous_{way}") for way in _WAYS)
+    return found
+
+
+def values_of_joint(numbers: Numbers, axis: int) -> dict[str, float]:
+    """Return the numbers of a robot's joint by the names of any law, those of both directions and of each."""
+    found = dict(numbers.values[axis])
+    for side in numbers.joints[axis].sides:
+        shift = found.get("load_offset", 0.0) if side == "load_" else 0.0
+        for way, sign in _WAYS.items():
+            found[f"{side}coulomb_{way}"] = found[f"{side}coulomb"] + sign * shift
+            found.setdefault(f"{side}viscous_{way}", found.get(f"{side}viscous", 0.0))
+        found.setdefault(f"{side}viscous", found[f"{side}viscous_forwards"])
+    return found
+
+
+def law_places(numbers: Numbers) -> Iterator[tuple[Place, Parameter]]:
+    """Yield the nonlinear numbers of the laws by joint: of the motors, the links and the springs.
+
+    Each with its parameter in the law. A side of a joint whose friction rises below no speed has no rise.
+    """
+    for i, joint in enumerate(numbers.joints):
+        for side in joint.sides:
+            rises = numbers.values[i].get(f"{side}stribeck_speed", 0.0) > 0.0
+            for p in joint.friction.parameters(side):
+                own = p.name.removeprefix(side)
+                if own in BESIDE and (rises or not own.startswith("stribeck")):
+                    yield Place(i, p.name), p
+        for spring in joint.springs:
+            yield from ((Place(i, p.name), p) for p in spring.parameters[1:-1])
+
+
+def stribeck_share(below: float, speeds: FloatArray) -> FloatArray:
+    """Return the share of its rise that a friction has at speeds, by straight lines (`models.friction`)."""
+    return np.interp(np.abs(speeds) / below, *np.transpose(KNOTS)) if below > 0.0 else np.zeros_like(speeds)
+
+
+def robot_with(robot: Robot, numbers: Numbers) -> Robot:
+    """Return a robot with other numbers; names, places, gravity and coupling stay.
+
+    A Coulomb friction that is another backwards is one of both directions and an offset.
+
+    Raises:
+        MethodError: a rotor's inertia, with what is grouped with it, is negative.
+    """
+    joints = []
+    for i, joint in enumerate(robot.joints):
+        values, motor = values_of_joint(numbers, i), numbers.joints[i].sides[0]
+        of_link = (f"load_viscous_{way}" for way in _WAYS)
+        names = [*joint.numbers, *(name for name in of_link if name in numbers.values[i])]
+        stated = joint.numbers.keys() & {"stribeck_force", "motor_stribeck_force"}
+        spring = joint.spring and replace(
+            joint.spring,
+            stiffness=values["stiffness"],
+            damping=values["damping"],
+            viscous=values["load_viscous"],
+            coulomb=values["load_coulomb"],
+        )
+        joints.append(
+            replace(
+                joint,
+                rotor_inertia=values[f"{motor}inertia"],
+                viscous=values[f"{motor}viscous"],
+                coulomb=values[f"{motor}coulomb"],
+                offset=values["offset"],
+                viscous_backwards=values[f"{motor}viscous_backwards"] if joint.asymmetric else None,
+                coulomb_backwards=None,
+                stribeck_force=0.0 if stated else values.get(f"{motor}stribeck_force", 0.0),
+                stribeck_speed=values.get(f"{motor}stribeck_speed") or None,
+                spring=spring,
+                numbers={name: values[name] for name in names},
+            )
+        )
+    return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from jointid.simulation.kernels.tables import (
     DAMPING,
     DIVERGED,
     FREE,
+    HIGH,
     INERTIA,
     OFFSET,
     PART,
@@ -36,6 +37,7 @@ from jointid.simulation.kernels.tables import (
     TAPE,
     VISCOUS,
     VISCOUS_BACK,
+    WINDING,
     IntArray,
     Plant,
     SampledLoop,
@@ -44,9 +46,8 @@ from jointid.simulation.kernels.tables import (
     tape_width,
 )
 from jointid.simulation.loop_input import LoopInput
-from jointid.simulation.plant import JointNumbers
-from jointid.simulation.robot_numbers import MassNumbers, RobotNumbers
-from jointid.simulation.start import Initial, Numbers, Start, begin
+from jointid.simulation.plant import Numbers
+from jointid.simulation.start import Initial, Start, begin
 
 FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
@@ -115,7 +116,7 @@ class Run:
 
     Attributes:
         experiment: it was driven with. numbers: of the candidate.
-        plant: masses and springs as the kernels read them; None of a joint of straight lines.
+        plant: masses and springs as the kernels read them.
         start: its first state.
         outcome: how it ended.
         command: (n, clock) torques that act, the last held after a failure.
@@ -126,8 +127,8 @@ class Run:
     """
 
     experiment: LoopInput
-    numbers: Any
-    plant: Plant | None
+    numbers: Numbers
+    plant: Plant
     start: Start
     outcome: Outcome
     command: FloatArray
@@ -186,12 +187,13 @@ def run_loop(
         room: memory for what is kept.
     """
     carried = numbers.carrying(experiment.payload)
-    taken, outcome = steps or 0, Outcome.INVALID
-    if numbers.possible(experiment.clock.steps * float(np.sum(experiment.clock.lengths))):
-        outcome, experiment = Outcome.FINISHED, experiment.delayed(numbers.delays)
+    plant, taken, outcome = carried.plant, steps or 0, Outcome.INVALID
+    if carried.possible(plant, experiment.clock.steps * float(np.sum(experiment.clock.lengths))):
+        outcome, experiment = Outcome.FINISHED, experiment.delayed(numbers)
         if experiment.tree is not None and steps is None:
-            clock = experiment.clock
-            taken = choose_steps(experiment.tree, experiment.references, float(np.max(clock.lengths)), carried)
+            clock, inertials = experiment.clock, carried.inertials
+            longest = float(np.max(clock.lengths))
+            taken = choose_steps(experiment.tree, experiment.references, longest, plant, inertials)
             # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
             outcome = outcome if taken <= STEPS else Outcome.TOO_STIFF
             taken = math.ceil(taken * FINE / stride)
@@ -204,11 +206,10 @@ def run_loop(
         nowhere = Start(still, still, still, (None,) * n, np.zeros((n, 0)), np.zeros(n))
         none, counts = np.zeros((n, 0, elements)), np.zeros(4, np.int64)
         nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), counts
-        return Run(experiment, numbers, None, nowhere, outcome, *nothing)
+        return Run(experiment, numbers, plant, nowhere, outcome, *nothing)
     far = np.array([each.far for each in experiment.axes]) + np.abs(start.places[numbers.motors])
     if numbers.straight:
-        return _run_lines(experiment, numbers, start, far, keep, room or Room())
-    plant = carried.plant
+        return _run_lines(experiment, numbers, plant, start, far, keep, room or Room())
     status, command, excess, tape, counts = integrate(
         plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
         start.speeds, start.wound, keep=keep, steps=taken, room=room,
@@ -216,15 +217,23 @@ def run_loop(
     return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, counts)
 
 
+def lines_of(plant: Plant) -> FloatArray:
+    """Return the coefficients of a joint of straight lines, (14,), see `kernels.drive`: a rigid one has no spring."""
+    rows, (stiffness, damping) = plant.masses[:, 0], plant.springs[0, 0, :2] if len(plant.springs) else (0.0, 0.0)
+    motor, load = rows[0], rows[1] if len(rows) > 1 else np.eye(HIGH + 1)[INERTIA]
+    both = (*motor[VISCOUS : COULOMB_BACK + 1], *load[VISCOUS : COULOMB_BACK + 1])
+    return np.array([motor[INERTIA], load[INERTIA], stiffness, damping, *both, motor[OFFSET], load[OFFSET]])
+
+
 def _run_lines(
-    experiment: LoopInput, numbers: JointNumbers, start: Start, far: FloatArray, keep: bool, room: Room
+    experiment: LoopInput, numbers: Numbers, plant: Plant, start: Start, far: FloatArray, keep: bool, room: Room
 ) -> Run:
     """Run a joint of straight lines by its affine maps, again with a longer tape where it turns round all the time."""
     from jointid.simulation.kernels import drive
 
     clock, sampled = experiment.clock, experiment.sampled
     kept, taped = (clock.steps * clock.lengths.size, _TAPED + clock.steps // 16) if keep else (0, 0)
-    elements, coefficients = sampled.w.shape[1], numbers.drive
+    elements, coefficients = sampled.w.shape[1], lines_of(plant)
     while True:
         trace = Trace(
             np.zeros(clock.steps),  # never in a room: it may be an answer
@@ -249,7 +258,7 @@ def _run_lines(
         if status == DIVERGED:  # divergence may overflow
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     command, excess, tape = trace.u[np.newaxis], trace.excess[np.newaxis], trace.tape[: int(trace.counts[1])]
-    return Run(experiment, numbers, None, start, OUTCOMES[status], command, excess, tape, trace.counts, trace)
+    return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, trace.counts, trace)
 
 
 def integrate(
@@ -326,7 +335,7 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
 
 def _motion_of_lines(run: Run, lines: Trace, at: IntArray, masses: int) -> MassMotion:
     """Return the motion of a joint of straight lines, its accelerations just after the torque of a part acts."""
-    clock, post, plant = run.experiment.clock, run.experiment.sampled.post[0], run.numbers.plant
+    clock, post, plant = run.experiment.clock, run.experiment.sampled.post[0], run.plant
     position, velocity = (lines.states[at, i : 2 * masses : 2] for i in range(2))
     modes = lines.modes[at].astype(np.int64)[:, np.newaxis] - 4
     motor = np.sign(modes) * (np.abs(modes) > 1)
@@ -419,41 +428,36 @@ class Simulation:
         return tuple(made)
 
 
-def choose_steps(tree: Tree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
+def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant, inertials: FloatArray) -> int:
     """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
 
     Args:
         tree: of the links.
         references: (samples, n) where the shafts are about.
         length: s.
-        numbers: of the robot.
+        plant: masses and springs.
+        inertials: of the links.
     """
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
-    n, rotors = numbers.rotors.size, numbers.rotors
-    still, room = np.zeros(n), np.empty((n, ROOM))
-    size, fastest = len(numbers.masses), 0.0
-    rise, below, over = numbers.masses[:, MassNumbers.RISE : MassNumbers.PRESLIDING + 1].T
-    steep = np.where(below > 0.0, rise / np.where(below > 0.0, below, 1.0), 0.0)  # some share less than the steepest
+    n, size, fastest = len(inertials), len(plant.masses), 0.0
+    still, room, links = np.zeros(n), np.empty((n, ROOM)), np.empty((n, n))
+    whole = plant.masses[:, -1]
     # What winds up is a spring, twice as stiff behind a reversal as where it is not wound up.
-    winding = np.where(over > 0.0, 2.0 * numbers.masses[:, MassNumbers.COULOMB] / np.where(over > 0.0, over, 1.0), 0.0)
-    springs = np.diag(winding)
-    dampers = np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:6], axis=1) + steep)
-    plant = numbers.plant
-    for spring, i in enumerate(np.flatnonzero(numbers.flexible)):
+    springs = np.diag(2.0 * whole[:, COULOMB] * whole[:, WINDING])
+    dampers = np.diag(np.max(np.abs(plant.masses[..., VISCOUS : VISCOUS_BACK + 1]), axis=(1, 2)))
+    for pair, pieces in zip(plant.pairs.astype(int), plant.springs, strict=True):
         both = np.zeros(size)
-        both[i], both[rotors[i]] = 1.0, -1.0
+        both[pair] = 1.0, -1.0
         # A cubic spring is four times as stiff where the cube carries as much as the line.
-        stiffest = np.max(plant.springs[spring], axis=0)
+        stiffest = np.max(pieces, axis=0)
         stiffness = stiffest[STIFFNESS] * (4.0 if stiffest[CUBIC] > 0.0 else 1.0)
         springs += (stiffness + 2.0 * stiffest[SLIPS] * stiffest[SLIDING]) * np.outer(both, both)
         dampers += stiffest[DAMPING] * np.outer(both, both)
     for pose in references[:: max(len(references) // _POSES, 1)]:
-        M = np.zeros((size, size))
-        links = np.empty((n, n))
-        equations_of_motion(tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
-        M[:n, :n] = links
-        M[np.diag_indices(size)] += numbers.masses[:, 0]
+        M = np.diag(plant.masses[:, 0, INERTIA])
+        equations_of_motion(tree, inertials, pose, still, still, room, links, np.empty(n))
+        M[:n, :n] += links
         lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
         if not lowest > 0.0:  # the kernel says of it what is to be said
             continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +15,7 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare, to_log
-from jointid.simulation.plant import JointNumbers
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Simulation, require_success, run_loop
 from jointid.simulation.start import Initial
 
@@ -26,7 +25,7 @@ _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is far
 def simulate(
     loop: ClosedLoop | RobotLoop,
     record: Record | Sequence[Record] | LoopInput,
-    values: Mapping[str, float] | RobotNumbers | None = None,
+    values: Mapping[str, float] | Numbers | None = None,
     initial: Initial | None = None,
     *,
     steps: int | None = None,
@@ -50,10 +49,11 @@ def simulate(
         MethodError: there is not one record for each joint of a robot, or controllers or logs share no clock.
     """
     experiment = record if isinstance(record, LoopInput) else prepare(loop, record)
-    numbers: Any = values
     if isinstance(loop, ClosedLoop):
-        numbers = JointNumbers(loop.joint, {} if numbers is None else numbers)
-    return Simulation.of(run_loop(experiment, numbers or RobotNumbers.of(loop.robot), initial, keep=True, steps=steps))  # type: ignore[union-attr]
+        numbers = Numbers.of_joint(loop.joint, cast("Mapping[str, float]", values or {}))
+    else:
+        numbers = Numbers.of(loop.robot) if values is None else cast("Numbers", values)
+    return Simulation.of(run_loop(experiment, numbers, initial, keep=True, steps=steps))
 
 
 def simulated_record(
@@ -178,7 +178,7 @@ def add_feed_forward(
     channels = [record.reference for record in records]
     if any(channel is None for channel in channels) or len({(c.sample_time, len(c)) for c in channels if c}) != 1:
         raise MethodError("A feed-forward is computed from references of one rate and one length; give one per joint.")
-    numbers, given = RobotNumbers.of(loop.robot), [channel for channel in channels if channel]
+    given = [channel for channel in channels if channel]
     sample_time = given[0].sample_time
     q = np.column_stack([channel.values for channel in given])
     v = np.gradient(q, sample_time, axis=0)
@@ -187,12 +187,13 @@ def add_feed_forward(
         v, a = np.zeros_like(q), np.zeros_like(q)
     joints = np.linalg.inv(loop.robot.coupling)  # the references are those of the shafts
     motion = (np.ascontiguousarray(x @ joints.T) for x in (q, v, a))
-    torque = inverse_dynamics(loop.robot.tree, numbers.inertials, *motion)
+    torque = inverse_dynamics(loop.robot.tree, loop.robot.inertials, *motion)
     torque = torque @ joints
-    of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
-    both = of_motor + np.where(numbers.flexible[:, np.newaxis], numbers.masses[:n], 0.0)
-    viscous = both[:, 1] + np.where(v < 0.0, both[:, 5], both[:, 4])
-    torque += of_motor[:, 0] * a + viscous * v + of_motor[:, 3]
+    for j, joint in enumerate(loop.robot.rigid.joints):
+        values = joint.values
+        forwards, backwards, held, held_back = joint.law.directions(values)
+        viscous = np.where(v[:, j] < 0.0, backwards, forwards)
+        torque[:, j] += values["inertia"] * a[:, j] + viscous * v[:, j] + values["offset"] + 0.5 * (held - held_back)
     units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree.kinds]
     return tuple(
         replace(

@@ -17,7 +17,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate, simulate_sensitivities
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate
 
@@ -50,8 +50,8 @@ def compile_robot() -> None:
     joints = (RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0)))
     robot = Robot(links, joints)
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
-    numbers = RobotNumbers.of(robot)
-    differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), numbers.not_zero()[0])
+    numbers = Numbers.of(robot)
+    differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), numbers.not_zero())
     inverse_columns(robot, *np.zeros((3, 2, 2)))
 
 

@@ -10,11 +10,10 @@ from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.estimation.robots.twin import identified as identified_robot
-from tests.robots_plants import Twin, six, two
+from tests.robots_plants import Twin, six, stiffness_of, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
 
@@ -53,14 +52,14 @@ def test_a_record_without_noise_settles() -> None:
     found, _ = identified(twin, level=0.0)
     assert found.converged and found.iterations < 30
     assert max(found.relative_error) < 1e-6
-    for spring, truth in zip(found.springs, RobotNumbers.of(twin.robot).springs[:, 0], strict=True):
+    for spring, truth in zip(found.springs, stiffness_of(twin.robot), strict=True):
         assert spring.stiffness == pytest.approx(truth, rel=1e-4)
 
 
 def test_springs_come_back_with_their_intervals() -> None:
     twin = two((12.0, 18.0))
     found, noise = identified(twin)
-    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    truth = stiffness_of(twin.robot)
     assert found.converged
     assert found.problem.sigma == pytest.approx(np.std(noise, axis=0) * np.sqrt(2 * 60.0 * 1e-3), rel=0.15)
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
@@ -77,7 +76,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     found, _ = identified(twin, frequencies={"joint1": 15.0})
     (spring,) = found.springs
     assert spring.shown
-    assert spring.stiffness == pytest.approx(RobotNumbers.of(twin.robot).springs[0, 0], rel=0.01)
+    assert spring.stiffness == pytest.approx(stiffness_of(twin.robot)[0], rel=0.01)
     assert "joint2.stiffness" not in found.names
 
 
@@ -85,8 +84,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
 def test_springs_behind_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
     found, _ = identified(twin)
-    truth = RobotNumbers.of(twin.robot)
-    for spring, stiffness in zip(found.springs, truth.springs[:, 0], strict=True):
+    for spring, stiffness in zip(found.springs, stiffness_of(twin.robot), strict=True):
         assert spring.stiffness == pytest.approx(stiffness, rel=0.02)
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.value(f"{joint}.stribeck_force")
@@ -101,7 +99,7 @@ def test_springs_behind_friction_that_rises_towards_standstill() -> None:
 def test_springs_of_motors_that_are_coupled() -> None:
     twin = changed(two((12.0, 18.0)), *COUPLED)
     found, _ = identified(twin, frequencies={"joint1": 14.0, "joint2": 16.0})
-    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    truth = stiffness_of(twin.robot)
     for spring, stiffness in zip(found.springs, truth, strict=True):
         assert spring.stiffness == pytest.approx(stiffness, rel=0.05)
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
@@ -112,7 +110,7 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     """A joint that is as good as rigid: no stiffness, but how stiff it is at least."""
     twin = two((12.0, 110.0))
     found, _ = identified(twin, frequencies={"joint1": 14.0, "joint2": 40.0})
-    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    truth = stiffness_of(twin.robot)
     soft, stiff = found.springs
     assert soft.shown
     assert not stiff.shown
@@ -141,7 +139,7 @@ def test_a_rigid_robot_is_told_soon() -> None:
 def test_six_flexible_joints() -> None:
     twin = six(True)
     found, _ = identified(twin, duration=6.0)
-    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    truth = stiffness_of(twin.robot)
     assert found.converged
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.9
     for spring, stiffness in zip(found.springs, truth, strict=True):

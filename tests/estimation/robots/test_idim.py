@@ -21,7 +21,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import VISCOUS, arm, axis_errors, by_idim, identified, records_of
@@ -175,7 +175,7 @@ def test_instruments_begin_in_motion_where_the_loop_does() -> None:
     inverse = inverse_of_robot(loop.robot, parameters)
     motion = inverse.measure(records, Filtering())
     measured = inverse.rows([motion]).W
-    there = simulate_robot(loop, records, parameters)(parameters.group(RobotNumbers.of(loop.robot)))
+    there = simulate_robot(loop, records, parameters)(parameters.group(Numbers.of(loop.robot)))
     q, v, a = filter_motion(there, motion.sample_time, motion.filtering)
     made = inverse.rows([motion], [inverse.columns(q, v, a)]).W
     assert np.linalg.norm(made - measured) < 1e-3 * np.linalg.norm(measured)

@@ -16,7 +16,7 @@ from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.synthesis import simulate
 from tests.estimates import identify
@@ -104,7 +104,7 @@ def test_two_axes_have_laws_of_their_own(laws: dict[str, tuple[str, str | None, 
     twin = two((9.0, 13.0) if flexible else (None, None))
     loop = replace(twin.loop(), robot=with_laws(twin, laws))
     fit = search_robot(loop, noisy(loop, twin.records(6.0, multisine=0.02 if flexible else 0.0), 0.01))
-    truth = fit.parameters.group(RobotNumbers.of(loop.robot))
+    truth = fit.parameters.group(Numbers.of(loop.robot))
     assert fit.converged
     own = [name_in_robot(joint, name) for joint, (_, _, numbers) in laws.items() for name in numbers]
     assert set(own) <= set(fit.names)

@@ -11,7 +11,7 @@ from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, seven, six, two
@@ -29,12 +29,12 @@ def recorded(
 
 def deviations(fit: RobotFit, twin: Twin) -> np.ndarray:
     """Return the errors of all parameters in their standard deviations."""
-    return np.asarray((fit.values - fit.parameters.group(RobotNumbers.of(twin.robot))) / fit.covariance.std)
+    return np.asarray((fit.values - fit.parameters.group(Numbers.of(twin.robot))) / fit.covariance.std)
 
 
 @pytest.mark.parametrize(("twin", "count"), [(two(), 13), (six(), 58), (seven(), 69)], ids=["two", "six", "seven"])
 def test_base_parameters_move_the_robot_as_all_do(twin: Twin, count: int) -> None:
-    parameters, numbers = robot_parameters(twin.robot), RobotNumbers.of(twin.robot)
+    parameters, numbers = robot_parameters(twin.robot), Numbers.of(twin.robot)
     assert len(parameters.names) == count
     assert len(set(parameters.names)) == count
     experiment = prepare(twin.loop(), twin.records(1.0))
@@ -53,7 +53,7 @@ def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -
     loop = twin.loop(slower)
     records, _ = recorded(loop, twin.records(6.0))
     fit = search_robot(loop, records)
-    truth = fit.parameters.group(RobotNumbers.of(twin.robot))
+    truth = fit.parameters.group(Numbers.of(twin.robot))
     assert fit.converged
     assert fit.iterations <= (8 if slower == 1 else 20)
     assert np.max(fit.relative_error) < 1e-6
@@ -86,7 +86,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
         )
     records, _ = recorded(loop, records)
     fit = search_robot(loop, records)
-    truth = fit.parameters.group(RobotNumbers.of(twin.robot))
+    truth = fit.parameters.group(Numbers.of(twin.robot))
     assert fit.converged
     assert np.max(fit.relative_error) < 1e-6
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))

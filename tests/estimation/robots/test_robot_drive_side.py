@@ -13,11 +13,11 @@ from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import axis_errors
-from tests.robots_plants import Twin, six, two
+from tests.robots_plants import Twin, six, stiffness_of, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
 SPEEDS = tuple({"stribeck_speed": one["stribeck_speed"]} for one in RISING)
@@ -62,14 +62,14 @@ def identified(twin: Twin, records: tuple[Record, ...], **how: object) -> RobotF
 def inside(found: RobotFit, twin: Twin) -> float:
     """Return the share of the robot's parameters whose truth is within two deviations."""
     parameters = found.parameters
-    truth = parameters.group(RobotNumbers.of(twin.robot))
+    truth = parameters.group(Numbers.of(twin.robot))
     mine = ~np.array([place.is_of_record for place in parameters.places])
     return float(np.mean(np.abs((found.values - truth) / found.covariance.std)[mine] < 2.0))
 
 
 def assert_springs(found: RobotFit, twin: Twin, within: float) -> None:
-    truth = RobotNumbers.of(twin.robot).springs
-    for spring, stiffness in zip(found.springs, truth[truth[:, 0] > 0.0, 0], strict=True):
+    truth = stiffness_of(twin.robot)
+    for spring, stiffness in zip(found.springs, truth[truth > 0.0], strict=True):
         assert spring.shown, spring
         assert abs(spring.stiffness - stiffness) < 3.5 * spring.deviation
         assert spring.stiffness == pytest.approx(stiffness, rel=within)
@@ -153,7 +153,7 @@ def test_six_joints_are_found() -> None:
     twin = six(True)
     found = identified(twin, logged(twin, duration=6.0))
     assert found.converged
-    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    truth = stiffness_of(twin.robot)
     for spring, stiffness in zip(found.springs[:5], truth[:5], strict=True):
         assert spring.stiffness == pytest.approx(stiffness, rel=3e-3)
     assert inside(found, twin) > 0.88

@@ -11,18 +11,18 @@ from jointid.estimation.robots.didim import search_robot
 from jointid.estimation.robots.fit import RobotFit
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.start import begin
 from tests.estimation.robots.test_rigid_robots import deviations
 from tests.robots_mujoco import simulate_by_mujoco
-from tests.robots_plants import Twin, six, two
+from tests.robots_plants import Twin, six, stiffness_of, two
 
 
 def moved(twin: Twin, records: tuple[Record, ...], step: float = 1e-4) -> tuple[FloatArray, FloatArray]:
     """Return the torques by MuJoCo and by jointid, (samples, n) each."""
     loop = twin.loop()
-    experiment, numbers = prepare(loop, records), RobotNumbers.of(twin.robot)
+    experiment, numbers = prepare(loop, records), Numbers.of(twin.robot)
     gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
     start = begin(experiment, numbers).places
     theirs, _ = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, start, step)
@@ -63,7 +63,7 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
     off = np.abs(deviations(found, twin))
     assert np.max(off) < 3.5  # of one draw of the noise, whose errors go together
     assert np.mean(off < 2) > 0.75
-    for spring, stiffness in zip(found.springs, RobotNumbers.of(twin.robot).springs[:, 0], strict=True):
+    for spring, stiffness in zip(found.springs, stiffness_of(twin.robot), strict=True):
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
 
 
@@ -83,7 +83,7 @@ def test_intervals_hold_when_the_error_of_mujoco_is_counted(twin: Twin, multisin
         return search_robot(twin.loop(), made)
 
     clean = identified(1e-7, 0)
-    truth = clean.parameters.group(RobotNumbers.of(twin.robot))
+    truth = clean.parameters.group(Numbers.of(twin.robot))
     own, inside, counted = np.abs(clean.values - truth), [], []
     for seed in range(6):
         fit = identified(0.02, seed)

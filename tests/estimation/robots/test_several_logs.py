@@ -8,7 +8,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.didim import search_robot
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -20,7 +20,7 @@ LOGS = tuple(recorded(LOOP, TWIN.records(4.0, seed), 0.01, seed)[0] for seed in 
 def test_didim_of_two_logs_knows_more_than_of_either() -> None:
     one, other, both = (search_robot(LOOP, records) for records in (*LOGS, LOGS))
     assert both.converged
-    truth = both.parameters.group(RobotNumbers.of(TWIN.robot))
+    truth = both.parameters.group(Numbers.of(TWIN.robot))
     assert np.all(np.abs(both.values - truth) < 5 * both.covariance.std)
     first, second, summed = (fit.information.T @ fit.information for fit in (one, other, both))
     assert np.diag(summed) == pytest.approx(np.diag(first + second), rel=0.15)

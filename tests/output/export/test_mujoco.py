@@ -13,6 +13,8 @@ import jointid as ji
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
+from jointid.simulation.plant import Numbers
+from jointid.simulation.start import steady_joint
 from tests.geared import FLEXIBLE, LAW
 from tests.output.export.models import PIECES, apart, model, servo, simulated
 
@@ -57,7 +59,8 @@ def mjcf_torque(
     gear = 1.0 if joint.transmission is None else joint.transmission.motor_per_load
     plant = Plant(ji.export(told, "mjcf", timestep=timestep).text, float(reference[0]) / gear)
     if joint.model == "flexible":
-        plant.data.qpos[1] = joint.hang(values, float(reference[0]), 0.0) / gear  # where the load hangs
+        at_rest = steady_joint(Numbers.of_joint(joint, values), float(reference[0]), 0.0, 0.0)
+        plant.data.qpos[1] = at_rest.settle()[0][1] / gear
     return servo(law, reference, 1e-3, lambda torque: gear * plant(torque))
 
 

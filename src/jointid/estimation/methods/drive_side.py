@@ -55,13 +55,12 @@ from jointid.records.signals.filtering import (
     window_torque,
 )
 from jointid.simulation.drive_side import (
-    LOAD_STATE,
     PARTS,
     DriveSide,
     DriveSideRun,
     prescribe,
 )
-from jointid.simulation.plant import JointNumbers
+from jointid.simulation.plant import LOAD_STATE, Numbers, Place
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Step, solve
@@ -107,7 +106,7 @@ class DriveSideProblem(RecordProblem):
 
     def run(self, x: FloatArray) -> DriveSideRun:
         """Return the simulation itself, part by part."""
-        return self.log.run(JointNumbers(self.joint, self.values(x)))
+        return self.log.run(Numbers((self.joint,), (self.values(x),)))
 
     def predict(self, x: FloatArray) -> FloatArray:
         """Return the prediction of `measured`, (samples,)."""
@@ -123,7 +122,7 @@ class DriveSideProblem(RecordProblem):
         error = self._error(run)
         if run.outcome is not Outcome.FINISHED:
             return error, np.zeros((error.size, x.size))
-        return error, -self.log.slopes(run, [p.name for p in self.free])
+        return error, -self.log.slopes(run, [Place(0, p.name) for p in self.free])
 
     def _error(self, run: DriveSideRun) -> FloatArray:
         if run.outcome is not Outcome.FINISHED:

@@ -34,7 +34,7 @@ from jointid.records.signals.filtering import Filtering, decimate_all, drop_ends
 from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import AxisInput, LoopInput, change_controller, prepare
-from jointid.simulation.plant import JointNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Run, Simulation, motion_at, run_loop
 from jointid.simulation.start import Initial
 from jointid.uncertainty.position_dependent_error import Cells, cells
@@ -45,7 +45,7 @@ class _Candidate:
     """A simulation candidate for one vector of parameters."""
 
     experiment: LoopInput
-    numbers: JointNumbers  # of the joint, per torque of the log
+    numbers: Numbers  # of the joint, per torque of the log
     initial: Initial
     drive_gain: float
     log_gain: float
@@ -180,7 +180,7 @@ class ClosedLoopProblem(RecordProblem):
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
         found = simulate_sensitivities(
-            self.loop, c.experiment, c.numbers.values, wanted, c.initial, positions=self.seen is not None
+            self.loop, c.experiment, c.numbers.values[0], wanted, c.initial, positions=self.seen is not None
         )
         raw, slopes = self._output(found.run), found.torque
         if self.seen is not None:
@@ -190,7 +190,7 @@ class ClosedLoopProblem(RecordProblem):
             return shown, found.run, slopes
         columns = dict(zip(wanted, slopes.T, strict=True))
         if scaled:  # all of the joint's parameters are measured in the torque that acts
-            columns["drive_gain"] = -sum((c.numbers.values[n] / c.drive_gain) * columns[n] for n in own)
+            columns["drive_gain"] = -sum((c.numbers.values[0][n] / c.drive_gain) * columns[n] for n in own)
         for name in own:
             if name in columns and c.drive_gain != 1.0:
                 columns[name] = columns[name] / c.drive_gain
@@ -233,7 +233,7 @@ class ClosedLoopProblem(RecordProblem):
         experiment = self.experiment
         if any(v != number(self.loop.controller, n) for n, v in numbers.items()):
             experiment = _change_law(experiment, tuple(numbers.items()))
-        joint = JointNumbers(self.joint, {n: values[n] / gain for n in own})
+        joint = Numbers.of_joint(self.joint, {n: values[n] / gain for n in own})
         initial = Initial(*(values.get(name) for name in INITIAL))
         return _Candidate(experiment, joint, initial, gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0))
 

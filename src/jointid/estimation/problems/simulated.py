@@ -62,9 +62,8 @@ from jointid.simulation.drive_side import (
     run_drive_side,
 )
 from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
-from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.plant import LOAD_STATE, Bools, Numbers, Place
 from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
-from jointid.simulation.start import Keys, Numbers
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 
@@ -76,7 +75,7 @@ _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, an
 _BEGINNING = 4.0  # s of a record, along which the search begins
 _SHORTER = 0.7  # of a record: a beginning that saves time
 _FIRST_STATE = LevenbergMarquardt(1e-6, 6)  # of the links at the first sample, on which torques depend nearly in a line
-_DELAY = NumberPlace(NumberOf.LOG, 0, 0)
+_DELAY = Place(0, LOG_DELAY.name)
 
 Runs: TypeAlias = tuple[Any, ...]
 """Runs of one candidate along several logs, each a `Run` or a `DriveSideRun`."""
@@ -140,13 +139,13 @@ class LoopLog:
         """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
         torque = run.torque
         if any(self.seen) and run.outcome is Outcome.FINISHED:
-            position = motion_at(run, run.experiment.clock.log_index).position[:, run.numbers.rotors]
+            position = motion_at(run, run.experiment.clock.log_index).position[:, run.numbers.motors]
             for j, seen in enumerate(self.seen):
                 if seen is not None:
                     torque[:, j] = seen.torque(position[:, j])[: len(torque)]
         return torque
 
-    def slopes(self, run: Run, keys: Keys) -> FloatArray:
+    def slopes(self, run: Run, keys: Sequence[Place]) -> FloatArray:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
         return _in_blocks(lambda some: decimate_each(self, differentiate(run, some)[0]), keys)
 
@@ -227,7 +226,7 @@ class MotionLog:
         """Return the torque of a run as the log shows it, (samples, n)."""
         return self._show(run, run.torque)
 
-    def slopes(self, run: DriveSideRun, keys: Keys) -> FloatArray:
+    def slopes(self, run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
         parts = run.columns(keys)
 
@@ -238,7 +237,7 @@ class MotionLog:
             rows[:, own] = seen
             return rows
 
-        def moved_by(some: Keys) -> FloatArray:
+        def moved_by(some: Sequence[Place]) -> FloatArray:
             moved = differentiate_drive_side(run, some)
             return decimate_each(self, [self._show(run, moved[:, j]) for j in range(moved.shape[1])])
 
@@ -246,9 +245,9 @@ class MotionLog:
         moving = [c for c, key in enumerate(keys) if moves_links(key, run.numbers)]
         if moving:
             found[:, moving] += _in_blocks(moved_by, [keys[c] for c in moving])
-        if self._delay in keys:
+        if _DELAY in keys:
             late = self._show(run, run.torque, 1) / self.sample_time
-            found[:, list(keys).index(self._delay)] = decimate_each(self, list(late.T))
+            found[:, list(keys).index(_DELAY)] = decimate_each(self, list(late.T))
         return found
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
@@ -256,17 +255,9 @@ class MotionLog:
         rows = self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
         return rows.reshape(len(rows), *columns.shape[1:])
 
-    @property
-    def _delay(self) -> Any:
-        """The parameter by which the log shows torques late."""
-        return LOG_DELAY.name if self.tree is None else _DELAY
-
     def _show(self, run: DriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
         """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them."""
-        if self.tree is None:
-            late = run.numbers.values[LOG_DELAY.name]
-        else:
-            late = float(run.numbers.log[0, 0]) if run.numbers.log.size else 0.0
+        late = run.numbers.values[0].get(LOG_DELAY.name, 0.0)
         return window_parts(parts, self.parts, late / self.sample_time, order, curved=self.parts == 1)
 
 
@@ -278,7 +269,7 @@ def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
 
 
-def _in_blocks(of: Callable[[Any], FloatArray], keys: Keys) -> FloatArray:
+def _in_blocks(of: Callable[[Any], FloatArray], keys: Sequence[Place]) -> FloatArray:
     """Return columns of parameters, (rows, keys), some at a time in threads."""
     share = max(math.ceil(len(keys) / threads()), _FEWEST)
     return np.column_stack(in_threads(of, [tuple(keys[i : i + share]) for i in range(0, len(keys), share)]))
@@ -360,7 +351,7 @@ class Simulated:
         least = self.floor / math.sqrt(rows.shape[1])
         return replace(self, sigma=np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
 
-    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Runs:
+    def simulate(self, numbers: Numbers, *, keep: bool = True) -> Runs:
         """Simulate a robot along all logs, and keep what its derivatives need."""
         return tuple(log.run(numbers, keep=keep) for log in self.logs)
 
@@ -368,12 +359,12 @@ class Simulated:
         """Simulate a candidate."""
         return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
 
-    def run_of(self, numbers: RobotNumbers, *, keep: bool = True) -> Runs | None:
+    def run_of(self, numbers: Numbers, *, keep: bool = True) -> Runs | None:
         """Simulate a robot with these numbers; None if it cannot be simulated.
 
         Where its links are at the first sample is of the record: it is fitted, of any robot alike.
         """
-        numbers = replace(numbers, beside=self.parameters.base.beside)
+        numbers = numbers.with_record(self.parameters.base, LOAD_STATE)
         runs, first = self.simulate(numbers, keep=keep), self.parameters.first_state(numbers)
         if outcome_of(runs) is not Outcome.FINISHED:
             return None
@@ -382,7 +373,7 @@ class Simulated:
         beginning = replace(self, parameters=first)
         return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(first.places))).x)
 
-    def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
+    def error_of(self, numbers: Numbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
         runs = self.run_of(numbers, keep=False)
         return None if runs is None else self.error(runs)
@@ -556,11 +547,11 @@ def _motion_log(robot: Robot, records: Sequence[Record], filtering: Filtering) -
 
 def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
     """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
-    more = [(delay, _DELAY)] if delay.free else []
-    for j in np.flatnonzero(np.array(robot.flexible) & ~resting):
-        for column, (word, quantity) in enumerate((("position", Quantity.POSITION), ("velocity", Quantity.VELOCITY))):
-            own = f"initial_link_{word}"
-            parameter = Parameter(f"{robot.joints[j].name}.{own}", symbol_of(own, int(j)), quantity)
-            more.append((parameter, NumberPlace(NumberOf.BESIDE, int(j), column)))
-    base = replace(parameters.base, beside=np.zeros((len(robot), 2)), log=np.array([[delay.start]]))
+    more, states = [(delay, _DELAY)] if delay.free else [], list[Place]()
+    for j in np.flatnonzero(np.array(robot.flexible) & ~resting).tolist():
+        for name, quantity in zip(LOAD_STATE, (Quantity.POSITION, Quantity.VELOCITY), strict=True):
+            own = name.replace("load", "link")
+            states.append(Place(j, name))
+            more.append((Parameter(f"{robot.joints[j].name}.{own}", symbol_of(own, j), quantity), states[-1]))
+    base = parameters.base.with_values([_DELAY, *states], [delay.start or 0.0, *np.zeros(len(states))])
     return replace(parameters.add(*more), base=base)

@@ -72,7 +72,7 @@ from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import values_of_joint
+from jointid.simulation.plant import values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
 from jointid.solvers.solve import Status
 
@@ -411,7 +411,7 @@ def _starts_of(
 def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
     """Return the simulated motion of one axis."""
     run = fit.runs[0]
-    clock, rotor = run.experiment.clock, int(run.numbers.rotors[joint])
+    clock, rotor = run.experiment.clock, run.numbers.motors[joint]
     seen = motion_at(run, clock.log_index)
     motor, link = ((seen.position[:, row], seen.velocity[:, row]) for row in (rotor, joint))
     return JointMotion(clock.sample_time * clock.samples, motor, link if rotor != joint else None)

@@ -20,7 +20,7 @@ from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of
 from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.robots.robot import Robot
-from jointid.simulation.robot_numbers import RobotNumbers, robot_with
+from jointid.simulation.plant import Numbers, robot_with
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution
@@ -93,7 +93,7 @@ class RobotFit:
         return self.parameters.values(self.x)
 
     @property
-    def numbers(self) -> RobotNumbers:
+    def numbers(self) -> Numbers:
         """Numbers of the robot that was found."""
         return self.parameters.numbers(self.values)
 

@@ -27,7 +27,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Simulation, run_loop
 
 
@@ -117,7 +117,7 @@ def identify_robot(
 
 def _nominal(robot: Robot, parameters: RobotParameters, rows: Rows) -> FloatArray:
     """Return the base parameters of the model's own masses, and the friction that fits best beside them."""
-    found, masses = parameters.group(RobotNumbers.of(robot)), parameters.inertial
+    found, masses = parameters.group(Numbers.of(robot)), parameters.inertial
     left = rows.Y - rows.W[:, masses] @ found[masses]
     found[~masses] = np.linalg.lstsq(rows.W[:, ~masses], left, rcond=None)[0]
     return found

@@ -34,17 +34,8 @@ from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.derivatives import columns_of, mass_column
-from jointid.simulation.kernels.tables import IntArray
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import (
-    SPRING_NUMBERS,
-    MassNumbers,
-    NumberOf,
-    NumberPlace,
-    RobotNumbers,
-    law_places,
-    with_values,
-)
+from jointid.simulation.plant import LOAD_STATE, Numbers, Place, law_places
 from jointid.simulation.simulate import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
@@ -52,9 +43,12 @@ _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would b
 _REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
 _LATE = 2e-3  # s of a step: a delay by at most so much
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
-_OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
+_INERTIAS = ("inertia", "motor_inertia")
+"""Names of a rotor's inertia."""
+_LINES = ("viscous", "viscous_forwards", "viscous_backwards", "coulomb", "stribeck_force")
+"""Names of a friction that multiplies a column of its motion, without the side."""
 _QUANTITIES = {
-    "rotor_inertia": Quantity.INERTIA,
+    "inertia": Quantity.INERTIA,
     "viscous": Quantity.VISCOUS,
     "viscous_forwards": Quantity.VISCOUS,
     "viscous_backwards": Quantity.VISCOUS,
@@ -80,12 +74,12 @@ class RobotParameters:
     """
 
     parameters: tuple[Parameter, ...]
-    places: tuple[NumberPlace, ...]
+    places: tuple[Place, ...]
     logarithmic: NDArray[np.bool_]
-    base: RobotNumbers
-    dropped: tuple[NumberPlace, ...]
+    base: Numbers
+    dropped: tuple[Place, ...]
     grouping: FloatArray
-    kept: tuple[NumberPlace, ...] = ()
+    kept: tuple[Place, ...] = ()
     fixed: tuple[Parameter, ...] = ()
 
     @property
@@ -96,15 +90,15 @@ class RobotParameters:
     @property
     def of_robot(self) -> NDArray[np.bool_]:
         """Which are of the robot, and not of the record, (parameters,)."""
-        return np.array([not place.is_of_record for place in self.places], dtype=np.bool_)
+        return np.array([not place.of_record for place in self.places], dtype=np.bool_)
 
     @property
     def inertial(self) -> NDArray[np.bool_]:
         """Which are inertias, or sums of them, (parameters,)."""
-        return np.array([standard_index(one, self.base.rotors) is not None for one in self.places], dtype=np.bool_)
+        return np.array([standard_index(one, len(self.base.joints)) is not None for one in self.places], dtype=np.bool_)
 
     def columns(
-        self, robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, numbers: RobotNumbers | None = None
+        self, robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, numbers: Numbers | None = None
     ) -> FloatArray:
         """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
 
@@ -115,23 +109,23 @@ class RobotParameters:
             a: (samples, n) their accelerations.
             numbers: with the speeds below which frictions rise; those of `base` without it.
         """
-        masses, rotors = (numbers or self.base).masses, self.base.rotors
+        numbers = numbers or self.base
         motor, behind = v @ robot.coupling.T, np.linalg.inv(robot.coupling)  # what acts on a link, on the motors
         links, places = inverse_columns(robot, q, v, a), (*self.places, *self.kept)
         found = np.zeros((*v.shape, len(places)))
         for k, place in enumerate(places):
-            if place.of is NumberOf.LINK:
-                found[:, :, k] = links[:, :, 10 * place.row + place.column]
-            elif place.of is NumberOf.MASS and place.column <= MassNumbers.RISE:
-                j = joint_of(place, rotors)
-                of_motor = place.row == rotors[j]
+            j = place.axis
+            if place.of_link:
+                found[:, :, k] = links[:, :, len(SYMBOLS) * j + place.column]
+            elif place.own in (*_LINES, "inertia", "offset"):
+                of_motor = place.side != "load_"
                 speed = (motor if of_motor else v)[:, j]
-                turns = links[:, j, 10 * len(robot) + j]
-                column = mass_column(place.column, masses[place.row], speed, turns, np.sign(speed))
+                turns = links[:, j, len(SYMBOLS) * len(robot) + j]
+                column = mass_column(place, numbers, q[:, j], speed, turns, np.sign(speed))
                 found[:, :, k] = column[:, np.newaxis] * (np.eye(len(robot)) if of_motor else behind)[j]
         return found
 
-    def add(self, *more: tuple[Parameter, NumberPlace]) -> RobotParameters:
+    def add(self, *more: tuple[Parameter, Place]) -> RobotParameters:
         """Return these and more parameters, with which nothing is grouped."""
         alone = np.zeros((len(more), len(self.dropped)))
         return replace(
@@ -148,7 +142,7 @@ class RobotParameters:
         found = np.zeros((len(self.places), 11 * len(self.base.inertials)))
         both = np.hstack([np.eye(len(self.places)), self.grouping])
         for place, column in zip((*self.places, *self.dropped), both.T, strict=True):
-            if (i := standard_index(place, self.base.rotors)) is not None:
+            if (i := standard_index(place, len(self.base.joints))) is not None:
                 found[:, i] = column
         return found
 
@@ -159,25 +153,25 @@ class RobotParameters:
         """
         symbols, found = standard_symbols(robot), list[str]()
         for one, place, row in zip(self.parameters, self.places, self.of_standard, strict=True):
-            kept = standard_index(place, self.base.rotors)
+            kept = standard_index(place, len(self.base.joints))
             if kept is None:
                 found.append(formula_of(np.append(row, 1.0), row.size, (*symbols, one.symbol)))
             else:
                 found.append(formula_of(row, name_sum(robot, row, kept)[2], symbols))
         return tuple(found)
 
-    def group(self, numbers: RobotNumbers) -> FloatArray:
+    def group(self, numbers: Numbers) -> FloatArray:
         """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,).
 
         Those that are of the record, not of the robot, are as in `base`.
         """
-        numbers = replace(numbers, beside=self.base.beside, log=self.base.log, delays=self.base.delays)
-        kept, dropped = (np.array([p.read(numbers) for p in places]) for places in (self.places, self.dropped))
+        numbers = numbers.with_record(self.base)
+        kept, dropped = (np.array([numbers[p] for p in places]) for places in (self.places, self.dropped))
         return np.asarray(kept + self.grouping @ dropped)
 
-    def group_all(self, numbers: RobotNumbers) -> FloatArray:
+    def group_all(self, numbers: Numbers) -> FloatArray:
         """Return `group`, then the numbers in the places of the fixed parameters."""
-        return np.concatenate([self.group(numbers), [place.read(numbers) for place in self.kept]])
+        return np.concatenate([self.group(numbers), [numbers[place] for place in self.kept]])
 
     def values(self, x: FloatArray) -> FloatArray:
         """Return the parameters from what is searched, (parameters,)."""
@@ -196,16 +190,16 @@ class RobotParameters:
         reach = np.where(self.logarithmic, _REACH, np.inf)
         of_laws = {place for place, _ in law_places(self.base)}
         for c, place in enumerate(self.places):
-            damping = place.of is NumberOf.SPRING and place.column == 1
-            if place.of is NumberOf.DELAY:
+            damping = place.name == "damping"
+            if place.name == DELAY:
                 reach[c] = _LATE
             elif (place in of_laws or damping) and values[c] != 0.0:
                 reach[c] = (_DAMPED if damping else _FACTOR) * abs(values[c])
         return reach
 
-    def numbers(self, values: FloatArray) -> RobotNumbers:
+    def numbers(self, values: FloatArray) -> Numbers:
         """Return the candidate with these parameters."""
-        return with_values(self.base, self.places, values)
+        return self.base.with_values(self.places, values)
 
     def select(self, kept: Sequence[int]) -> RobotParameters:
         """Return some of the parameters."""
@@ -218,9 +212,9 @@ class RobotParameters:
             grouping=self.grouping[kept],
         )
 
-    def first_state(self, numbers: RobotNumbers) -> RobotParameters:
+    def first_state(self, numbers: Numbers) -> RobotParameters:
         """Return those of the links' first state alone, of a robot with these numbers."""
-        own = [i for i, place in enumerate(self.places) if place.of is NumberOf.BESIDE]
+        own = [i for i, place in enumerate(self.places) if place.name in LOAD_STATE]
         return replace(self.select(own), base=numbers)
 
 
@@ -239,12 +233,12 @@ def robot_parameters(
         whole: whether all numbers of the laws are parameters. Else the equations are linear in them: they have the rise
             of a friction towards standstill, but the speed below which it does is the robot's.
     """
-    numbers = RobotNumbers.of(robot)
-    places = _order_parameters(robot, numbers, offsets, rising=not whole)
+    numbers = Numbers.of(robot)
+    places = _order_parameters(numbers, offsets, rising=not whole)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
-    base = with_values(numbers, places, np.zeros(len(places)))
-    logs = [logarithmic and _positive(place, numbers) for place in places]
-    parameters = [_name_parameter(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
+    base = numbers.with_values(places, np.zeros(len(places)))
+    logs = [logarithmic and _positive(place) for place in places]
+    parameters = [_name_parameter(place, robot, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
     found = RobotParameters(
         tuple(parameters[i] for i in kept),
@@ -256,7 +250,7 @@ def robot_parameters(
     )
     named = list(found.parameters)
     for row, (place, weights) in enumerate(zip(found.places, found.of_standard, strict=True)):
-        if (at := standard_index(place, numbers.rotors)) is not None:
+        if (at := standard_index(place, len(robot))) is not None:
             name, symbol, _ = name_sum(robot, weights, at)
             named[row] = replace(named[row], name=name, symbol=symbol)
     found = replace(found, parameters=tuple(named))
@@ -293,7 +287,7 @@ def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]
                 surrounding(DELAY, loop.controllers[j]), name=name_of(DELAY, loop.robot.joints[j].name),
                 symbol=symbol_of(DELAY, j),
             ),
-            NumberPlace(NumberOf.DELAY, j, 0),
+            Place(j, DELAY),
         )
         for j in free
     ]  # fmt: skip
@@ -302,10 +296,10 @@ def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]
 
 def begin_delays(parameters: RobotParameters, loop: RobotLoop) -> RobotParameters:
     """Start the free delays of parameters from those of the controllers."""
-    if not any(place.of is NumberOf.DELAY for place in parameters.places):
+    if not any(place.name == DELAY for place in parameters.places):
         return parameters
-    stated = np.array([[numbers_of(one).get(DELAY, 0.0)] for one in loop.controllers])
-    return replace(parameters, base=replace(parameters.base, delays=stated))
+    stated = {Place(j, DELAY): numbers_of(one).get(DELAY, 0.0) for j, one in enumerate(loop.controllers)}
+    return replace(parameters, base=parameters.base.with_values([*stated], [*stated.values()]))
 
 
 def with_delays(loop: RobotLoop, delays: Mapping[int, float]) -> RobotLoop:
@@ -318,30 +312,26 @@ def with_delays(loop: RobotLoop, delays: Mapping[int, float]) -> RobotLoop:
 
 def name_in_robot(joint: str, name: str) -> str:
     """Return the name of a joint's parameter in a robot: of "elbow" "load_coulomb" is "elbow.link_coulomb"."""
-    side, _, own = name.partition("_")
-    return f"{joint}.{own if side == 'motor' else f'link_{own}' if side == 'load' else name}"
+    return name_of(_own_name(name), joint)
 
 
-def _of_laws(robot: Robot, numbers: RobotNumbers) -> Iterator[tuple[Parameter, NumberPlace]]:
+def _own_name(name: str) -> str:
+    place = Place(0, name)
+    return f"link_{place.own}" if place.side == "load_" else place.own
+
+
+def _of_laws(robot: Robot, numbers: Numbers) -> Iterator[tuple[Parameter, Place]]:
     """Yield the parameters that laws have beside lines, as a joint's identification takes them."""
     for place, p in law_places(numbers):
-        joint = joint_of(place, numbers.rotors)
-        name = name_in_robot(robot.joints[joint].name, p.name)
-        yield replace(p, name=name, symbol=symbol_of(name.partition(".")[2], joint)), place
+        name = name_in_robot(robot.joints[place.axis].name, p.name)
+        yield replace(p, name=name, symbol=symbol_of(name.partition(".")[2], place.axis)), place
 
 
-def joint_of(place: NumberPlace, rotors: IntArray) -> int:
-    """Return the joint of a robot's number, or the joint that carries its link."""
-    own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0, dtype=np.int64)
-    return int(own[0]) if own.size else place.row
-
-
-def standard_index(place: NumberPlace, rotors: IntArray) -> int | None:
+def standard_index(place: Place, links: int) -> int | None:
     """Return the place among a robot's standard parameters, links then rotors; None of what is no inertia."""
-    if place.of is NumberOf.LINK:
-        return len(SYMBOLS) * place.row + place.column
-    is_rotor = place.of is NumberOf.MASS and place.column == 0
-    return len(SYMBOLS) * rotors.size + joint_of(place, rotors) if is_rotor else None
+    if place.of_link:
+        return len(SYMBOLS) * place.axis + place.column
+    return len(SYMBOLS) * links + place.axis if place.name in _INERTIAS else None
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
@@ -351,12 +341,12 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
         parameters: of a robot.
         known: by name; the value of a fixed parameter is its start. Unknown names are ignored.
     """
-    bounded, kept, places, fixed = list[Parameter](), list[int](), list[NumberPlace](), list[Parameter]()
+    bounded, kept, places, fixed = list[Parameter](), list[int](), list[Place](), list[Parameter]()
     base = parameters.base
     for i, (one, place) in enumerate(zip(parameters.parameters, parameters.places, strict=True)):
         stated = known.get(one.name, one)
         if not stated.free and stated.start is not None:
-            base = with_values(base, (place,), np.array([stated.start]))
+            base = base.with_values((place,), (stated.start,))
             places.append(place)
             fixed.append(one.fix(stated.start))
             continue
@@ -371,11 +361,11 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     if not stated:
         return
     own = robot_parameters(robot)
-    beside = [p.name for p, _ in _of_laws(robot, RobotNumbers.of(robot))]
+    beside = [p.name for p, _ in _of_laws(robot, Numbers.of(robot))]
     known = [
         one.name
         for one, place in zip(own.parameters, own.places, strict=True)
-        if one.name in beside or (place.of is NumberOf.MASS and place.column != 0)
+        if one.name in beside or place.own in (*_LINES, "offset")
     ]
     for name, one in stated.items():
         if name in known and (name in beside or not one.free or one.start is None):
@@ -389,61 +379,56 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
         )
 
 
-def _order_parameters(robot: Robot, numbers: RobotNumbers, offsets: bool, rising: bool) -> tuple[NumberPlace, ...]:
+def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Place, ...]:
     """Return the places of lines, those first that are to be kept; `rising` adds the rise towards standstill."""
-    n, masses = numbers.rotors.size, range(len(numbers.masses))
-    two = {int(row) for row, joint in zip(numbers.rotors, robot.joints, strict=True) if joint.asymmetric}
-    two |= {i for i, joint in enumerate(robot.joints) if joint.asymmetric and joint.friction is not None}
-    friction = [NumberPlace(NumberOf.MASS, row, c) for row in masses for c in ((4, 5) if row in two else (1,))]
-    friction += [NumberPlace(NumberOf.MASS, row, 2) for row in masses]
-    rises = numbers.masses[:, MassNumbers.SPEED] > 0.0 if rising else np.zeros(len(numbers.masses), dtype=np.bool_)
-    friction += [NumberPlace(NumberOf.MASS, int(row), MassNumbers.RISE) for row in np.flatnonzero(rises)]
+
+    def of_masses(*names: str) -> list[Place]:
+        found = (Place(i, f"{side}{name}") for i, side in numbers.sides for name in names)
+        return [place for place in found if place in numbers]
+
+    friction = of_masses("viscous", "viscous_forwards", "viscous_backwards") + of_masses("coulomb")
+    if rising:
+        rises = {place for place, _ in law_places(numbers)}
+        friction += [place for place in of_masses("stribeck_force") if place in rises]
     # A Coulomb friction of two sizes is one of both directions and an offset.
-    constant = [NumberPlace(NumberOf.MASS, int(row), 3) for row in numbers.rotors if offsets or int(row) in two]
-    springs = [
-        NumberPlace(NumberOf.SPRING, int(i), column) for column in (0, 1) for i in np.flatnonzero(numbers.flexible)
-    ]
-    rotors = [NumberPlace(NumberOf.MASS, int(row), 0) for row in numbers.rotors]
-    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in INERTIAL_ORDER]
-    return (*friction, *constant, *springs, *rotors, *links)
+    two = [offsets or joint.friction.two_ways for joint in numbers.joints]
+    constant = [Place(i, "offset") for i, kept in enumerate(two) if kept]
+    flexible = np.flatnonzero(numbers.flexible).tolist()
+    springs = [Place(i, name) for name in ("stiffness", "damping") for i in flexible]
+    rotors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(numbers.joints)]
+    bodies = [Place(i, SYMBOLS[column]) for i in range(len(numbers.joints)) for column in INERTIAL_ORDER]
+    return (*friction, *constant, *springs, *rotors, *bodies)
 
 
-def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPlace, ...]) -> FloatArray:
+def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -> FloatArray:
     """Return the columns at random motions, (rows, parameters), 0 where they are rounding."""
-    random, shape = np.random.default_rng(0), (_MOTIONS, len(numbers.masses))
+    random, shape = np.random.default_rng(0), (_MOTIONS, numbers.count)
     velocity = 2.0 * random.normal(size=shape)
-    below = numbers.masses[:, 7]  # a third of the motions are slow enough to be there
-    velocity[::3] *= np.where(below > 0.0, 0.5 * below, 1.0)
+    for row, (i, side) in enumerate(numbers.sides):  # a third of the motions are slow enough to be there
+        velocity[::3, row] *= 0.5 * numbers.values[i].get(f"{side}stribeck_speed", 0.0) or 1.0
     motion = MassMotion(
         random.uniform(-math.pi, math.pi, shape), velocity, 5.0 * random.normal(size=shape), np.sign(velocity)
     )
-    tree, masses = robot.tree, np.arange(len(numbers.masses))
-    columns = np.zeros((_MOTIONS, masses.size, len(places)))
-    for row, (own, values) in enumerate(columns_of(tree, numbers, places, motion, masses)):
-        columns[:, row, own] = values
-    rows = columns.reshape(-1, len(places))
-    sizes = np.linalg.norm(rows, axis=0)
-    return np.where(sizes > _FELT * np.max(sizes), rows, 0.0)
+    columns = np.zeros((*shape, len(places)))
+    for row, (acts, values) in enumerate(columns_of(robot.tree, numbers, places, motion, range(numbers.count))):
+        columns[:, row, acts] = values
+    every = columns.reshape(-1, len(places))
+    sizes = np.linalg.norm(every, axis=0)
+    return np.where(sizes > _FELT * np.max(sizes), every, 0.0)
 
 
-def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
-    """Return True for a rotor's inertia and for a stiffness, which must be positive."""
-    rotor = place.of is NumberOf.MASS and place.column == 0 and place.row >= numbers.rotors.size
-    return rotor or (place.of is NumberOf.SPRING and place.column == 0)
+def _positive(place: Place) -> bool:
+    """Return True for the rotor's inertia of a flexible joint and for a stiffness, which must be positive."""
+    return place.name in ("motor_inertia", "stiffness")
 
 
-def _name_parameter(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
-    if place.of is NumberOf.LINK:
-        symbol = inertial_symbol(SYMBOLS[place.column], place.row)
+def _name_parameter(place: Place, robot: Robot, logarithmic: bool) -> Parameter:
+    if place.of_link:
+        symbol = inertial_symbol(place.name, place.axis)
         return Parameter(symbol, symbol, Quantity.INERTIA if place.column >= 4 else Quantity.RATIO)
-    joint = joint_of(place, numbers.rotors)
-    if place.of is NumberOf.SPRING:
-        quantity = number = SPRING_NUMBERS[place.column]
-    else:
-        number = _OF_MASS[place.column]
-        quantity = number if place.row == numbers.rotors[joint] else f"link_{number}"
-    lower = 0.0 if number in ("coulomb", "stribeck_force") or _QUANTITIES[number] is Quantity.VISCOUS else -math.inf
-    if _positive(place, numbers) and not logarithmic:
+    own = "rotor_inertia" if place.name in _INERTIAS else _own_name(place.name)
+    quantity = _QUANTITIES[place.own]
+    lower = 0.0 if place.own in ("coulomb", "stribeck_force") or quantity is Quantity.VISCOUS else -math.inf
+    if _positive(place) and not logarithmic:
         lower = 1e-12
-    name = name_of(quantity, robot.joints[joint].name)
-    return Parameter(name, symbol_of(quantity, joint), _QUANTITIES[number], lower=lower)
+    return Parameter(name_of(own, robot.joints[place.axis].name), symbol_of(own, place.axis), quantity, lower=lower)

@@ -30,7 +30,6 @@ from jointid.estimation.robots.fit import RobotFit, conclude
 from jointid.estimation.robots.numbers import (
     RobotParameters,
     begin_delays,
-    joint_of,
     robot_parameters,
     standard_index,
     with_delays,
@@ -41,11 +40,13 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.robot_numbers import NumberOf, RobotNumbers, robot_with, with_values
+from jointid.simulation.plant import DELAY, LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
 from jointid.simulation.simulate import motion_at
 from jointid.uncertainty.covariance import Covariance
 
 _TWO = 2.0  # standard deviations
+_SIGNED = ("offset", "stribeck_force", "viscous_drift", "coulomb_drift", "cubic_stiffness", LOG_DELAY, *LOAD_STATE)
+"""Names, without the side, of numbers that a robot may have below 0."""
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
     "no joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
@@ -92,15 +93,14 @@ class IdentifiedRobot:
         """True if the robot was identified under its controllers."""
         return hasattr(self.setup, "controllers")
 
-    def numbers(self) -> RobotNumbers:
+    def numbers(self) -> Numbers:
         """Return the robot that was identified, as it is simulated."""
         return self.parameters.numbers(self.values[: len(self.parameters.places)])
 
     @property
     def log_delay(self) -> float | None:
         """Seconds by which the log shows torques late; None where the method does not say."""
-        log = self.numbers().log
-        return float(log[0, 0]) if log.size else None
+        return self.numbers().values[0].get(LOG_DELAY)
 
     @property
     def driving(self) -> tuple[str, ...]:
@@ -157,24 +157,21 @@ class IdentifiedRobot:
                 f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
                 "leave this spring out of the robot file, or excite its mode."
             )
-        parameters, numbers = self.parameters, RobotNumbers.of(prior)
+        parameters, numbers = self.parameters, Numbers.of(prior)
         size = len(parameters.places)
         base = parameters.base
-        numbers = replace(numbers, beside=base.beside, log=base.log, delays=base.delays)
-        fixed = np.array([place.read(parameters.base) for place in parameters.kept])
-        numbers = with_values(numbers, parameters.kept, fixed)
+        numbers = numbers.with_record(base).with_values(parameters.kept, [base[place] for place in parameters.kept])
         places = (*parameters.places, *parameters.dropped)
         both = np.hstack([np.eye(size), parameters.grouping])
-        apart = [column for column, place in enumerate(places) if standard_index(place, numbers.rotors) is None]
+        apart = [column for column, place in enumerate(places) if standard_index(place, len(prior)) is None]
         own = tuple(places[column] for column in apart)
-        about = np.array(
-            [place.read(self.numbers() if c < len(both) else numbers) for c, place in zip(apart, own, strict=True)]
-        )
-        least = np.array([0.0 if place.is_positive else -np.inf for place in own])
+        mine = self.numbers()
+        about = np.array([(mine if c < len(both) else numbers)[place] for c, place in zip(apart, own, strict=True)])
+        least = np.array([-np.inf if place.own in _SIGNED else 0.0 for place in own])
+        motors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(numbers.joints)]
 
         def build_robot(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
-            there = with_values(replace(numbers, inertials=inertials), own, others)
-            there.masses[there.rotors, 0] = rotors
+            there = replace(numbers, inertials=inertials).with_values([*own, *motors], [*others, *rotors])
             return robot_with(prior, there)
 
         covariance = replace(
@@ -186,7 +183,7 @@ class IdentifiedRobot:
         """Return the same parameters of a known robot; None where it has others."""
         if robot.flexible != self.model.flexible:
             return None
-        return self.parameters.group_all(RobotNumbers.of(robot))
+        return self.parameters.group_all(Numbers.of(robot))
 
 
 def identify_simulated_robot(
@@ -228,7 +225,7 @@ def identify_simulated_robot(
         names=(*fit.names, *(one.name for one in parameters.fixed)),
         values=np.array([*fit.values, *(one.start for one in parameters.fixed)], dtype=np.float64),
         covariance=fit.covariance.append_constants(len(parameters.fixed)),
-        nominal=parameters.group_all(RobotNumbers.of(robot)),
+        nominal=parameters.group_all(Numbers.of(robot)),
         nominal_errors=errors_of(problem, nominal),
         formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),
         springs=fit.springs,
@@ -258,14 +255,14 @@ def identify_simulated_robot(
     result = replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
     if method[0] != "didim":
         return result
-    simulated = motion_at(run, problem.log.experiment.clock.log_index).position[:, run.numbers.rotors]
+    simulated = motion_at(run, problem.log.experiment.clock.log_index).position[:, run.numbers.motors]
     return replace(result, fit=replace(result.fit, position_rms=position_rms(robot.names, logs[0], simulated)))
 
 
 def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray) -> RobotLoop:
     """Return a loop with the delays of the torques that were identified."""
     found = zip(parameters.places, values[: len(parameters.places)], strict=True)
-    return with_delays(loop, {place.row: float(x) for place, x in found if place.of is NumberOf.DELAY})
+    return with_delays(loop, {place.axis: float(x) for place, x in found if place.name == DELAY})
 
 
 def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
@@ -308,21 +305,23 @@ def describe_parameters(robot: Robot, parameters: RobotParameters) -> Iterator[t
     """Yield each parameter, the fixed ones last: with its unit, its joint's name, and whether it is of the record."""
     places = (*parameters.places, *parameters.kept)
     for one, place in zip((*parameters.parameters, *parameters.fixed), places, strict=True):
-        joint = None if place.of is NumberOf.LOG else joint_of(place, parameters.base.rotors)
-        kind = "revolute" if joint is None else robot.links[joint].kind
-        unit = UNITS[place.column] if place.of is NumberOf.LINK else unit_of(one.quantity, kind, TORQUE_UNIT[kind])
-        yield one, unit, "" if joint is None else robot.names[joint], place.is_of_record
+        of_log = place.name == LOG_DELAY
+        kind = "revolute" if of_log else robot.links[place.axis].kind
+        unit = UNITS[place.column] if place.of_link else unit_of(one.quantity, kind, TORQUE_UNIT[kind])
+        yield one, unit, "" if of_log else robot.names[place.axis], place.of_record
 
 
-def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
+def nominal_numbers(robot: Robot, found: Numbers) -> Numbers:
     """Return the nominal robot with the friction that was found: one without friction is no opponent.
 
     The delays of log and torques are not the robot's, and are as they were found, too.
     """
-    numbers = RobotNumbers.of(robot)
-    masses = numbers.masses.copy()
-    masses[:, 1:] = found.masses[:, 1:]
-    return replace(numbers, masses=masses, log=found.log, delays=found.delays)
+    numbers = Numbers.of(robot)
+    values = []
+    for joint, own, of in zip(numbers.joints, numbers.values, found.values, strict=True):
+        kept = (f"{joint.sides[0]}inertia", *(p.name for law in joint.springs for p in law.parameters))
+        values.append({**of, **{name: own[name] for name in kept}})
+    return replace(numbers, values=tuple(values))
 
 
 def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Filtering | None) -> RobotFit:
@@ -339,7 +338,7 @@ def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Fil
     return conclude(problem, x, runs, problem.slopes(runs, x), 0, True)
 
 
-def errors_of(problem: Simulated, numbers: RobotNumbers) -> FloatArray:
+def errors_of(problem: Simulated, numbers: Numbers) -> FloatArray:
     """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
     error = problem.error_of(numbers)
     return np.full(problem.sigma.size, np.inf) if error is None else problem.norms(error) / problem.sizes

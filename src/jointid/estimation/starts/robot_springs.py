@@ -21,7 +21,7 @@ from jointid.estimation.problems.simulated import Simulated, outcome_of
 from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.joints import spring_at
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome
 
 STIFFEST = 0.15
@@ -109,9 +109,9 @@ class StartOfSprings:
         """Return all parameters with springs of these frequencies, (parameters,)."""
         values = self.split.copy()
         for c, place in enumerate(self.problem.parameters.places):
-            if place.of is NumberOf.SPRING:
-                spring = spring_at(hertz[self.names[place.row]], float(self.reduced[place.row]), _DAMPING)
-                values[c] = spring["stiffness" if place.column == 0 else "damping"]
+            if place.name in ("stiffness", "damping"):
+                spring = spring_at(hertz[self.names[place.axis]], float(self.reduced[place.axis]), _DAMPING)
+                values[c] = spring[place.name]
         return values
 
     def search(self, progress: Progress) -> dict[str, float]:
@@ -145,20 +145,20 @@ def frequency_row(sample_time: float) -> list[float]:
     return row
 
 
-def _mass_matrix(problem: Simulated, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
+def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> FloatArray:
     """Return that of a robot of rigid joints, rotors included, (n, n)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
     still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
     M = np.empty((pose.size, pose.size))
     equations_of_motion(problem.log.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
-    return M + np.diag(numbers.masses[: pose.size, 0])
+    return M + np.diag([own["inertia"] for own in numbers.values])
 
 
 def _split(
     parameters: RobotParameters,
     rigid: RobotFit,
-    numbers: RobotNumbers,
+    numbers: Numbers,
     wanted: FloatArray,
     spread: FloatArray,
     lightest: FloatArray,
@@ -170,29 +170,28 @@ def _split(
     """
     rotors = wanted.copy()
     known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
-    joint_of = {int(row): j for j, row in enumerate(numbers.rotors)}
     values = np.zeros(len(parameters.places))
     shared = []  # inertias, and constant torques, as which a weight may act
     for c, place in enumerate(parameters.places):
-        if place.of is NumberOf.LINK or (place.of is NumberOf.MASS and place.column in (0, 3)):
+        if place.of_link or place.own in ("inertia", "offset"):
             shared.append(c)
-        elif place.of is NumberOf.MASS:
-            joint = joint_of.get(place.row, place.row)
-            both = 0.5 if numbers.flexible[joint] else 1.0
-            found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(7)]
+        elif place.name not in ("stiffness", "damping"):
+            found_of = {one.name: value for one, value in known.items() if one.axis == place.axis}
             # The link's own friction is the same in both directions.
-            same = found_of[1] + 0.5 * (found_of[4] + found_of[5])
-            share = 1.0 if place.column == 6 else both  # what rises towards standstill is the motor's
-            values[c] = share * (same if place.column == 1 else found_of[place.column])
+            ways = [found_of.get(f"viscous_{way}", 0.0) for way in ("forwards", "backwards")]
+            whole = found_of.get(place.own, 0.0) + (0.5 * sum(ways) if place.own == "viscous" else 0.0)
+            # What rises towards standstill is the motor's.
+            halved = numbers.flexible[place.axis] and place.own != "stribeck_force"
+            values[c] = 0.5 * whole if halved else whole
     # What each of these is of the rigid robot's: itself if that has it, or else as it groups it.
     kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
     weights = np.zeros((len(kept), len(shared)))
     began = np.zeros(len(shared))
     for i, c in enumerate(shared):
         place = parameters.places[c]
-        if place.of is NumberOf.MASS:
-            began[i] = wanted[joint_of[place.row]] if place.column == 0 else 0.0
-            place = NumberPlace(NumberOf.MASS, joint_of[place.row], place.column)
+        if not place.of_link:
+            began[i] = wanted[place.axis] if place.own == "inertia" else 0.0
+            place = Place(place.axis, place.own)
         if place in kept:
             weights[kept.index(place), i] = 1.0
         else:
@@ -203,9 +202,9 @@ def _split(
     before = int(np.sum(~felt))
     whiten = np.asarray(np.linalg.qr(last, mode="r"))[before:, before:]
     places = [parameters.places[c] for c in shared]
-    mine = [i for i, place in enumerate(places) if place.of is NumberOf.MASS and place.column == 0]
+    mine = [i for i, place in enumerate(places) if place.own == "inertia"]
     near = np.zeros((len(mine), len(shared)))
-    near[np.arange(len(mine)), mine] = [1.0 / spread[joint_of[places[i].row]] for i in mine]
+    near[np.arange(len(mine)), mine] = [1.0 / spread[places[i].axis] for i in mine]
     left = rigid.values[felt] - weights[felt] @ began
     rows = np.vstack([whiten @ weights[felt], near])
     norms = column_norms(rows)
@@ -214,9 +213,8 @@ def _split(
     for i, c in enumerate(shared):
         place = parameters.places[c]
         values[c] = found[i]
-        if i in mine and numbers.flexible[joint_of[place.row]]:
-            j = joint_of[place.row]
-            values[c] = rotors[j] = max(float(found[i]), float(lightest[j]))
+        if i in mine and numbers.flexible[place.axis]:
+            values[c] = rotors[place.axis] = max(float(found[i]), float(lightest[place.axis]))
     return values, rotors
 
 
@@ -224,10 +222,10 @@ def bound_springs(problem: Simulated, start: StartOfSprings) -> Simulated:
     """Return the problem with bounds on each spring."""
     lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
 
-    def within(place: NumberPlace, parameter: Parameter) -> Parameter:
+    def within(place: Place, parameter: Parameter) -> Parameter:
         if parameter.quantity is not Quantity.STIFFNESS:
             return parameter
-        inertia = float(start.reduced[place.row])
+        inertia = float(start.reduced[place.axis])
         ends = [math.log(spring_at(hertz, inertia)["stiffness"]) for hertz in (lowest, highest)]
         return replace(parameter, lower=ends[0], upper=ends[1])
 
