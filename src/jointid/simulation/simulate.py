@@ -416,15 +416,26 @@ class Simulation:
         """Motion of a joint's load, at the instants of `motion`; None for a rigid joint."""
         return None if self.load_position is None else Motion(*(one[:, 1] for one in self.motion[:3]))
 
-    def records(self, driven: Sequence[Record]) -> tuple[Record, ...]:
-        """Return the records that drove a robot, with its torques and motor positions as drives would log them."""
-        made = []
-        for record, torque, position in zip(driven, self.torque.T, self.motor_position.T, strict=True):
+    def records(self, driven: Sequence[Record], force: str | None = None) -> tuple[Record, ...]:
+        """Return the records that drove it, with its torques and positions as drives would log them.
+
+        Args:
+            driven: a record of each joint. Of a joint alone that of its load has a position, too.
+            force: unit of the torques, where it is not the one of the joint's kind.
+        """
+        made, alone = [], self.torque.ndim == 1
+        for j, record in enumerate(driven):
             assert record.reference is not None
             unit = record.reference.unit
-            logged = Channel(torque, TORQUE_OF[unit], self.sample_time, Timing.HELD, "simulated")
-            moved = Channel(position, unit, self.sample_time, source="simulated")
-            made.append(replace(record, torque=logged, motor_position=moved))
+            timing = Timing.HELD if record.torque is None else record.torque.timing
+
+            def channel(values: FloatArray, unit: str = unit, timing: Timing = Timing.SAMPLED, j: int = j) -> Channel:
+                return Channel(values if alone else values[:, j], unit, self.sample_time, timing, "simulated")
+
+            load = None if self.load_position is None or not alone else channel(self.load_position)
+            torque = channel(self.torque, force or TORQUE_OF[unit], timing)
+            moved = channel(self.motor_position)
+            made.append(replace(record, torque=torque, motor_position=moved, load_position=load))
         return tuple(made)
 
 

@@ -230,7 +230,7 @@ class Steady:
         for j, (joint, values) in enumerate(zip(self.numbers.joints, self.numbers.values, strict=True)):
             (motor, *behind), speed, torque = joint.sides, float(self.speeds[j]), float(weights[j])
             if behind:
-                torque += values.get("load_offset", 0.0)
+                torque += values.get("load_offset", 0.0) if speed else 0.0  # a part of its friction
                 torque += joint.friction.drag(values, speed, torque, "load_")
                 deflections[j] = joint.springs[0].deflection(values, torque)
             torque += values[f"{motor}inertia"] * float(self.accelerations[j]) + values["offset"]

@@ -9,7 +9,6 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.joints import ClosedLoop
@@ -127,37 +126,13 @@ def simulated_record(
         found = require_success(simulate(loop, experiment.alone(forced), values, initial))
         # A force from outside is in no current of the motor, though it acts as an injected signal does.
         found = replace(found, torque=found.torque - to_log(axis, forced.shown - axis.shown))
-    return as_record(driven, found, force, torque_noise=torque_noise, encoder_step=encoder_step)
-
-
-def as_record(
-    driven: Record, run: Simulation, force: str, *, torque_noise: ArrayLike | None = None, encoder_step: float = 0.0
-) -> Record:
-    """Build the log of a run: inputs, torque and positions.
-
-    `driven` are the run's inputs, `force` is the unit of the joint's torque; for noise and encoder step see
-    `simulated_record`.
-    """
-    assert driven.reference is not None
-    logged, position = driven.torque, driven.reference.unit
-    timing = Timing.HELD if logged is None else logged.timing
-    torque = run.torque if torque_noise is None else run.torque + np.asarray(torque_noise, dtype=np.float64)
-
-    def channel(values: FloatArray, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
-        return Channel(values, unit, run.sample_time, timing, "simulated")
-
-    return replace(
-        driven,
-        torque=channel(torque, force, timing),
-        motor_position=channel(_quantise(run.motor_position, encoder_step), position),
-        load_position=None
-        if run.load_position is None
-        else channel(_quantise(run.load_position, encoder_step), position),
+    torque = found.torque if torque_noise is None else found.torque + np.asarray(torque_noise, dtype=np.float64)
+    moved, load = (
+        position if position is None or not encoder_step else np.round(position / encoder_step) * encoder_step
+        for position in (found.motor_position, found.load_position)
     )
-
-
-def _quantise(position: FloatArray, step: float) -> FloatArray:
-    return np.asarray(np.round(position / step) * step) if step else position
+    assert moved is not None
+    return replace(found, torque=torque, motor_position=moved, load_position=load).records([driven], force)[0]
 
 
 def add_feed_forward(

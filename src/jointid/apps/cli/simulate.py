@@ -61,7 +61,6 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
     from jointid.simulation.simulate import require_success
-    from jointid.simulation.synthesis import as_record
 
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
@@ -72,7 +71,7 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     found = require_success(run(file.loop, driven, values))
     show(f"{100 * found.at_limit:.2f} % of the time at the limit")
     stated = {"resampled": driven.resampled, "parameters": values, "at_limit": found.at_limit}
-    logged = as_record(driven, found, file.joint.force_unit)
+    (logged,) = found.records([driven], file.joint.force_unit)
     return found, logged, simulation_answer(found, driven.name, stated)
 
 
