@@ -14,7 +14,7 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.plant import Numbers
+from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome, motion_of
 
 T = 1e-3
@@ -68,7 +68,8 @@ def test_derivatives_are_those_of_differences(pause: bool) -> None:
     values |= {"initial_load_position": 1e-4, "initial_load_velocity": 1e-3}
     names = tuple(p.name for p in joint.parameters) + LOAD_STATE
     run = run_along(wave(pause=pause), values, joint=joint)
-    ((own, columns),), slopes = run.columns(names), differentiate_drive_side(run, names)[:, 0]
+    places = [Place(0, name) for name in names]
+    ((own, columns),), slopes = run.columns(places), differentiate_drive_side(run, places)[:, 0]
     slopes[:, own] += columns
     for i, name in enumerate(names):
         step = 1e-5 * abs(values[name])
@@ -82,9 +83,8 @@ def test_derivatives_are_those_of_differences(pause: bool) -> None:
 def test_a_rigid_joint_takes_its_inverse_model() -> None:
     q = wave()
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
-    names = tuple(values)
     run = run_along(q, values, joint=RigidJoint("prismatic"))
-    ((_, columns),) = run.columns(names)
+    ((_, columns),) = run.columns([Place(0, name) for name in values])
     assert np.allclose(run.torque[:, 0], columns @ np.array(list(values.values())))
     t = (np.arange((q.size - 1) * PARTS) + 0.5) * T / PARTS
     w = 2 * np.pi * np.array([1.3, 23.0, 60.0])

@@ -13,7 +13,7 @@ from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.drive_side import PARTS, DriveSideRun, differentiate_drive_side, prescribe, run_drive_side
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.plant import Numbers
+from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.start import Initial, steady_joint
 from jointid.simulation.synthesis import simulate
 from tests.plants import prismatic, rotary
@@ -58,7 +58,8 @@ def test_the_equation_of_a_link_in_gravity_holds(joint: Joint, values: dict[str,
         return run_drive_side(motion, Numbers.of_joint(joint, other))
 
     prescribed = along_with(values)
-    ((own, slopes),), moved = prescribed.columns(names), differentiate_drive_side(prescribed, names)[:, 0]
+    places = [Place(0, name) for name in names]
+    ((own, slopes),), moved = prescribed.columns(places), differentiate_drive_side(prescribed, places)[:, 0]
     moved[:, own] += slopes
     along = prescribed.torque.reshape(-1, PARTS).mean(axis=1)
     smooth = np.abs(whole.motor_velocity[:-1]) > 0.05

@@ -150,22 +150,22 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
     experiment, clock, count = kept.experiment, kept.experiment.clock, len(changes)
     motors = kept.numbers.motors
     position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, motors]
-    pushes, direct = np.zeros((count, clock.steps)), list[FloatArray]()
-    for push, (j, other) in zip(pushes, changes, strict=True):
+    explicit, direct = list[tuple[int, FloatArray, FloatArray]](), list[FloatArray]()
+    for j, other in changes:
         own = experiment.axes[j]
-        path, speed = clock.own(j, position[:, j], own.periods), float(experiment.speeds[j])
+        path, speed, law = clock.own(j, position[:, j], own.periods), float(experiment.speeds[j]), own.law
         before, after = (_run_law(one, path, speed) for one in (own, other))
-        late = (other.law.delay - own.law.delay) / own.law.period
-        acts = (1.0 - late) * after + late * np.append(after[0], after[:-1])
-        push[:] = clock.repeat(j, acts - before)
+        late = (other.law.delay - law.delay) / law.period
+        pushed = (1.0 - late) * after + late * np.append(after[0], after[:-1]) - before
+        of_output = np.arange(law.limits.size) == law.output
+        explicit.append((j, np.outer(pushed, of_output), np.zeros(law.limits.size)))
         shown = (to_log(one, seen_torque(one, of)) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
     still = np.zeros((kept.start.places.size, count))
     states = np.zeros((len(experiment.axes), kept.start.states.shape[1], count))
-    pushing = [(i, j) for i, (j, _) in enumerate(changes)]
-    command, _ = _follow(kept, (), Slopes(still, still, states), pushes=(pushing, pushes))
-    for column, j in pushing:
-        command[j, :, column] -= pushes[column]
+    command, _ = _follow(kept, (), Slopes(still, still, states), explicit)
+    for column, (j, pushed, _) in enumerate(explicit):
+        command[j, :, column] -= clock.repeat(j, pushed @ np.ones(pushed.shape[1]))
     return [_show(kept, j, command[j], ()) for j in range(len(experiment.axes))], direct
 
 
@@ -201,7 +201,7 @@ def _propagate(kept: Run, keys: Sequence[Place], positions: bool) -> tuple[Float
 
 def _follow(
     kept: Run, keys: Sequence[Place], first: Slopes, explicit: Sequence[tuple[int, FloatArray, FloatArray]] = (), *,
-    pushes: tuple[Sequence[tuple[int, int]], FloatArray | None] = ((), None), positions: bool = False,
+    positions: bool = False,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
     (n, elements, _), count = experiment.sampled.w.shape, first.places.shape[1]
@@ -231,9 +231,7 @@ def _follow(
         from jointid.simulation.kernels.variation import follow
 
         links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
-        packed = pack_seeds(
-            kept.plant, numbers.blocks(keys), links=links, delays=delays, pushes=pushes[0], pushed=pushes[1]
-        )  # fmt: skip
+        packed = pack_seeds(kept.plant, numbers.blocks(keys), links, delays)
         follow(
             kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
             kept.excess, kept.tape, packed, moved, written,

@@ -236,7 +236,7 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
     plant = heavy.plant
     links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
-    seeds = pack_seeds(plant, heavy.blocks(keys), links=links)
+    seeds = pack_seeds(plant, heavy.blocks(keys), links)
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command[:, np.newaxis], prescribed.step), np.zeros(n),
         run.command, np.zeros((n, 0, 1)), run.tape, seeds, moved,

@@ -265,14 +265,6 @@ class Numbers:
         own = [Place(i, name) for i, values in enumerate(self.values) for name, value in values.items() if value]
         return links + [place for place in own if place in self and place.own != "stribeck_speed"]
 
-    def neighbours(self, place: Place, share: float) -> tuple[Numbers, Numbers, float] | None:
-        """Return the numbers with less and more of one, and the difference; None of what is none of them."""
-        if place not in self:
-            return None
-        step = share * (abs(self[place]) or 1.0)
-        low, high = (self.with_values([place], [self[place] + by]) for by in (-step, step))
-        return low, high, 2.0 * step
-
     def blocks(self, places: Sequence[Place]) -> Blocks:
         """Return the derivatives of the plant's numbers by parameters, by a complex step; of others there are none."""
         rows, found = self.rows, list[tuple[int, int, FloatArray]]()
@@ -375,18 +367,15 @@ def assemble(
 
 
 def pack_seeds(
-    plant: Plant, blocks: Blocks, *, links: Sequence[tuple[int, ...]] = (),
-    delays: Sequence[tuple[int, ...]] = (), pushes: Sequence[tuple[int, ...]] = (), pushed: FloatArray | None = None,
-) -> Seeds:  # fmt: skip
+    plant: Plant, blocks: Blocks, links: Sequence[tuple[int, ...]] = (), delays: Sequence[tuple[int, ...]] = ()
+) -> Seeds:
     """Return the derivatives of a plant's numbers as `kernels.variation` takes them.
 
     Args:
         plant: whose numbers they are.
         blocks: column of a parameter, row of `Seeds.begin`, and the derivatives, (bands, numbers).
-        links: see `Seeds`, as what follows.
+        links: see `Seeds`.
         delays: the same.
-        pushes: the same.
-        pushed: the same.
     """
     found = sorted(
         (row, int(band), int(number), column, float(block[band, number]))
@@ -398,11 +387,11 @@ def pack_seeds(
     keys = [row * bands + band for row, band, *_ in found]
     begin = np.searchsorted(keys, bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1))
     numbers, columns = (np.array([one[i] for one in found], dtype=np.int64) for i in (2, 3))
-    of_links, of_delays, of_pushes = (
-        np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2), (pushes, 2))
+    of_links, of_delays, none = (
+        np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2), ((), 2))
     )
-    values, none = np.array([one[4] for one in found]), np.zeros((0, 0))
-    return Seeds(begin, numbers, columns, values, of_links, of_delays, of_pushes, none if pushed is None else pushed)
+    values = np.array([one[4] for one in found])
+    return Seeds(begin, numbers, columns, values, of_links, of_delays, none, np.zeros((0, 0)))
 
 
 # A robot and its numbers

@@ -208,8 +208,12 @@ class Steady:
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
             low, high = (replace(self, speeds=self.speeds * factor) for factor in (1.0 - _SMALL, 1.0 + _SMALL))
             return (low, high, float(2.0 * _SMALL * self.speeds[key.axis])) if self.speeds[key.axis] else None
-        both = self.numbers.neighbours(key, _SMALL)
-        return both and (replace(self, numbers=both[0]), replace(self, numbers=both[1]), both[2])
+        if key not in self.numbers:
+            return None
+        value = float(self.numbers[key])
+        step = _SMALL * (abs(value) or 1.0)
+        low, high = (replace(self, numbers=self.numbers.with_values([key], [value + by])) for by in (-step, step))
+        return low, high, 2.0 * step
 
     def _by_links(self, at: FloatArray) -> FloatArray:
         """Return the derivatives of `balance` by the links' positions, (..., n)."""
