@@ -226,7 +226,7 @@ def judge(seed: int, flexible: bool) -> Found | None:
     truth = fit.parameters.group(Numbers.of(made.loop.robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
     free &= ~np.array([name.startswith(refused) for name in fit.names])
-    free &= ~np.array([place.is_of_record for place in fit.parameters.places])
+    free &= ~np.array([place.of_record for place in fit.parameters.places])
     std = np.maximum(fit.covariance.std, 1e-300)
     return Found(fit.converged, _left(made, fit), tuple(((fit.values - truth) / std)[free].tolist()))
 
