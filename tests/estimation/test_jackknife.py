@@ -5,7 +5,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
-from jointid.estimation.problems.pieces import places_of
+from jointid.estimation.windows import places_of
 from jointid.uncertainty.resampling import Sums, left_out, step_of, total
 
 ANYWHERE = Bounds(np.full(3, -np.inf), np.full(3, np.inf))

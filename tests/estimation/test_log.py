@@ -19,7 +19,7 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.chunks import Log
+from jointid.records.chunks import Log, cut
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import trapezoids
@@ -242,10 +242,15 @@ def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypat
     """A log whose windows fail is not identified at once."""
     record, shown = rigid(20.0), list[bool]()
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
-    monkeypatch.setattr("jointid.estimation.identify_pieces.moves", lambda records: shown.append(True))
+    monkeypatch.setattr("jointid.estimation.windows.moves", lambda records: shown.append(True))
     with pytest.raises(MethodError, match="In no window"):
         ji.identify(record, LOOP)
     assert shown and ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
+
+
+def test_a_last_window_that_is_shorter_than_its_filters_is_passed_over() -> None:
+    found = identify(cut(rigid(30.0), 0, 20_030), LOOP, windows=4.0)
+    assert found.data.windows is not None and found.data.windows.count == 5
 
 
 TEN_MINUTES = """

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify_pieces import fill_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.several import fill_starts
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin

@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
-from jointid.estimation.identify_pieces import Start, pose
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.several_records import RecordLayout, share_parameters
-from jointid.estimation.windowed import loop_model
+from jointid.estimation.several import RecordLayout, share_parameters
 from jointid.paper.twin import Twin, twin
-from jointid.records.chunks import Chunk
 from jointid.records.signals.filtering import Filtering
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
@@ -69,31 +65,19 @@ def test_what_records_share_and_what_is_their_own(
 def test_derivatives_against_central_differences(axis: Twin) -> None:
     """Shared, added, own and the drive's gain, through weights; at the truth of both nothing is left."""
     problems = two(axis, "drive_gain", "position_gain")
-    fit = ji.identify(axis.record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
-    starts = [
-        Start([axis.record], fit, loop_model(one, whole=True), one.vector(axis.truth | {"drive_gain": 1.0}))
-        for one in problems
-    ]
-    pieces = [lambda *_: [[Chunk(0, axis.record, last=True)]]] * 2
-    problem, _, _ = pose(starts, pieces, ["1", "2"], layout_of(problems, [(), FRICTION], ADDED))
-    problem = replace(problem, kept=True, sigma=np.array([[2.0], [0.7]]))
-
-    def rows(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        seen = zip(problem.pass_over(x).seen, problem.sigma[:, 0], strict=True)
-        each = [(one.error[0] / sigma, one.J[0] / sigma) for one, sigma in seen]
-        return np.concatenate([error for error, _ in each]), np.concatenate([J for _, J in each])
-
+    shared = share_parameters(problems, layout_of(problems, [(), FRICTION], ADDED))
+    problem = replace(shared, sigma=np.array([2.0, 0.7]))
     names = [p.name for p in problem.free]
     values = axis.truth | {"drive_gain": 1.0, "position_gain@2": 120.0}
     values["position_gain@1"] = axis.loop.controller.position_gain  # type: ignore[attr-defined]
     truth = np.array([values.get(name, values.get(name.partition("@")[0], 0.0)) for name in names])
-    assert np.linalg.norm(rows(truth)[0]) <= 1e-9 * problems[0].size
+    assert np.linalg.norm(problem.residual(truth)) <= 1e-9 * problems[0].size
     x = 1.01 * truth
-    residual, J = rows(x)
+    residual, J = problem.linearise(x)
     for i, name in enumerate(names):
         step = np.zeros(x.size)
         step[i] = 1e-6 * (abs(x[i]) or 1e-3)
-        found = (rows(x + step)[0] - rows(x - step)[0]) / (2 * step[i])
+        found = (problem.residual(x + step) - problem.residual(x - step)) / (2 * step[i])
         limit = 1e-3 if name == "damping" else 1e-4
         assert np.linalg.norm(J[:, i] - found) <= limit * np.linalg.norm(found), name
     assert residual.size == sum(one.kept.size for one in problems)
@@ -109,14 +93,3 @@ def test_the_start_is_the_mean_of_several_without_what_was_added(axis: Twin) -> 
     assert x["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
     assert x["motor_inertia"] == pytest.approx(axis.truth["motor_inertia"] + 1.0)
     assert x["load_coulomb@2"] == axis.truth["load_coulomb"]
-
-
-def test_the_gain_of_a_drive_needs_something_known(axis: Twin) -> None:
-    problems = two(axis, "drive_gain")
-    for added in ([{}, {}], [{"load_inertia": 10.0}] * 2):
-        with pytest.raises(MethodError):
-            share_parameters(problems, layout_of(problems, ((), ()), added))
-    assert any(p.name == "drive_gain" for p in share_parameters(problems, layout_of(problems, ((), ()), ADDED)).free)
-    inertia = next(p for p in axis.loop.joint.parameters if p.name == "load_inertia")
-    known = [one.replace_parameters({"load_inertia": inertia.fix(34.8)}) for one in problems]
-    assert share_parameters(known, layout_of(known, ((), ()), ({}, {}))).free

@@ -95,15 +95,6 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
         assert len(torque) == rows - 20 * (count - 1)
 
 
-def test_one_piece_in_so_many_is_read(path: Path) -> None:
-    log = Log(path, CHANNELS)
-    every, some = list(log.chunks(20, 6)), list(log.chunks(20, 6, every=2))
-    assert [p.number for p in some] == [0, 2, 4]
-    for piece in some:
-        there = every[piece.number].record
-        np.testing.assert_array_equal(piece.record.torque.values, there.torque.values)
-
-
 def test_what_is_injected_is_cut_too() -> None:
     values = np.arange(30.0)
     whole = Record(torque=Channel(values, "N", 0.01), injected=Injection(Channel(values, "N", 0.01)))

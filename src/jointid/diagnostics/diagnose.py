@@ -37,13 +37,11 @@ from jointid.diagnostics.samples import find_plain_cause
 from jointid.diagnostics.search import list_laws, search_axes, search_faults
 from jointid.diagnostics.search_state import MOST
 from jointid.diagnostics.variants import OTHER_LAWS
-from jointid.estimation.identify import is_long
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.estimation.result.verdict import POOR_FIT, Reason, Status
 from jointid.models.controllers import Controller
 from jointid.models.controllers.servo_base import require_one_each
@@ -349,8 +347,6 @@ def _diagnose_estimate(
     if isinstance(record, Record):
         solved = rebuild_problem(estimate, record)
         return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)
-    if is_long(record, estimate.require_robot().setup):
-        raise MethodError(IN_WINDOWS)
     try:
         return diagnose_robot(estimate, record, controllers)
     except np.linalg.LinAlgError:

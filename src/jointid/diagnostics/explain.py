@@ -202,7 +202,7 @@ def find_failure_causes(
     if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
         return None
     try:
-        return find_causes(part_of([record], loop)[0], loop, progress=progress, free=free)
+        return find_causes(part_of(record), loop, progress=progress, free=free)
     except _FAILS:  # the error of the identification counts
         return None
 

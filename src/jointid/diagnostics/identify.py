@@ -20,7 +20,7 @@ from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.diagnostics.samples import find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.search import find_part_of_loop
 from jointid.estimation.identify import fit as fit_records
-from jointid.estimation.identify import part_of, windows_of
+from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import CheckResults, Reason, Subject, Verdict, Widening, assemble, skip_test
@@ -228,11 +228,10 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> CheckResults:
     """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
     if len(fit.records) != len(part.model):
-        why = "several records were identified in one fit" if fit.records else "identified in windows"
-        return _left_out(f"not checked: {why}")
+        return _left_out("not checked: several records were identified in one fit")
     progress("checking controllers and torques")
     try:
-        found = diagnose_robot(fit, part_of(fit.records, part.setup))
+        found = diagnose_robot(fit, fit.records)
     except _OF_RECORD as error:
         return CheckResults((skip_test(Subject.LOOP, f"not checked: {error}"),))
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, str(found.cause))]

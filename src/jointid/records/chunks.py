@@ -73,22 +73,21 @@ class Log:
     @property
     def sample_time(self) -> float:
         """Of every channel, in seconds, as the first rows have it."""
-        for _, table, _ in self._tables(_LOOK, 0, 1):
+        for _, table, _ in self._tables(_LOOK, 0):
             return _require_one_rate(self._reader.build_record(table, self.name))
         raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
 
-    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """Yield every `every`-th chunk.
+    def chunks(self, length: int, overlap: int) -> Iterator[Chunk]:
+        """Yield the chunks.
 
         A remainder shorter than the overlap belongs to the chunk before it.
 
         Args:
             length: samples between the beginnings of chunks.
             overlap: further samples, `length` at most.
-            every: 1 yields all chunks.
         """
         reader, sample_time = self._reader, self.sample_time
-        for number, table, last in self._tables(length, overlap, every):
+        for number, table, last in self._tables(length, overlap):
             try:
                 record = reader.build_record(table, self.name)
                 if record.resampled is not None or not is_same_rate(_require_one_rate(record), sample_time):
@@ -104,15 +103,15 @@ class Log:
     def _reader(self) -> RecordReader:
         return RecordReader(self.columns, **{"drive": Drive(), **self.settings})
 
-    def _tables(self, length: int, overlap: int, every: int) -> Iterator[tuple[int, Table, bool]]:
-        """Yield start index, table and end flag of every `every`-th chunk."""
+    def _tables(self, length: int, overlap: int) -> Iterator[tuple[int, Table, bool]]:
+        """Yield number, table and end flag of each chunk."""
         held: tuple[int, Table] | None = None
         for number, table in enumerate(read_blocks(self.path, length, **self.options)):
             rest = number > 0 and table.rows < overlap
             if held is not None:
                 begin = {name: values[:overlap] for name, values in table.columns.items() if overlap}
                 yield held[0], join_tables([held[1], replace(table, columns=begin)]) if begin else held[1], rest
-            held = (number, table) if number % every == 0 and not rest else None
+            held = None if rest else (number, table)
         if held is not None:
             yield *held, True
 
@@ -133,14 +132,13 @@ class InMemory:
         """Of its channels."""
         return _require_one_rate(self.record)
 
-    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """Yield every `every`-th chunk; see `Log.chunks`."""
+    def chunks(self, length: int, overlap: int) -> Iterator[Chunk]:
+        """Yield the chunks; see `Log.chunks`."""
         samples = min(len(channel) for _, channel in self.record.items())
         firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
         for number, first in enumerate(firsts):
-            if number % every == 0:
-                part = cut(self.record, first, min(first + length + overlap, samples))
-                yield Chunk(number, part, first == firsts[-1])
+            part = cut(self.record, first, min(first + length + overlap, samples))
+            yield Chunk(number, part, first == firsts[-1])
 
 
 LongRecord: TypeAlias = Log | InMemory

@@ -408,24 +408,6 @@ def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray
     return np.asarray(np.real((weights[:, np.newaxis] * spectra.conj()).T @ spectra))
 
 
-def rising_scores(J: FloatArray, error: FloatArray, ends: FloatArray) -> FloatArray:
-    """Return the scores ``J' e`` from frequency 0 up to each of some others, (ends, parameters).
-
-    Of parts of a record they add up to those of the whole, from which `Influence.widen_for_motion` has its bias.
-
-    Args:
-        J: (equations, rows, parameters), the derivatives.
-        error: (equations, rows), the residual.
-        ends: shares of the Nyquist frequency.
-    """
-    scores = _scores_by_frequency(J, error)
-    scores[1:] *= 2.0
-    if error.shape[1] % 2 == 0:
-        scores[-1] *= 0.5
-    last = np.floor(ends * (len(scores) - 1)).astype(np.intp)
-    return np.asarray(np.cumsum(scores, axis=0)[last])
-
-
 def _scores_by_frequency(J: FloatArray, error: FloatArray) -> FloatArray:
     """Return ``J(f)* e(f)`` summed over the equations, (frequencies, parameters), for each frequency once."""
     columns, spectra = np.fft.rfft(J, axis=1), np.fft.rfft(error, axis=1)

@@ -12,14 +12,13 @@ get the intervals of a white residual. Columns are scaled first, since J's condi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import Bounds
-from jointid.solvers.bounded_least_squares import damped_step
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing determines
@@ -66,18 +65,13 @@ def total(groups: Sequence[Sums]) -> Sums:
     return sum(groups[1:], start=groups[0])
 
 
-def step_of(sums: Sums, room: Bounds) -> FloatArray:
-    """Minimise ``||e + J s||^2`` within bounds on the step, (free,)."""
-    R = root_of(sums)
-    scale = scale_of(sums.A)
-    error = np.asarray(np.linalg.lstsq((R / scale).T, sums.b / scale, rcond=None)[0], dtype=np.float64)
-    return damped_step(error, R, room)
-
-
-def root_of(sums: Sums) -> FloatArray:
-    """Return R with R'R = J'J, (determined directions, free)."""
+def rows_of(sums: Sums) -> tuple[FloatArray, FloatArray]:
+    """Return the fewest rows with these sums: residual, (rows,), and derivatives, (rows, free)."""
     scale, sizes, vectors = _determine(sums.A)
-    return np.asarray((vectors * np.sqrt(sizes)).T * scale)
+    J = (vectors * np.sqrt(sizes)).T * scale
+    error = vectors.T @ (sums.b / scale) / np.sqrt(sizes)
+    rest = math.sqrt(max(sums.square - float(error @ error), 0.0))
+    return np.append(error, rest), np.vstack([J, np.zeros(scale.size)])
 
 
 def left_out(groups: Sequence[Sums]) -> Covariance:

@@ -1,11 +1,12 @@
 """IDIM of a robot: recovery, weights, intervals, and an estimate held beside the nominal model."""
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.diagnose import diagnose
@@ -25,6 +26,7 @@ from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import VISCOUS, arm, axis_errors, by_idim, identified, records_of
+from tests.estimation.test_log import LOOP, rigid
 from tests.robots_plants import two
 
 ARM = arm()
@@ -206,3 +208,20 @@ def test_coupled_motors() -> None:
     records = records_of(robot, 4)
     coupled, separate = (axis_errors(identified(one, records)).max() for one in (robot, plain))
     assert coupled < 2e-4 and separate > 10 * coupled
+
+
+def test_the_inverse_model_of_a_long_record_is_made_part_by_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a joint, of one with two masses, and of a robot: what is left out are the borders of the parts."""
+    axis, record, small = ji.twin("L19"), rigid(30.0), arm(2)
+    cases: list[tuple[Any, Any]] = [(record, LOOP.joint), (axis.record, axis.loop.joint)]
+    cases.append((records_of(small, 1, noise=0.5), small))
+    whole = [ji.identify(one, model, IDIM(), checks=False) for one, model in cases]
+    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", 10_000)
+    for (one, model), before in zip(cases, whole, strict=True):
+        found = ji.identify(one, model, IDIM(), checks=False)
+        assert found.fit.rows < before.fit.rows
+        for name, part in found.params.items():
+            assert abs((part.value or 0.0) - (before.params[name].value or 0.0)) <= 0.5 * (part.stderr or 0.0), name
+            assert part.stderr == pytest.approx(before.params[name].stderr, rel=0.5), name
+    with pytest.raises(MethodError):
+        ji.identify(record, LOOP.joint, IDIM(), windows=5.0)

@@ -28,19 +28,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import Bounds, Parameter
+from jointid.common.parameters import Parameter
 from jointid.common.text import number
 from jointid.uncertainty.covariance import Covariance, covariance_of
-from jointid.uncertainty.resampling import scale_of, step_of, total
-
-if TYPE_CHECKING:
-    from jointid.estimation.problems.pieces import Window
+from jointid.uncertainty.resampling import Sums, scale_of, total
 
 _LEVEL = 0.05
 _MOST = 24  # segments
@@ -74,6 +71,22 @@ class Scatter:
     between: float
     differs: bool
     widening: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Sums of one window of a long log.
+
+    Attributes:
+        begin, end: seconds from the first sample of the record, of what counts.
+        sums: over its rows.
+        at_limit: share of its periods in which the controller was at its limit.
+    """
+
+    begin: float
+    end: float
+    sums: Sums
+    at_limit: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,8 +204,6 @@ def drift(
     x: FloatArray,
     free: Sequence[Parameter],
     units: Mapping[str, str],
-    records: Sequence[Sequence[Window]] | None = None,
-    parts_of_window: int = 1,
 ) -> Agreement | None:
     """Return whether the segments of a record agree; None where it is too short for two.
 
@@ -201,16 +212,12 @@ def drift(
         x: (free,) what all of them say.
         free: the parameters.
         units: of the parameters, by name.
-        records: the windows of several records, which are then the segments.
-        parts_of_window: into how many each is divided.
     """
     count = min(_MOST, len(windows) // (_WINDOWS * len(free)))
-    if records is not None:
-        count = len(records) if min(map(len, records)) > 1 and len(windows) > len(records) + len(free) + 1 else 0
     if count < 2:
         return None
     names = [p.name for p in free]
-    parts = records or [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
+    parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
     scatter = _pool(fits, [len(part) for part in parts])
     segments, alone = [], []
@@ -220,8 +227,7 @@ def drift(
         values = {names[i]: float(fit.values[i]) for i in own}
         std = dict(zip(values, map(float, covariance.std), strict=True))
         error = total([w.sums for w in part]).relative_error
-        whole = round(len(part) / parts_of_window)
-        segments.append(Segment(part[0].begin, part[-1].end, whole, values, std, error))
+        segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
         alone.append(Alone(values, covariance))
     judged = compare_records(alone, {name: units[name] for name in names})
     return replace(judged, segments=tuple(segments))
@@ -263,12 +269,12 @@ class _Fit(NamedTuple):
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
         """Return the fit of some windows, a step from x."""
         sums = total([w.sums for w in windows])
-        step = step_of(sums, Bounds(np.full(x.size, -np.inf), np.full(x.size, np.inf)))
         scale = scale_of(sums.A)
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
         kept = values > _SINGULAR * values[-1]
         roots = np.where(kept, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
         back = (vectors * roots) @ vectors.T / scale[:, np.newaxis]
+        step = -back @ (back.T @ sums.b)
         # A window takes part in what it is compared with, one that tells much more than one that tells little.
         apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in windows]
         own = [back.T @ w.sums.shift(step).b for w in windows]
