@@ -6,7 +6,8 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
 from jointid.estimation.windows import places_of
-from jointid.uncertainty.resampling import Sums, left_out, step_of, total
+from jointid.solvers.bounded_least_squares import damped_step
+from jointid.uncertainty.resampling import Sums, left_out, rows_of, total
 
 ANYWHERE = Bounds(np.full(3, -np.inf), np.full(3, np.inf))
 
@@ -29,9 +30,9 @@ def test_a_step_is_that_of_least_squares() -> None:
     parts = drawn(1)
     error, J = np.concatenate([e for e, _ in parts]), np.vstack([J for _, J in parts])
     expected = -np.linalg.lstsq(J, error, rcond=None)[0]
-    np.testing.assert_allclose(step_of(total(summed(parts)), ANYWHERE), expected, rtol=1e-9)
+    np.testing.assert_allclose(damped_step(*rows_of(total(summed(parts))), ANYWHERE), expected, rtol=1e-9)
     least = np.array([-np.inf, -np.inf, expected[2] + abs(expected[2])])
-    bounded = step_of(total(summed(parts)), Bounds(least, ANYWHERE.upper))
+    bounded = damped_step(*rows_of(total(summed(parts))), Bounds(least, ANYWHERE.upper))
     others = -np.linalg.lstsq(J[:, :2], error + J[:, 2] * least[2], rcond=None)[0]
     np.testing.assert_allclose(bounded, [*others, least[2]], rtol=1e-9)
 
@@ -46,7 +47,7 @@ def test_sums_move_with_the_parameters() -> None:
 def test_leaving_out_groups_is_the_jackknife() -> None:
     parts = drawn(3)
     sums = summed(parts)
-    step = step_of(total(sums), ANYWHERE)
+    step = damped_step(*rows_of(total(sums)), ANYWHERE)
     covariance = left_out([s.shift(step) for s in sums])
     found = []
     for k in range(len(parts)):
@@ -62,7 +63,7 @@ def test_what_one_group_tells_alone_is_no_better_known_than_by_its_own_noise() -
     random, parts = np.random.default_rng(4), drawn(4)
     rows = [(random.standard_normal(30), J * [1.0, 1.0, float(i == 5)]) for i, (_, J) in enumerate(parts)]
     sums = summed(rows)
-    step = step_of(total(sums), ANYWHERE)
+    step = damped_step(*rows_of(total(sums)), ANYWHERE)
     covariance = left_out([s.shift(step) for s in sums])
     assert covariance.std[2] == pytest.approx(1.0 / np.linalg.norm(rows[5][1][:, 2]), rel=0.2)
 
@@ -70,7 +71,7 @@ def test_what_one_group_tells_alone_is_no_better_known_than_by_its_own_noise() -
 def test_two_groups_do_not_tell_three_parameters_exactly() -> None:
     parts = [(np.random.default_rng(i).standard_normal(30), J) for i, (_, J) in enumerate(drawn(6, groups=2))]
     sums, J = summed(parts), np.vstack([J for _, J in parts])
-    step = step_of(total(sums), ANYWHERE)
+    step = damped_step(*rows_of(total(sums)), ANYWHERE)
     covariance = left_out([s.shift(step) for s in sums])
     white = np.linalg.inv(J.T @ J)
     for seed in range(20):
@@ -82,7 +83,7 @@ def test_intervals_hold_where_a_group_errs_together() -> None:
     held = []
     for seed in range(200):
         sums = summed(drawn(seed, groups=20))
-        step = step_of(total(sums), ANYWHERE)
+        step = damped_step(*rows_of(total(sums)), ANYWHERE)
         held.append(np.abs(step) <= 2.09 * left_out([s.shift(step) for s in sums]).std)  # Student's, 19 degrees
     assert 0.90 <= np.mean(held) <= 0.99
 
