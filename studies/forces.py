@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 
 from jointid.common.errors import JointidError
 from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
@@ -76,10 +75,8 @@ def judge(seed: int, method: Literal["drive_side", "idim"]) -> ForceRun:
     joint = case.loop.joint
     assert isinstance(joint, FlexibleJoint)
     record = replace(record, reference=None, injected=None)
-    rate = np.sqrt(case.truth["stiffness"] / case.truth["load_inertia"])  # the start: the search is not judged here
-    settings = DriveSideFit(frequency=float(rate / (2 * np.pi)))
     try:
-        found = identify(record, joint, IDIM()) if method == "idim" else identify(record, DriveSide(joint), settings)
+        found = identify(record, joint, IDIM()) if method == "idim" else identify(record, DriveSide(joint))
     except JointidError:
         return ForceRun({})
     return ForceRun(_errors(found, case), found.answer.trust.code != "not_reliable_yet")

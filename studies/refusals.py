@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.common.messages import ignore_progress
-from jointid.estimation.descent import descend
-from jointid.estimation.methods.stiffness_search import on_band
+from jointid.estimation.descent import History, descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
-from jointid.estimation.starts.flexible_joint import frequency_of
+from jointid.estimation.starts.flexible_joint import frequency_of, on_band
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import Influence
@@ -67,7 +66,7 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     end = descend(problem, truth, _EXACTLY)
     x, J = end.x, -end.jacobian
     known = uncertainty(Influence(J, problem.residual(x)), problem.cells(problem.simulate(x)))
-    spring = visible(problem, x, J, known, (2, 2), ignore_progress, (_SHARE,))
+    spring = visible(problem, x, J, known, (2, 2), History(ignore_progress), (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None
     return StiffnessRun(float(truth[at]), float(predicted), value, std, bound)

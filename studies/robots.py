@@ -21,8 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.problems.simulated import decimate_each, pose_robot
 from jointid.estimation.robots.consistent import mass_matrix_at
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint

@@ -39,9 +39,9 @@ def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
 @pytest.mark.slow
 def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
     record = twin("L30", noise="none").record  # a command that acts one period later
-    assert ji.identify(record, DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)[
-        "log_delay"
-    ].value == pytest.approx(-1e-3, abs=2e-6)
+    assert ji.identify(record, DriveSide(JOINT), filtering=FILTERING)["log_delay"].value == pytest.approx(
+        -1e-3, abs=2e-6
+    )
 
 
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
@@ -74,7 +74,7 @@ def test_a_load_that_sticks_is_identified() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, injected=known)
     record = record.without("load_position", "reference", "injected")
     filtering = ji.Filtering(cutoff=60.0, position_cutoff=300.0)
-    estimate = ji.identify(record, DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=filtering)
+    estimate = ji.identify(record, DriveSide(JOINT), filtering=filtering)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
 

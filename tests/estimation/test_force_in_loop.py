@@ -98,7 +98,7 @@ def test_sums_beside_a_refused_spring_hold_what_a_force_moves() -> None:
     x = problem.vector(start)
     error, J = problem.linearise(x)
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
-    found = visible(problem, x, J, known, (2, 2), ignore_progress, ())
+    found = visible(problem, x, J, known, (2, 2), History(ignore_progress), ())
     assert not found.shown
     for name in SUMS:
         assert abs(found.rigid[name] - axis.truth[name]) <= 2 * found.std[name]

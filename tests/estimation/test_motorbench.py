@@ -30,9 +30,7 @@ def reference(bench: Bench) -> dict[str, float]:
 
 def fit(bench: Bench, current: str, cutoff: float, **settings: float | None) -> ji.Estimate:
     filtering = ji.Filtering(cutoff=cutoff, position_cutoff=600.0)
-    return ji.identify(
-        bench.record(current), DriveSide(JOINT), ji.DriveSideFit(frequency=54.0, **settings), filtering=filtering
-    )
+    return ji.identify(bench.record(current), DriveSide(JOINT), ji.DriveSideFit(**settings), filtering=filtering)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
+from jointid.estimation.descent import History
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
@@ -103,7 +104,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
-    found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
+    found = visible(problem, x, J, known, (2, 2), History(ignore_progress), (0.5,))
     assert not found.shown
     assert "the load never moves" in found.verdict.said
 

@@ -31,7 +31,7 @@ from jointid.estimation.result.answer import SLIGHT
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
 from jointid.estimation.result.verdict import Widening
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import RobotFit
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
 from jointid.simulation.derivatives import respond_to_laws

@@ -38,12 +38,11 @@ from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.stiffness_search import rigid_cutoff
 from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
-from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
+from jointid.estimation.starts.flexible_joint import frequencies_to_try, rigid_cutoff, start_with_mode
 from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint

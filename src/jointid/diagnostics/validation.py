@@ -362,7 +362,7 @@ def _simulate_joint(estimate: Estimate, record: Record) -> _Predicted:
     if settings.loop is not None:
         free = torque_problem(record, settings.loop, settings.filtering, joint.parameters)
         problem = free.keeping(values)
-        x, _ = fit_initial_state(problem)
+        x = fit_initial_state(problem)
         run = require_success(problem.simulate(x))
         predicted, q, v = run.torque, run.motor_position, run.motor_velocity
         free = free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]})

@@ -1,10 +1,18 @@
-"""Descents to the least torque error: one run of the solver each, counted and reported."""
+"""Descents to the least torque error: one run of the solver each, counted and reported.
+
+A rigid joint is searched from each of its starts, with the motor at rest at the first sample, then moving. Nonlinear
+spring and friction laws are searched from the end with linear ones: the linear spring and the friction of one line that
+fit best lie between the pieces, so that everything else about the joint is nearly right there. Where the pieces begin
+is not known, and the criterion has more than one valley over it: every start of the laws is followed a little, and the
+best to the end.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,9 +21,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
-from jointid.common.text import number
+from jointid.common.text import join, number, pluralise
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
+from jointid.models.friction import PARTS, MotionSize
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.springs import Spring
+from jointid.simulation.simulate import Simulation
 from jointid.simulation.start import wound_up
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Status, Step, Tally, solve
@@ -42,22 +54,23 @@ class Solved(NamedTuple):
     """The end of a descent.
 
     Attributes:
-        problem: the problem that was solved.
+        problem: the problem that was solved, of a joint or a robot.
         solution: where the solver ended.
     """
 
-    problem: ClosedLoopProblem
+    problem: Any
     solution: Solution
 
     @property
     def x(self) -> FloatArray:
-        """The free parameters, (free,)."""
+        """What is searched, (free,)."""
         return self.solution.x
 
     @property
     def values(self) -> dict[str, float]:
-        """All parameters by name."""
-        return self.problem.values(self.solution.x)
+        """All parameters of a joint by name."""
+        found: dict[str, float] = self.problem.values(self.solution.x)
+        return found
 
     @property
     def norm(self) -> float:
@@ -75,7 +88,6 @@ class History:
     def __init__(self, progress: Progress) -> None:
         self.progress, self.tally = progress, Tally()
         self._last: Counted | None = None
-        self._starts, self._best = 0, math.inf
 
     def count_evaluations(self, problem: Any) -> Counted:
         """Return the problem with counted evaluations; it remembers the last point that was linearised."""
@@ -83,23 +95,14 @@ class History:
             self._last = Counted(problem, self.tally)
         return self._last
 
-    def solve(self, problem: ClosedLoopProblem, solver: LevenbergMarquardt, start: FloatArray) -> Solved:
+    def solve(self, problem: Any, solver: LevenbergMarquardt, start: FloatArray) -> Solved:
         """Descend from a start, and report the steps."""
-        return Solved(problem, self.report(problem, solver, start))
-
-    def report(self, problem: Any, solver: LevenbergMarquardt, start: FloatArray) -> Solution:
-        """Return the end of a descent of a joint or a robot, and report the steps."""
         size = problem.size or 1.0
-        self._starts += 1
 
         def watch(step: Step) -> None:
-            error = step.norm / size
-            which = f"start {self._starts}, " if self._starts > 1 else ""
-            best = f" (best so far {100 * self._best:.4f} %)" if which and error > self._best else ""
-            self._best = min(self._best, error)
-            self.progress(Detail(f"{which}torque error {100 * error:.4f} %{best}"))
+            self.progress(Detail(f"torque error {100 * step.norm / size:.4f} %"))
 
-        return solve(self.count_evaluations(problem), solver, start, watch)
+        return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
 
     def finish(self, rough: Solved, tolerance: float) -> Solved:
         """Descend from the end of a rough descent to the full tolerance."""
@@ -128,34 +131,6 @@ def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history:
     return history.solve(wider, least_squares(tolerance), wider.vector(solved.values))
 
 
-def begins_badly(solved: Solved) -> bool:
-    """Test whether the first rows of a residual stand out of the others."""
-    size = np.abs(solved.solution.residual)
-    return bool(np.max(size[:_FIRST]) > _OUT * np.median(size))
-
-
-def or_moving(
-    resting: Solved, problem: ClosedLoopProblem, values: Mapping[str, float], tolerance: float, history: History
-) -> Solved:
-    """Descend with the motor moving at the first sample, and return the better of both answers.
-
-    Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so no
-    descent leads from one to the other. The torque that was held before the first sample, for the delay of the drive,
-    is not in the log; it pushes a motor that moves, and is then a part of that velocity.
-
-    Args:
-        resting: the end with the motor at rest.
-        problem: the same with the motor moving.
-        values: where its descent begins.
-        tolerance: of the descent.
-        history: of the search.
-    """
-    moving = history.solve(problem, least_squares(tolerance), problem.vector(values))
-    if not is_significant(resting, moving, history):
-        return resting
-    return moving.with_starts(resting.solution.starts)
-
-
 def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     """Test whether a first velocity explains more torque than noise, and is above two robust standard deviations.
 
@@ -176,9 +151,6 @@ def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
 
 
 # Of a rigid joint
-
-RESTING = {"initial_velocity": 0.0}
-"""What is known of the first sample of a motor at rest."""
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
@@ -206,7 +178,7 @@ def search_rigid_joint(
     Raises:
         MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
     """
-    resting, ends, failures = problem.keeping(RESTING), list[Solved](), list[MethodError]()
+    resting, ends, failures = problem.keeping({"initial_velocity": 0.0}), list[Solved](), list[MethodError]()
     solver = least_squares(tolerance)
     for count, start in enumerate(starts):
         try:
@@ -221,21 +193,29 @@ def search_rigid_joint(
     for end in ends[1:]:
         best = end if end.norm < (1.0 - _BETTER) * best.norm else best
     rounding = _ROUNDING * problem.size
-    if best.norm > rounding:
-        # Of a motor at rest the derivative by its velocity is 0: no search leaves it. Where the motor moves, the
-        # end at rest may have another friction, and where the law is off, the start another state.
-        moving = next((one for one in starts if one["initial_velocity"] != 0.0), best.values)
-        velocity = moving["initial_velocity"]
-        near = [moving] if wound_up(problem.axis, velocity) else []
-        for there in (*near, best.values | {"initial_velocity": velocity}):
-            best = or_moving(best, problem, there, tolerance, history)
-        steps = np.diff(problem.axis.inputs[:, REFERENCE])
-        aside = _ASIDE * float(np.max(np.abs(steps))) / problem.axis.law.period
+
+    def guess_motions() -> Iterator[Mapping[str, float]]:
+        start = next((one for one in starts if one["initial_velocity"] != 0.0), best.values)
+        velocity = start["initial_velocity"]
+        if wound_up(problem.axis, velocity):
+            yield start
+        yield {"initial_velocity": velocity}
+        sizes = np.abs(best.solution.residual)
         # A law that is off looks like a motion; what is free of it is found from rest.
-        for velocity in (aside, -aside) if begins_badly(best) and not freed else ():
-            home = beginning_position(problem, velocity)
-            there = best.values | {"initial_velocity": velocity, "initial_position": home}
-            best = or_moving(best, problem, there, tolerance, history)
+        if not freed and np.max(sizes[:_FIRST]) > _OUT * np.median(sizes):
+            steps = np.diff(problem.axis.inputs[:, REFERENCE])
+            aside = _ASIDE * float(np.max(np.abs(steps))) / problem.axis.law.period
+            for one in (aside, -aside):
+                yield {"initial_velocity": one, "initial_position": beginning_position(problem, one)}
+
+    # Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so no
+    # descent leads from one to the other, and of a motor at rest the derivative by its velocity is 0. The torque that
+    # was held before the first sample, for the delay of the drive, is not in the log; it pushes a motor that moves, and
+    # is then a part of that velocity. Where the motor moves, the end at rest may have another friction, and where the
+    # law is off, the start another state.
+    for there in guess_motions() if best.norm > rounding else ():
+        moved = history.solve(problem, solver, problem.vector({**best.values, **there}))
+        best = moved.with_starts(best.solution.starts) if is_significant(best, moved, history) else best
     if best.norm <= rounding:
         exact = replace(best.solution, status=Status.EXACT, message="the torque is reproduced to rounding")
         best = best._replace(solution=exact)
@@ -270,3 +250,117 @@ def unstable(problem: ClosedLoopProblem, x: FloatArray) -> MethodError:
         f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real one was; "
         "check the sign, gain and unit of the torque channel, and the gains of the controller."
     )
+
+
+# Laws that are not linear
+
+
+def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
+    """Return the problem of the same joint with a linear spring; itself where it has one."""
+    joint = problem.joint
+    assert isinstance(joint, FlexibleJoint)
+    return problem if joint.spring.linear else _with_joint(problem, replace(joint, spring=Spring()))
+
+
+def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
+    """Return the problem of the same joint with linear laws; itself where it has no others.
+
+    Raises:
+        MethodError: none of its parameters is free.
+    """
+    if problem.joint.linear == problem.joint:
+        return problem
+    found = _with_joint(problem, problem.joint.linear)
+    if not found.free_joint:
+        names = join([p.name for p in problem.free_joint])
+        raise MethodError(
+            f"Of the joint only what its laws add to a plain one is free, {names}; expected a parameter that the plain "
+            "one has, too, with which the search begins: leave its Coulomb friction or its inertia free."
+        )
+    return found
+
+
+def _with_joint(problem: ClosedLoopProblem, joint: Joint) -> ClosedLoopProblem:
+    """Return the problem of a joint whose parameters are among those of its own."""
+    given = {p.name: p for p in problem.parameters}
+    own = tuple(replace(given[p.name], symbol=p.symbol) for p in joint.parameters)
+    beside = problem.parameters[len(problem.joint.parameters) :]
+    return replace(problem, loop=ClosedLoop(joint, problem.loop.controller), parameters=(*own, *beside))
+
+
+def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:
+    """Search for a joint with nonlinear laws from the end with linear ones, or with a linear spring."""
+    joint, linear = problem.joint, found.problem
+    surroundings = linear.parameters[len(linear.joint.parameters) :]  # the search may have let the motor begin moving
+    own = problem.parameters[: len(joint.parameters)]
+    problem = replace(problem, filtering=linear.filtering, parameters=(*own, *surroundings))
+    values, run = found.values, linear.simulate(found.x)
+    history.tally.evaluations += 1
+    given = {p.name: p.start for p in own if p.start is not None}
+    starts = law_starts(joint, linear.joint, values, JointMotion.of(run), given)
+    history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
+    ends = [history.solve(problem, ROUGH, problem.vector(start)) for start in starts]
+    best = min(ends, key=lambda end: end.norm)
+    end = history.finish(best, tolerance)
+    if not end.solution.converged:  # along a flat valley a second descent has its damping anew
+        end = history.finish(end, tolerance)
+    return end.with_starts(found.solution.starts)
+
+
+class JointMotion(NamedTuple):
+    """The motion of a joint with linear laws, for the starts of others.
+
+    Attributes:
+        duration: s.
+        motor: (samples,) position and velocity. load: of a flexible joint.
+    """
+
+    duration: float
+    motor: tuple[FloatArray, FloatArray]
+    load: tuple[FloatArray, FloatArray] | None = None
+
+    @classmethod
+    def of(cls, run: Simulation) -> JointMotion:
+        """Return the motion of a simulation."""
+        load = None
+        if run.load_position is not None and run.load_velocity is not None:
+            load = run.load_position, run.load_velocity
+        return cls(run.sample_time * run.torque.size, (run.motor_position, run.motor_velocity), load)
+
+
+def law_starts(
+    joint: Joint, linear: Joint, values: Mapping[str, float], motion: JointMotion, given: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """Return the starts of the search of a joint's laws, each with the values of all its parameters.
+
+    Args:
+        joint: with nonlinear laws.
+        linear: the same with others, which were found.
+        values: of its parameters.
+        motion: of it.
+        given: starts that are stated.
+    """
+    springs: list[dict[str, float]] = [{}]
+    frictions: list[dict[str, float]] = [{}]
+    sides = {"": motion.motor}
+    if isinstance(joint, FlexibleJoint):
+        assert motion.load is not None and isinstance(linear, FlexibleJoint)
+        sides = {"motor_": motion.motor, "load_": motion.load}
+        windup = float(np.max(np.abs(motion.motor[0] - motion.load[0])))
+        if joint.spring != linear.spring and not (values["stiffness"] > 0.0 and windup > 0.0):
+            raise MethodError(
+                f"A {joint.spring.name} spring is searched from a linear one, and the record shows none; identify "
+                'the joint with spring = "linear", or as rigid.'
+            )
+        springs = list(joint.spring.starts(values, windup)) if joint.spring != linear.spring else springs
+    if joint.friction != linear.friction:
+        by_side = []
+        for prefix, (position, velocity) in sides.items():
+            lines = (joint.friction.mean(part, prefix) for part in PARTS)
+            viscous, coulomb = (sum(by * values[name] for name, by in line.items()) for line in lines)
+            speed, travel = float(np.max(np.abs(velocity))), float(np.ptp(position))
+            size = MotionSize(speed, travel, motion.duration, viscous, coulomb)
+            by_side.append(joint.friction.starts(size, prefix))
+        frictions = [dict(ChainMap(*both)) for both in zip(*by_side, strict=True)]
+    still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
+    return [{**still, **values, **spring, **own, **given} for spring, own in product(springs, frictions)]

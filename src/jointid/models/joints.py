@@ -321,13 +321,14 @@ def spring_at(hertz: float, inertia: float, damping: float = MODE_DAMPING) -> di
     return {"stiffness": inertia * rate**2, "damping": 2 * damping * inertia * rate}
 
 
-def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float]:
-    """Return both inertias, spring and damper of a flexible joint with a given mode, damped by `MODE_DAMPING`.
+def split_by_mode(inertia: float, share: float, hertz: float, damping: float = MODE_DAMPING) -> dict[str, float]:
+    """Return both inertias, spring and damper of a flexible joint with a given mode.
 
     Args:
         inertia: of the whole joint.
         share: of the load in it.
         hertz: the free-free frequency.
+        damping: of that mode, a share of critical.
     """
     inertias = {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
-    return inertias | spring_at(hertz, share * (1 - share) * inertia)
+    return inertias | spring_at(hertz, share * (1 - share) * inertia, damping)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.plant import robot_with
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.estimation.robots.twin import identified as identified_robot
@@ -67,7 +67,9 @@ def test_springs_come_back_with_their_intervals() -> None:
         assert spring.shown
         assert spring.deviation < 0.03 * stiffness
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
-    again = simulate(RobotLoop(found.robot(twin.robot), twin.loop().controllers), twin.records(6.0, multisine=0.004))
+    again = simulate(
+        RobotLoop(robot_with(twin.robot, found.numbers), twin.loop().controllers), twin.records(6.0, multisine=0.004)
+    )
     assert again.torque == pytest.approx(found.runs[0].torque, abs=1e-9)
 
 
@@ -91,7 +93,7 @@ def test_springs_behind_friction_that_rises_towards_standstill() -> None:
         assert abs(value - rise) < 3 * deviation < 0.5 * rise
     value, deviation = found.value("joint1.stribeck_speed")
     assert abs(value - 0.1) < 3 * deviation < 0.05
-    assert found.robot(twin.robot).joints[0].stribeck_speed == value
+    assert robot_with(twin.robot, found.numbers).joints[0].stribeck_speed == value
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
 
 

@@ -127,7 +127,7 @@ def test_a_law_is_found_from_a_start_and_beside_a_fixed_number() -> None:
     assert "one.stribeck_speed" not in fit.names
     value, std = fit.value("one.stribeck_force")
     assert abs(value - 1.2) < 3.0 * std < 1.0
-    assert any(line == "one: looking for the stribeck friction, from 4 starts" for line in said)
+    assert any(line == "looking for the laws of one, from 4 starts" for line in said)
 
 
 def test_the_parameters_of_laws_have_the_declarations_of_a_joint() -> None:

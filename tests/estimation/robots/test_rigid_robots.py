@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.plant import Numbers
+from jointid.simulation.plant import Numbers, robot_with
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, seven, six, two
@@ -91,7 +90,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     assert np.max(fit.relative_error) < 1e-6
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
     assert ("joint1.viscous_backwards" in fit.names) == (what == "friction another backwards")
-    again = simulate(replace(loop, robot=fit.robot(twin.robot)), records)
+    again = simulate(replace(loop, robot=robot_with(twin.robot, fit.numbers)), records)
     assert again.torque == pytest.approx(fit.runs[0].torque, abs=1e-8)
 
 

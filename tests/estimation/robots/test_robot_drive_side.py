@@ -9,8 +9,7 @@ import pytest
 import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.validation import Prediction
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.plant import Numbers

@@ -7,8 +7,7 @@ pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the ind
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.fit import RobotFit
+from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers

@@ -13,12 +13,7 @@ fixed point lie further apart than the deviations of either; the interval is the
 
 **A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
 Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
-by the same descents. The paper's simplex is in `paper.form`.
-
-It begins as the paper does, with a rigid identification at low frequency. Its values are divided between the sides,
-by halves in the paper (13), and the stiffness follows from a known or guessed frequency: ``K12 = mu (2 pi f)^2`` with
-``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``. Where the frequency is not known, a grid of frequencies and load shares is simulated,
-and the best few are refined: half of such a grid is unstable for a fast loop, and the rest has local minima.
+by the same descents (`starts.flexible_joint`). The paper's simplex is in `paper.form`.
 
 Nonlinear laws begin at the end with linear ones, and so does a search with more of the surroundings free. **A robot**
 is searched for by `estimation.robots`.
@@ -38,13 +33,11 @@ from jointid.estimation.descent import (
     History,
     Solved,
     free_more,
+    from_linear_laws,
     search_rigid_joint,
+    with_linear_laws,
 )
-from jointid.estimation.methods.force_in_loop import (
-    allow_for_force,
-    uncertainty_of_least_error,
-    widened_for_force,
-)
+from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error, widen_for_force
 from jointid.estimation.methods.registry import (
     EVALUATIONS,
     FREQUENCIES,
@@ -55,14 +48,13 @@ from jointid.estimation.methods.registry import (
     Method,
     Task,
 )
-from jointid.estimation.methods.stiffness_search import NOTHING, StiffnessSearch, rough_rigid_joint
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.problems.base import DELAY, DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
-from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
+from jointid.estimation.starts.flexible_joint import NOTHING, rough_rigid_joint, search_flexible_joint
 from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
@@ -96,13 +88,6 @@ class DIDIM(Method):
         None,
         "free-free frequency from which the stiffness starts, with the inertia halved; without it the best of a "
         "grid, a simulation each",
-        unit="Hz",
-        above=0,
-        systems=_FLEXIBLE,
-    )
-    rigid_cutoff: float | None = setting(
-        None,
-        "cut-off of the rigid identification that gives the start; without it 0.5 % of the sampling frequency",
         unit="Hz",
         above=0,
         systems=_FLEXIBLE,
@@ -152,11 +137,9 @@ class DIDIM(Method):
         if np.linalg.norm(error) > NOTHING * problem.size:
             end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
         known = uncertainty(Influence(J, error), problem.cells(run))
-        spring = visible(problem, x, J, known, starts, task.progress)
-        history.tally.evaluations += spring.simulations
+        spring = visible(problem, x, J, known, starts, history)
         if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
-            force = allow_for_force(problem, x, -J, known.covariance.std, history)
-            known = widened_for_force(known, problem, x, force)
+            known, _ = widen_for_force(known, problem, x, -J, history)
         runs = history.tally.evaluations
         return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
 
@@ -166,7 +149,7 @@ class DIDIM(Method):
         tolerance, linear = self.stopping_tolerance(model), with_linear_laws(problem)
         if model == "flexible":
             own = replace(task, joint=linear.joint, loop=linear.loop)
-            solved = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history).search()
+            solved = search_flexible_joint(linear, own, self.frequency, tolerance, history)
         else:
             starts = rigid_starts(linear, task.progress)
             solved = search_rigid_joint(linear, starts, tolerance, history, freed=bool(self.free))
@@ -189,7 +172,7 @@ class DIDIM(Method):
         for late in DELAYS:
             law = with_numbers(loop.controller, {DELAY: late})
             with contextlib.suppress(MethodError):  # no joint is stable with it
-                rough = rough_rigid_joint(replace(task, loop=replace(loop, controller=law)), self.rigid_cutoff, history)
+                rough = rough_rigid_joint(replace(task, loop=replace(loop, controller=law)), history)
                 end = free_more(rough, (DELAY,), _ROUGH, history)
                 ends[end.values[DELAY]] = end.norm / end.problem.size
         law = with_numbers(loop.controller, {DELAY: min(ends, key=lambda late: ends[late], default=0.0)})

@@ -7,9 +7,9 @@ the prediction; on the measurement it would let a fit shrink both sides to nothi
 takes what it must and the torque says nothing; these samples have no weight, on both sides alike and before the filter,
 which would smear them. Nor have those about reversals of a rigid joint.
 
-Bounded least squares with exact derivatives goes down from starts that need no guess: for each of a row of motor-locked
-frequencies, at which the motor sees an anti-resonance, a frictionless load of one unit is simulated, and everything
-else about the joint is then linear. The best few are refined.
+The search is that of a joint under its controller, along another run. Of a rigid joint the torque is linear in all but
+the delay, so that any start will do; a flexible one begins at a rigid one below the resonance
+(`starts.flexible_joint`).
 
 A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
 squares is biased: the intervals are widened for that (`Influence.widen_for_motion`).
@@ -17,7 +17,6 @@ squares is biased: the intervals are widened for that (`Influence.widen_for_moti
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -27,11 +26,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail
-from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
+from jointid.estimation.descent import History, Solved
+from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import FAILED, LOG_DELAY, RecordProblem, log_delay
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
@@ -44,7 +42,8 @@ from jointid.estimation.problems.inverse_model import (
 from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Settings
-from jointid.models.joints import Joint, acts_on_whole
+from jointid.estimation.starts.flexible_joint import FASTEST, SpringSearch, rigid_cutoff, row_of_frequencies
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
@@ -63,7 +62,6 @@ from jointid.simulation.drive_side import (
 from jointid.simulation.plant import LOAD_STATE, Numbers, Place
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Step, solve
 from jointid.uncertainty.covariance import Influence
 
 if TYPE_CHECKING:
@@ -74,10 +72,9 @@ _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[1], "dv12(0)", Quantity.VELOCITY),
 )
 
-_GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
-_LOWEST = 0.05  # ... from this share of the cut-off up to it
-_DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
-_REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
+_LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are searched
+_TOLERANCE, _ROUGHLY = 1e-8, 1e-3  # of the criterion and the parameters; and of the rigid joint that is a start
+_NONE = 1e-200  # kg, or kg m2: an inertia of the wrong sign ends at its bound
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,16 +191,6 @@ class DriveSideFit(Method):
         "estimated",
         unit="s",
     )
-    frequency: float | None = setting(
-        None,
-        "motor-locked frequency of the start; without it the best of a grid",
-        unit="Hz",
-        above=0,
-        systems=MODELS,
-    )
-    tolerance: float = setting(
-        1e-8, "change of the criterion or the parameters to stop at, as a share", above=0, systems=MODELS
-    )
     offsets: bool = setting(True, OFFSETS, systems=ROBOT)
     evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
     frequencies: Mapping[str, float] = field(
@@ -224,19 +211,17 @@ class DriveSideFit(Method):
         record.require(setup.channels, "Drive-side identification")
         assert record.torque is not None
         delay = log_delay(self.log_delay, record.torque.sample_time, stated=record.torque.stated)
-        problem = motion_problem(record, setup, task.filtering, task.parameters, delay)
+        problem, history = motion_problem(record, setup, task.filtering, task.parameters, delay), History(task.progress)
         motion = problem.log.motion
         moving = moving_weights(motion.v[:, 0])[:, np.newaxis]
-        if task.joint.model == "rigid" and _linear(problem, None)[0] == math.inf:
-            # Of a light joint in noise the reversals may be all that tells of its inertia.
-            problem = replace(problem, log=problem.log.with_rows(moving))
-        starts, simulations = grid_starts(problem, self.frequency)
-        numbers = itertools.count(1)
-
-        def watch(step: Step) -> None:
-            task.progress(Detail(f"iteration {next(numbers)}: residual {step.norm:.6g}"))
-
-        found = solve(problem, LevenbergMarquardt(self.tolerance), np.array(starts), watch)
+        if isinstance(task.joint, FlexibleJoint):
+            found = _search_spring(record, task.joint, problem, history).solution
+        else:
+            try:
+                found = _fit_rigid(problem, _TOLERANCE, history).solution
+            except MethodError:  # of a light joint in noise the reversals may be all that tells of its inertia
+                problem = replace(problem, log=problem.log.with_rows(moving))
+                found = _fit_rigid(problem, _TOLERANCE, history).solution
         x, J, error = found.x, found.jacobian, found.residual
         influence = Influence(J, error)
         covariance = influence.widen_for_motion(influence.widen_for_bands(influence.by_time()))
@@ -249,89 +234,40 @@ class DriveSideFit(Method):
                 f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
             )
         late = -problem.values(x)[LOG_DELAY.name]
-        left = problem.residual(x)
         return build_estimate(
             [record],
             build_params(problem, x, covariance, find_active_bounds(problem.free, x, error, J)),
             (problem.measured, problem.predict(x)),
-            problem.filtered_error(left),
-            left.size,
+            problem.filtered_error(error),
+            error.size,
             (found.message, found.converged),
-            simulations + found.evaluations,
+            history.tally.evaluations,
             Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, late),
             ("torque", "motor_position"),
             Checks(warnings=tuple(warnings)),
         )
 
 
-def grid_starts(problem: DriveSideProblem, frequency: float | None) -> tuple[list[FloatArray], int]:
-    """Return the best few starts, and the simulations they took (see the module); of a rigid joint there is one.
+def _search_spring(record: Record, joint: FlexibleJoint, problem: DriveSideProblem, history: History) -> Solved:
+    """Return the end of the search from a rigid joint below the resonance."""
+    slow, delay = Filtering(cutoff=rigid_cutoff(record)), problem.parameters[-1]
+    rigid = motion_problem(record, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
+    values, cutoff = _fit_rigid(rigid, _ROUGHLY, history).values, problem.filtering.cutoff or 0.0
+    row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
+    search = SpringSearch(problem, problem.filtering, _TOLERANCE, history)
+    return history.finish(search.refine(search.explore([values], row)), _TOLERANCE)
 
-    Args:
-        problem: to be solved.
-        frequency: motor-locked, Hz; None tries a row of them.
+
+def _fit_rigid(problem: DriveSideProblem, tolerance: float, history: History) -> Solved:
+    """Return the fit of a rigid joint.
 
     Raises:
-        MethodError: at none of them are all inertias positive.
+        MethodError: its inertia is not positive.
     """
-    cutoff = problem.filtering.cutoff
-    assert cutoff is not None
-    flexible = problem.joint.model == "flexible"
-    grid = [frequency if flexible else None]
-    if flexible and frequency is None:
-        grid = [cutoff * _LOWEST ** (1 - i / (_GUESSES - 1)) for i in range(_GUESSES)]
-    tried = in_threads(lambda one: _linear(problem, one), grid)
-    costs = np.array([cost for cost, _ in tried])
-    # A valley of the criterion is refined once; the ends of the row are no worse than values outside it.
-    around = np.concatenate([[np.inf], costs, [np.inf]])
-    valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
-    if not valleys:
+    found = history.solve(problem, LevenbergMarquardt(tolerance), problem.vector({"inertia": 1.0}))
+    if "inertia" in {p.name for p in problem.free} and not found.values["inertia"] > _NONE:
         raise MethodError(
             "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "
             "record.channels.torque.sign round), or they do not belong together."
         )
-    # One that explains much less of the torque than another will not overtake it.
-    lowest = float(min(costs))
-    best = sorted((i for i in valleys if costs[i] <= _WORSE * lowest), key=lambda i: float(costs[i]))[:_REFINED]
-    given = {p.name: p.start for p in problem.parameters if p.start is not None}  # goes before what was found
-    return [problem.vector(tried[i][1] | given) for i in best], len(grid)
-
-
-def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
-    """Return the residual norm and the parameters of a joint with that motor-locked frequency: one regression.
-
-    The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
-    weighs is then a column, too, and a counterbalance is part of it. The log's delay is the factor of the measured
-    torque's slope.
-    """
-    flexible = frequency is not None
-    inertia, prefix = ("motor_inertia", "motor_") if flexible else ("inertia", "")
-    friction = tuple(p.name for p in problem.joint.friction.parameters(prefix, ""))
-    unit = {p.name: 0.0 for p in problem.parameters} | {inertia: 1.0}
-    if frequency is not None:
-        rate = 2 * math.pi * frequency
-        unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
-    forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
-    names = (inertia, *friction, *forces)
-    sought = (replace(p, free=True) if p.name in names else p.fix(unit[p.name]) for p in problem.parameters)
-    trial = replace(problem, parameters=tuple(sought))
-    x = np.array([unit[p.name] for p in trial.free])
-    error, J = trial.linearise(x)
-    W = [-column for column in J.T]
-    if flexible:
-        W.append(trial.filter(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
-    if any(p.name == LOG_DELAY.name and p.free for p in problem.parameters):
-        W.append(-problem.filter(np.gradient(problem.measured, problem.sample_time)))
-    columns = np.column_stack(W)
-    Y = problem.filter(problem.measured)
-    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    chi = np.linalg.lstsq(columns / norms, Y, rcond=1e-10)[0] / norms
-    found = dict(zip((p.name for p in trial.free), map(float, chi), strict=False))
-    if flexible:
-        load = float(chi[len(trial.free)])
-        found |= {name: load * unit[name] for name in ("load_inertia", "stiffness", "damping")}
-        for name in friction:  # what the regression finds is that of both sides
-            found[name] = 0.5 * max(found[name], 0.0)
-            found[name.replace("motor_", "load_")] = found[name]
-    positive = min(found[inertia], found.get("load_inertia", 1.0)) > 0
-    return (float(np.linalg.norm(Y - columns @ chi)) if positive else math.inf), found
+    return found

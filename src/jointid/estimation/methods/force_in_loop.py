@@ -108,8 +108,7 @@ def uncertainty_of_least_error(
         J: (rows, free) the derivatives of the simulated torque, filtered.
         history: counts the simulations.
     """
-    known = uncertainty(Influence(J, residual), problem.cells(run))
-    known = widened_for_force(known, problem, x, allow_for_force(problem, x, J, known.covariance.std, history))
+    known, _ = widen_for_force(uncertainty(Influence(J, residual), problem.cells(run)), problem, x, J, history)
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
     held, W = find_active_bounds(problem.free, x, residual, J), problem.filter(problem.regressor(run))
@@ -117,12 +116,13 @@ def uncertainty_of_least_error(
     return widened_to_second(known, np.hstack([W, J[:, W.shape[1] :]]), J, residual, freely)
 
 
-def widened_for_force(
-    known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, found: tuple[FloatArray, RandomForce] | None
-) -> Uncertainty:
-    """Return an uncertainty at x, (free,), widened for a force in the loop that `allow_for_force` found."""
+def widen_for_force(
+    known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, history: History
+) -> tuple[Uncertainty, tuple[FloatArray, RandomForce] | None]:
+    """Return an uncertainty at x, (free,), widened for a force in the loop, and what `allow_for_force` found."""
+    found = allow_for_force(problem, x, J, known.covariance.std, history)
     if found is None:
-        return known
+        return known, None
     there, force = found
     each = zip(problem.free_joint, there, x, known.covariance.std, strict=False)
     moved = {p.name: float(value) for p, value, before, own in each if abs(value - before) > _TOLD * own}
@@ -132,7 +132,7 @@ def widened_for_force(
         f"slide; simulated with it, the fit gives {values}: the intervals hold both"
     )
     stated = (Message(Limitation.FORCE_IN_LOOP, said, {"rms": force.rms, "values": moved}),) if moved else ()
-    return replace(known.widened_by(there - x), warnings=(*known.warnings, *stated))
+    return replace(known.widened_by(there - x), warnings=(*known.warnings, *stated)), found
 
 
 def allow_for_force(

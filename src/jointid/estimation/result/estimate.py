@@ -32,7 +32,7 @@ from jointid.models.position_forces import Motion
 if TYPE_CHECKING:
     import jointid
     from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-    from jointid.estimation.robots.fit import RobotFit
+    from jointid.estimation.robots.didim import RobotFit
     from jointid.estimation.robots.simulated import IdentifiedRobot
     from jointid.records.record import Record
 

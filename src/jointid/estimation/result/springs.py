@@ -27,11 +27,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Message, Progress
+from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Parameter, Quantity
-from jointid.estimation.descent import History, descend
-from jointid.estimation.methods.force_in_loop import allow_for_force, simulate_mean, widened_for_force
+from jointid.estimation.descent import History, descend, with_linear_spring
+from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import (
@@ -44,11 +44,10 @@ from jointid.estimation.result.verdict import (
     verdict_of,
 )
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
-from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import Solution, Tally, solve
 from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid
@@ -97,7 +96,6 @@ class Visibility:
         verdict: whether its stiffness is reported, and why not.
         rigid: values of the rigid joint on the same band; std: standard deviations of those that it determines.
         bounds: where the stiffness is refused.
-        simulations: that all this took.
         notes: on the deviations of the rigid joint, where the stiffness is refused.
     """
 
@@ -105,7 +103,6 @@ class Visibility:
     rigid: Mapping[str, float]
     std: Mapping[str, float]
     bounds: tuple[StiffnessBound, ...]
-    simulations: int
     notes: tuple[Message, ...]
 
     @property
@@ -150,7 +147,7 @@ def visible(
     J: FloatArray,
     known: Uncertainty,
     together: tuple[int, int],
-    progress: Progress,
+    history: History,
     shares: Sequence[float] = SHARES,
 ) -> Visibility:
     """Return whether a record shows the spring of an estimate, or else how soft it may be.
@@ -161,14 +158,15 @@ def visible(
         J: (rows, free) the derivatives of the torque there, filtered.
         known: how well.
         together: how many of how many starts led to the estimate.
-        progress: receives messages.
+        history: of the search.
         shares: of the load in the inertia, for which bounds are searched.
     """
     rigid, at = fit_rigid(problem, problem.values(x))
     (error, slopes), remains = rigid.linearise(at.x), problem.residual(x)
-    where = rigid.cells(rigid.simulate(at.x))
-    values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
+    where, tally = rigid.cells(rigid.simulate(at.x)), history.tally
+    values, found = rigid.values(at.x), problem.values(x)
     linear, said, made, left = with_linear_spring(problem), "", None, float(remains @ remains)
+    tally.evaluations += at.evaluations + 4
     reasons = [*_doubts(problem, x, J, known, (left, float(error @ error)), together)]
     if not reasons:
         # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
@@ -176,30 +174,25 @@ def visible(
         # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
         fitted = left if left < _FAR * float(error @ error) else None
         test = flexible_against_rigid(error, slopes, springs, where, fitted)
-        runs += len(_TEST_SHARES) * len(_TEST_MODES)
+        tally.evaluations += len(_TEST_SHARES) * len(_TEST_MODES)
         reasons, said = [] if test.significant else [str(test)], str(test)
         if not reasons and test.gained < _LITTLE:
-            made = profile_modes(linear, values, found, thorough=True)
+            made = profile_modes(linear, values, found, tally, thorough=True)
             reasons = [*_other_springs(made, found["stiffness"], known, [p.name for p in problem.free])]
     bounds, judged = list[StiffnessBound](), uncertainty(Influence(slopes, error), where)
     if reasons:
-        progress("the record does not show the spring; looking how soft it may be")
-        made = made or profile_modes(linear, values, found, thorough=False)
-        bounds, history = bound_all(made, shares), History(progress)
-        moved = allow_for_force(rigid, at.x, -slopes, judged.covariance.std, history)
-        judged = widened_for_force(judged, rigid, at.x, moved)
+        history.progress("the record does not show the spring; looking how soft it may be")
+        bounds = bound_all(made or profile_modes(linear, values, found, tally), shares)
+        judged, moved = widen_for_force(judged, rigid, at.x, -slopes, history)
         if moved is not None:
             change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
             forced = with_linear_spring(replace(problem, measured=problem.measured - change))
-            beside = profile_modes(forced, rigid.values(moved[0]), found, thorough=False)
-            pairs = zip(bounds, bound_all(beside, shares), strict=True)
-            bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in pairs]
-            runs += history.tally.evaluations + beside.simulations
+            beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found, tally), shares)
+            bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
-    runs += 0 if made is None else made.simulations
     stated = zip(rigid.free, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
     std = {p.name: float(one) for p, one, told in stated if told}
-    return Visibility(springs_verdict(reasons, said), values, std, tuple(bounds), runs, judged.warnings)
+    return Visibility(springs_verdict(reasons, said), values, std, tuple(bounds), judged.warnings)
 
 
 def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
@@ -337,10 +330,7 @@ class SpringProblem:
 
 def spring(described: Mapping[str, Any]) -> dict[str, Any]:
     """Return both inertias, stiffness and damping of a joint described by inertia, share, mode and ratio."""
-    whole, share, ratio = described["inertia"], described["share"], described["ratio"]
-    reduced, rate = share * (1 - share) * whole, 2 * math.pi * described["mode"]
-    values = ((1 - share) * whole, share * whole, reduced * rate**2, 2 * ratio * reduced * rate)
-    return dict(zip(_SPRING, values, strict=True))
+    return split_by_mode(*(described[name] for name in ("inertia", "share", "mode", "ratio")))
 
 
 class Fit(NamedTuple):
@@ -371,7 +361,7 @@ class ModeProfile:
         stiff: the joint that is nearly rigid.
         points: with the mode held, the stiffest first.
         minima: with it free, the best first.
-        simulations: so far.
+        tally: counts the simulations.
     """
 
     problem: ClosedLoopProblem
@@ -381,14 +371,14 @@ class ModeProfile:
     stiff: Fit = field(default=Fit({}, math.inf, math.inf))
     points: list[Fit] = field(default_factory=list)
     minima: list[Fit] = field(default_factory=list)
-    simulations: int = 0
+    tally: Tally = field(default_factory=Tally)
 
     def fit(self, start: Mapping[str, float], evaluations: int, **held: float) -> Fit:
         """Return the best joint near a start, with its share or its mode held."""
         problem = SpringProblem(self.problem, self.names, held, self.room)
         bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
         end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
-        self.simulations += end.evaluations
+        self.tally.evaluations += end.evaluations
         cost = least = float(end.residual @ end.residual)
         if end.jacobian.any():
             room, widths = bounds.shift_to(end.x), bounds.upper - bounds.lower
@@ -399,7 +389,12 @@ class ModeProfile:
 
 
 def profile_modes(
-    problem: ClosedLoopProblem, rigid: Mapping[str, float], found: Mapping[str, float], *, thorough: bool
+    problem: ClosedLoopProblem,
+    rigid: Mapping[str, float],
+    found: Mapping[str, float],
+    tally: Tally,
+    *,
+    thorough: bool = False,
 ) -> ModeProfile:
     """Return the profile over all modes, the load's share free.
 
@@ -407,6 +402,7 @@ def profile_modes(
         problem: of the flexible joint, as it was solved.
         rigid: every parameter of a rigid joint on the same band, and of what surrounds it.
         found: every parameter of the flexible joint that the search ended on.
+        tally: counts the simulations.
         thorough: whether a dip is also followed from another share and a small damping, as before a value is given.
     """
     sample_time, law, cutoff = problem.axis.sample_time, problem.axis.law, problem.filtering.cutoff
@@ -417,7 +413,7 @@ def profile_modes(
     names = tuple(p.name for p in problem.free if p.name not in _SPRING)
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
-    made = ModeProfile(replace(problem, filtering=band).all_free(), names, (low, high))
+    made = ModeProfile(replace(problem, filtering=band).all_free(), names, (low, high), tally=tally)
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:
@@ -466,7 +462,7 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     stiff = SpringProblem(made.problem, names, held, made.room)
     error, J = stiff.linearise(x)
     bent = replace(stiff, held={**held, "mode": made.room[1] / 1.2}).residual(x) - error
-    made.simulations += 2
+    made.tally.evaluations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
     return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)

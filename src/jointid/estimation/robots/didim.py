@@ -13,7 +13,8 @@ in two or three. Valid for rigid joints, or below about a fifth of the first res
 
 1. The robot of rigid joints, split into rotors, springs and links (`starts.robot_springs`).
 2. A frequency for each spring, given or the best of a row of them; and a rough descent from there.
-3. Where that leads nowhere: rough descents from one frequency of all springs, and from stiff springs.
+3. Where that leads nowhere: rough descents from one frequency of all springs, and from stiff springs. Of 200 random
+   robots four, split into wrong rotors, looked best on wrong frequencies, and all came down from one frequency of all.
 4. Where no spring can be seen then, the answer is that none is shown. A search for them would go on for minutes along
    what the record does not tell.
 5. A close descent, and fine ones. A search may leave a wrong minimum after the joint that led it there weighs less.
@@ -25,7 +26,7 @@ for springs that are linear and tie each rotor to its own link, and rotors that 
 gyroscopic torques are left out [Spong 1987].
 
 **Laws that are not linear**, and free delays of the torques, are searched from the end with linear ones, axis by axis.
-As of one joint (`starts.nonlinear_laws`) every start of an axis's laws is followed a little, and the best is kept. The
+As of one joint (`estimation.descent`) every start of an axis's laws is followed a little, and the best is kept. The
 axes before it have their laws by then, those after it lines. At last all are searched together to the full tolerance.
 Free delays come before the laws: a law is found where torque and motion are in time alone. Where no delay is declared,
 that search begins at the best rigid robot of several delays.
@@ -34,54 +35,220 @@ that search begins at the best rigid robot of several delays.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import Bounds, Parameter
+from jointid.common.messages import Detail, Progress, ignore_progress
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import join, pluralise
+from jointid.estimation.descent import ROUGH, History, JointMotion, law_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.idim import solve_rows
+from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
-from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.inverse_model import Records, each_log, inverse_of_robot, motion_along
-from jointid.estimation.problems.simulated import Simulated, outcome_of, pose_robot
+from jointid.estimation.problems.inverse_model import Records, each_log
+from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
 from jointid.estimation.result.verdict import SpringVerdict
-from jointid.estimation.robots.fit import OFF, UNSEEN, Descents, RobotFit
 from jointid.estimation.robots.numbers import (
+    RobotParameters,
     apply_constraints,
     find_free_delays,
     name_in_robot,
     robot_parameters,
     with_delays,
 )
-from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
-from jointid.estimation.starts.nonlinear_laws import JointMotion, law_starts, name_laws
-from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
+from jointid.estimation.starts.rigid_joint import start_rigid_robot
+from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs
 from jointid.models.controllers import numbers_of
-from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot, RobotJoint
-from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.plant import values_of_joint
+from jointid.simulation.plant import Numbers, values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
-from jointid.solvers.solve import Status
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
+from jointid.solvers.solve import Solution, Status
+from jointid.uncertainty.covariance import Covariance, Influence, white
+from jointid.uncertainty.identifiability import find_separable
 
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
+_UNSEEN = 2.0  # standard deviations: a compliance of less is not shown
+_OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
+_FALLING = 0.7  # of its error before a step: a descent that is on its way
+_POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
-_REWEIGHTINGS = 2
-_BORDERS, _SHORT = 50, 500  # samples at each end of a motion that is a guess, of more than so many
+_SETTLED = 0.3  # of the noise of a row, squared: a step that changes all rows by less ends the search of rigid joints
+_WEIGHED = 2  # solutions for the first step, each with the sizes of the errors that the one before leaves
+_HALVES = 0.5 ** np.arange(6)  # of a step to a candidate that cannot be simulated
+_COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
+_FIRST = 12  # evaluations of a rough descent, mostly enough
+_ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
+_FINE = 3e-5  # tolerance at last
+_LAST = 0.1  # of the sum of squares in units of the noise, a step's worth there: all parameters move by 0.3 deviations
+_TURNS, _STEADY = 4, 0.4  # descents with new sizes of the joints' errors, and their change that asks for no other
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotFit:
+    """The fit of a robot to the records of its joints.
+
+    Attributes:
+        problem: that was solved, weighted by the joints' filtered errors.
+        x: (free,) what is searched, at the end.
+        runs: there.
+        slopes: (rows, free) of their filtered torques by what is searched, not weighted.
+        covariance: of the errors of `values`.
+        relative_error: (n,) of the filtered torques, a share each.
+        iterations: that were made.
+        converged: whether they settled.
+        springs: a verdict for each flexible joint; of one that is refused, and of its joint's two sides, no interval is
+            to be believed.
+    """
+
+    problem: Simulated
+    x: FloatArray
+    runs: Runs
+    slopes: FloatArray
+    covariance: Covariance
+    relative_error: FloatArray
+    iterations: int
+    converged: bool
+    springs: tuple[SpringVerdict, ...] = ()
+
+    @property
+    def parameters(self) -> RobotParameters:
+        """Parameters of the identified problem."""
+        return self.problem.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.parameters.names
+
+    @property
+    def values(self) -> FloatArray:
+        """The parameters, (parameters,)."""
+        return self.parameters.values(self.x)
+
+    @property
+    def numbers(self) -> Numbers:
+        """Numbers of the robot that was found."""
+        return self.parameters.numbers(self.values)
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Return a parameter and its standard deviation."""
+        at = self.names.index(name)
+        return float(self.values[at]), float(self.covariance.std[at])
+
+
+def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made: int, settled: bool) -> RobotFit:
+    """Return the fit at an end, with the slopes J, (rows, free), not weighted.
+
+    Raises:
+        MethodError: the robot cannot be simulated there, or explains none of the torque; or a friction that grows with
+            the torque is not told from others, see `find_separable`.
+    """
+    if (outcome := outcome_of(runs)) is not Outcome.FINISHED:
+        raise MethodError(
+            f"The search led to where the robot cannot be simulated: {outcome.value}. Record a livelier motion, "
+            "name a livelier log first, leave out springs of stiff joints, or declare simpler laws."
+        )
+    error = problem.error(runs)
+    left = problem.norms(error) / problem.sizes
+    if np.all(left > 1.0):
+        raise MethodError(
+            f"The search ended at a robot that leaves {100 * float(np.min(left)):.3g} % or more of the torque of every "
+            "joint, more than one without any torque: check units and signs, or record a livelier motion."
+        )
+    names, scales = problem.parameters.names, problem.parameters.scales(x)
+    together = [name for name, separable in zip(names, find_separable(J), strict=True) if not separable]
+    if any(name.endswith("friction_per_torque") for name in together):
+        raise MethodError(
+            f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "
+            "all. Identify records with other known loads in one fit, or brake harder."
+        )
+    problem = problem.reweight(error, x.size)
+    weights = problem.weights(error.size)
+    influence = Influence(J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size)
+    covariance = influence.robust()
+    if problem.motion_measured:
+        covariance = influence.widen_for_motion(covariance)
+    known = zip(names, covariance.std, strict=True)
+    if untold := [n for n, s in known if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:
+        raise MethodError(
+            f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
+            "Move faster, record longer, or state the delay in [controller] and do not free it."
+        )
+    covariance = replace(covariance, std=covariance.std * scales)
+    return RobotFit(problem, x, runs, J, covariance, left, made, settled)
+
+
+class End(NamedTuple):
+    """The end of a descent.
+
+    Attributes:
+        problem: as the descent weighed it.
+        solution: of that.
+        reach: (free,) how far one step may move each parameter.
+    """
+
+    problem: Simulated
+    solution: Solution
+    reach: FloatArray
+
+    def on(self, problem: Simulated) -> End:
+        """Return the end as one of another problem, as it was weighed."""
+        return self._replace(problem=replace(problem, sigma=self.problem.sigma))
+
+    def linearise(self) -> tuple[FloatArray, FloatArray]:
+        """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
+        weights = self.problem.weights(self.solution.residual.size)
+        return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
+
+    def reweight(self) -> Simulated:
+        """Return the problem with the sizes of the errors that are left."""
+        error, slopes = self.linearise()
+        return self.problem.reweight(error, slopes.shape[1])
+
+    @property
+    def norm(self) -> float:
+        """Of the weighted error that is left."""
+        return float(np.linalg.norm(self.solution.residual))
+
+    @property
+    def may_show(self) -> bool:
+        """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
+        x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
+        return any(
+            parameter.quantity is Quantity.STIFFNESS and 0.0 < std < 1.0 / _UNSEEN and value < parameter.upper - _OFF
+            for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
+        )
+
+    @property
+    def leads_on(self) -> bool:
+        """Whether the descent is on its way, or has ended with little of each joint's torque left."""
+        trace = self.solution.trace
+        if not self.solution.converged:
+            return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
+        left = self.problem.norms(self.linearise()[0])
+        return not np.any(left > _POOR * self.problem.sizes)
+
+    def fit(self, made: int) -> RobotFit:
+        """Return the fit after so many evaluations.
+
+        Raises:
+            MethodError: see `conclude`.
+        """
+        x = self.solution.x
+        return conclude(self.problem, x, self.problem.run(x), -self.linearise()[1], made, self.solution.converged)
 
 
 def search_robot(
@@ -113,213 +280,241 @@ def search_robot(
             missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
             several logs along a motion begins in motion.
     """
-    known, robot, along, near = known or {}, setup.robot, isinstance(setup, RobotDriveSide), cast("Any", setup)
-    how: Any = settings or (DriveSideFit() if along else DIDIM())
-    evaluations, frequencies, late, delay = how.evaluations, how.frequencies or None, tuple[int, ...](), 0.0
-    if along:
-        robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
-        delay = how.log_delay
-    else:
-        late, near = find_free_delays(near, how.free), replace(near, robot=robot.linear)
-    stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
+    return _Search(setup, records, filtering, settings, dict(known or {}), progress).search()
+
+
+class _Search(History):
+    """The search of a robot, its evaluations counted; see `search_robot` for its arguments."""
+
+    def __init__(
+        self,
+        setup: Any,
+        records: Records,
+        filtering: Filtering | None,
+        settings: DIDIM | DriveSideFit | None,
+        known: dict[str, Parameter],
+        progress: Progress,
+    ) -> None:
+        super().__init__(progress)
+        self.setup, self.robot, self.along = setup, setup.robot, isinstance(setup, RobotDriveSide)
+        self.records, self.filtering, self.known = records, filtering, known
+        self.how: Any = settings or (DriveSideFit() if self.along else DIDIM())
 
     def pose(
-        under: Any,
-        through: Filtering | None,
-        freed: Sequence[int] = (),
-        delay: float | None = 0.0,
-        limits: Mapping[str, Parameter] = known,
+        self, under: Any, through: Filtering | None, freed: Sequence[int] = (), *, rigid: bool = False
     ) -> Simulated:
-        parameters = robot_parameters(under.robot, offsets=how.offsets, logarithmic=True, whole=not along)
-        parameters = apply_constraints(parameters, limits)
+        """Return the problem of a robot with some delays free; of one with springs the log's delay is as stated."""
+        records = self.records
+        stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
+        parameters = robot_parameters(under.robot, offsets=self.how.offsets, logarithmic=True, whole=not self.along)
+        parameters = apply_constraints(parameters, self.known)
+        delay = self.how.log_delay if self.along and not rigid else 0.0
         return pose_robot(under, records, parameters, through, freed, delay, stated=stated)
 
-    def search_rigid(under: Any, through: Filtering | None) -> RobotFit:
-        problem, descents = pose(under, through), Descents(evaluations, progress)
-        if not along:
-            return descents.settle(problem, _start_rigid(problem, under, each_log(records)[0]))
-        # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down
-        # to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
-        problem = problem.map_logs(lambda log: log.with_rows(np.ones_like(log.motion.moving)))
-        return descents.settle(problem, np.zeros(len(problem.free)))
+    def search(self) -> RobotFit:
+        """Return the fit: of rigid joints or springs with linear laws, then of free delays and other laws."""
+        robot, how, late, near = self.robot, self.how, tuple[int, ...](), self.setup
+        if self.along:
+            robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
+        else:
+            late, near = find_free_delays(near, how.free), replace(near, robot=robot.linear)
+        if self.along or any(robot.flexible):
+            problem = self.pose(near, self.filtering)
+            _require_springs(robot, how.frequencies, problem.sample_time)
+            rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
+            found = self.find_springs(problem, near.robot, rigid)
+            whole = problem.map_logs(lambda log: log.thoroughly())
+            if whole is not problem and not any(one.shown for one in found.springs):
+                self.progress("no spring is seen by the beginning of the record; searching along all of it")
+                found = self.find_springs(whole, near.robot, rigid)
+        else:
+            undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
+            ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
+            for one in DELAYS if undeclared else (0.0,):
+                try:
+                    under = with_delays(near, dict.fromkeys(undeclared, one))
+                    ends.append((self.find_rigid(under, self.filtering), under))
+                except MethodError as error:  # no robot is stable with such a delay
+                    failures.append(error)
+            if not ends:
+                raise failures[0]
+            found, near = min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
+        if self.along or (robot.linear.joints == robot.joints and not late):
+            return found
+        return self.find_laws(found, near, late)
 
-    if along or any(robot.flexible):
-        problem = pose(near, filtering, delay=delay)
-        require_springs(robot, frequencies, problem.sample_time)
-        rigid = search_rigid(replace(near, robot=near.robot.rigid), SLOW)
-        found = search_springs(problem, near.robot, rigid, frequencies, evaluations, progress)
-        whole = problem.map_logs(lambda log: log.thoroughly())
-        if whole is not problem and not any(one.shown for one in found.springs):
-            progress("no spring is seen by the beginning of the record; searching along all of it")
-            found = search_springs(whole, near.robot, rigid, frequencies, evaluations, progress)
-    else:
-        undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
-        ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
-        for one in DELAYS if undeclared else (0.0,):
-            try:
-                under = with_delays(near, dict.fromkeys(undeclared, one))
-                ends.append((search_rigid(under, filtering), under))
-            except MethodError as error:  # no robot is stable with such a delay
-                failures.append(error)
-        if not ends:
-            raise failures[0]
-        found, near = min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
+    def find_rigid(self, under: Any, through: Filtering | None) -> RobotFit:
+        """Take Gauss-Newton steps until they settle, each joint by the size of its error.
 
-    def with_laws(of: Robot) -> Simulated:
-        found_within = {p.name: p for p in found.parameters.parameters}  # springs have bounds that a search gave them
-        return pose(replace(near, robot=of), filtering, late, limits={**known, **found_within})
+        Raises:
+            MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
+        """
+        problem, made = self.pose(under, through, rigid=True), 0
+        if self.along:
+            # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not,
+            # down to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
+            problem = problem.map_logs(lambda log: log.with_rows(np.ones_like(log.motion.moving)))
+            x = np.zeros(len(problem.free))
+        else:
+            x = start_rigid_robot(problem, under, each_log(self.records)[0])
+        bounds, runs, settled, J = Bounds.of(problem.free), problem.run(x), False, np.zeros((0, x.size))
+        # What no position shows never settles: the integral takes whatever is added.
+        told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
+        while outcome_of(runs) is Outcome.FINISHED and not settled and made < self.how.evaluations:
+            error, J = problem.error(runs), problem.slopes(runs, x)
+            made += 1
+            for _ in range(_WEIGHED if made == 1 else 1):
+                weights = problem.weights(error.size)
+                slopes = J * weights[:, np.newaxis]
+                step = damped_step(error * weights, -slopes, bounds.shift_to(x))
+                problem = problem.reweight(error - J @ step, x.size)
+            settled = float(np.sum((slopes @ np.where(told, step, 0.0)) ** 2)) <= _SETTLED
+            share = float(np.max(problem.norms(error) / problem.sizes))
+            self.progress(Detail(f"{made}: torque error {100 * share:.4f} % on the worst joint"))
+            tried = ((x + half * step, problem.run(x + half * step)) for half in _HALVES)
+            x, runs = next((one for one in tried if outcome_of(one[1]) is Outcome.FINISHED), (x, runs))
+        return conclude(problem, x, runs, J, made, settled)
 
-    if along or (robot.linear.joints == robot.joints and not late):
-        return found
-    fit = _search_laws(robot, found, with_laws, known, evaluations, progress, delays=bool(late))
-    return replace(fit, iterations=found.iterations + fit.iterations, springs=_judge_springs(fit, robot))
+    def find_springs(self, problem: Simulated, robot: Robot, rigid: RobotFit) -> RobotFit:
+        """Search the flexible robot of the least torque error, from the rigid one below the modes.
 
+        Raises:
+            MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
+        """
+        problem = problem.reweight(problem.error(rigid.runs), rigid.values.size)
+        start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
+        hertz = self.how.frequencies or start.search(self.progress)
+        problem = bound_springs(problem, start)
+        rough, before = problem.roughly(), self.tally.evaluations
+        error = rough.error(rough.simulate(rigid.numbers))
+        without = float(np.linalg.norm(error * rough.weights(error.size)))
+        starts = [start.values(hertz), *(start.all_at(f) for f in _COMMON if f < start.stiff)]
+        end = self._begin(rough, starts[0])
+        if end.solution.status is Status.NOT_EVALUABLE:
+            raise MethodError(
+                f"The robot cannot be simulated where its search begins: {outcome_of(rough.run(end.solution.x)).value}."
+                " Give other frequencies, or a record in which all joints move more."
+            )
+        for values in starts[1:]:
+            if end.leads_on or end.norm > without:
+                break
+            end = min(end, self._begin(rough, values), key=lambda one: one.norm)
+        lost = not end.solution.converged and end.norm > without
+        if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
+            end = self._begin(rough, start.all_at(start.stiff))
+        if not end.may_show or (lost and end.norm > without):
+            with suppress(MethodError):
+                seen = end.on(problem).fit(self.tally.evaluations - before)
+                return replace(seen, springs=tuple(map(_refuse, _judge_springs(seen, robot))))
+        fit = self._refine(problem, end).fit(self.tally.evaluations - before)
+        if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
+            raise MethodError(
+                "A robot of rigid joints explains the torque of every joint better than the one that the search of "
+                "springs ended at; leave the springs out of the robot file, or excite their modes by a multisine."
+            )
+        return replace(fit, springs=_judge_springs(fit, robot))
 
-# The start of rigid joints
+    def find_laws(self, linear: RobotFit, near: RobotLoop, late: tuple[int, ...]) -> RobotFit:
+        """Search the free delays, then the laws that are not linear axis by axis, from the fit with linear ones.
 
+        Raises:
+            MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
+        """
+        robot, sigma, before = self.robot, linear.problem.sigma, self.tally.evaluations
+        given = dict(self.known)
+        self.known |= {p.name: p for p in linear.parameters.parameters}  # springs have bounds that a search gave them
+        values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
+        changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
+        for i in (*([-1] if late else []), *changed):
+            joints = (*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :]))
+            problem = self.pose(replace(near, robot=replace(robot, joints=joints)), self.filtering, late)
+            problem = replace(problem, sigma=sigma)
+            values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
+            starts, what = list[dict[str, float]]([{}]), "delays of the torques"
+            if i >= 0:
+                joint = robot.joints[i]
+                starts = _starts_of(joint, values_of_joint(numbers, i), _motion_of(linear, i), given)
+                what = f"laws of {joint.name}"
+            self.progress(f"looking for the {what}, from {pluralise(len(starts), 'start')}")
+            best = min((self._follow(problem, values | start) for start in starts), key=lambda end: end.norm)
+            if not best.solution.jacobian.any():
+                raise MethodError(
+                    f"The robot cannot be simulated where the search of the {what} begins: "
+                    f"{outcome_of(best.problem.run(best.solution.x)).value}. Declare simpler laws, or state starts of "
+                    "their parameters."
+                )
+            found = problem.parameters.values(best.solution.x)
+            values, numbers = dict(zip(problem.parameters.names, found, strict=True)), problem.parameters.numbers(found)
+            sigma = best.reweight().sigma
+        fit = self._refine(problem, best).fit(linear.iterations + self.tally.evaluations - before)
+        return replace(fit, springs=_judge_springs(fit, robot))
 
-def _start_rigid(problem: Simulated, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
-    """Return the start of a search: the inverse model on the motion that the controllers saw.
+    # Descents
 
-    Where a controller cannot be turned round, the commanded motion is taken. A start of regular inertias is not tried:
-    M(q) of one may not be positive definite in a pose.
-    """
-    log, failures = problem.log, list[str]()
-    clock = log.experiment.clock
-    commanded = log.experiment.references[clock.log_index // clock.lengths.size]
-    for name, read in (("inversion", _reconstruct), ("reference", lambda *_: (log.measured, commanded))):
-        try:
-            x = _regress(problem, loop.robot, *read(problem, loop, records, commanded))
-        except MethodError as error:
-            failures.append(str(error))
-            continue
-        outcome = log.run(problem.parameters.numbers(problem.parameters.values(x)), keep=False).outcome
-        if outcome is Outcome.FINISHED:
-            return x
-        failures.append(f"at the {name} start {outcome.value}.")
-    alone = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","
-    raise MethodError(
-        "The robot cannot be simulated where its search begins: "
-        + " ".join(failures)
-        + f" Check the controllers' gains{alone} and their period where "
-        "they run faster than the log, the signs and units of torques and references, and the joints' places."
-    )
+    def _begin(self, problem: Simulated, values: FloatArray) -> End:
+        """Descend roughly from values of all parameters."""
+        x, reach = problem.parameters.to_search_variables(values), problem.parameters.reach(values)
+        return self._descend(problem, x, reach, _ROUGH, _FIRST)
 
+    def _follow(self, problem: Simulated, start: Mapping[str, float]) -> End:
+        """Descend roughly from values by name as the search of one joint's laws does, away from bounds.
 
-def _reconstruct(
-    problem: Simulated, loop: RobotLoop, records: Sequence[Record], commanded: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
-    log, positions = problem.log, commanded.copy()
-    torques = log.measured.copy()
-    for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
-        if log.experiment.axes[j].clock.shows > 1:  # the log shows each output of this slow controller many times
-            continue
-        joint = RigidJoint(link.kind)
-        alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
-        torques[:, j] = command_of(alone)[: len(torques)]
-        positions[:, j] = reconstructed_position(alone)[: len(torques)]
-    return torques, positions
+        Where a bound takes the effect of other parameters away, as a slider without stiffness, steps of Levenberg and
+        Marquardt would end there.
+        """
+        problem, parameters = problem.roughly(), problem.parameters
+        values = np.array([start[name] for name in parameters.names])
+        found = self.solve(problem, ROUGH, parameters.to_search_variables(values))
+        return End(problem, found.solution, parameters.reach(values))
 
+    def _refine(self, problem: Simulated, end: End) -> End:
+        """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
+        end = self._go_on(end.reweight(), end, _CLOSE)
+        known = end.problem.logs is problem.logs  # else it is simulated finer than that descent was
+        end = end.on(problem)
+        for _ in range(_TURNS):
+            weighed = end.reweight()
+            end, known = self._go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size), known=known), True
+            change = np.log(end.reweight().sigma / weighed.sigma)
+            if not end.solution.converged or np.all(np.abs(change) < _STEADY):
+                break
+        return end
 
-def _regress(problem: Simulated, robot: Robot, torques: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return the inverse model's weighted estimate on a motion, within bounds."""
-    parameters, borders = problem.parameters, _BORDERS if len(torques) > _SHORT else 0
-    held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
-    filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
-    delays = [one.law.delay for one in problem.log.experiment.axes]
-    motion, joints = motion_along(held, positions, filtering, delays), np.linalg.inv(robot.coupling).T
-    motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
-    rows = inverse_of_robot(robot, parameters).rows([motion])
-    found = solve_rows(rows, "weighted", {one.name: one for one in parameters.fixed}, turns=_REWEIGHTINGS)
-    return Bounds.of(problem.free).clip(found.values[: len(parameters.places)])
+    def _go_on(self, problem: Simulated, end: End, aim: tuple[float, float], *, known: bool = True) -> End:
+        """Descend from where another descent ended, whose error is `known`, with other weights."""
+        x = end.solution.x
+        if known:
+            error, slopes = end.linearise()
+            weights = problem.weights(error.size)
+            self.count_evaluations(problem).remember(x, error * weights, slopes * weights[:, np.newaxis])
+        return self._descend(problem, x, end.reach, aim, self.how.evaluations)
+
+    def _descend(
+        self, problem: Simulated, x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
+    ) -> End:
+        (tolerance, worth), exact = aim, problem.floor / float(np.max(problem.sigma))
+        solver = LevenbergMarquardt(tolerance, min(evaluations, self.how.evaluations), reach, worth, exact)
+        return End(problem, self.solve(problem, solver, x).solution, reach)
 
 
 # Springs
 
 
-def require_springs(robot: Robot, frequencies: Mapping[str, float] | None, sample_time: float) -> None:
-    """Refuse a search of springs without one, or from frequencies that are missing or out of range.
-
-    Args:
-        robot: with the springs.
-        frequencies: Hz, in which the search is to begin, by joint; None to search them.
-        sample_time: s, of the records.
-
-    Raises:
-        MethodError: no joint has a spring, or a frequency is missing, of no flexible joint, or out of range.
-    """
+def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time: float) -> None:
+    """Refuse a robot without springs, and frequencies, Hz, that are missing or out of range."""
     flexible = [joint.name for joint in robot.joints if joint.spring is not None]
     if not flexible:
         raise MethodError(
             "No joint of this robot has a spring; give one a JointSpring, [joints.spring] of a robot file, or identify "
             "it as rigid, by idim or didim."
         )
-    if frequencies is None:
-        frequency_row(sample_time)
-        return
     highest = STIFFEST / sample_time
-    if set(frequencies) != set(flexible) or not all(0.0 < hertz <= highest for hertz in frequencies.values()):
+    if frequencies and not (set(frequencies) == set(flexible) and all(0 < f <= highest for f in frequencies.values())):
         raise MethodError(
             f"frequencies has a number for each of {join(flexible)}, above 0 and up to {highest:g} Hz, of which a "
             f"record of this sample time shows something; received {dict(frequencies)}: correct it, or give none at "
             "all to have them searched."
         )
-
-
-def search_springs(
-    problem: Simulated,
-    robot: Robot,
-    rigid: RobotFit,
-    frequencies: Mapping[str, float] | None,
-    evaluations: int,
-    progress: Progress,
-) -> RobotFit:
-    """Search the flexible robot of the least torque error, from the rigid one; see the module.
-
-    Args:
-        problem: of the flexible robot.
-        robot: that is identified.
-        rigid: what was found of it with stiff joints, below the modes.
-        frequencies: of the flexible joints at which the search is to begin, Hz; None to search them.
-        evaluations: at most, of each descent.
-        progress: receives the steps.
-
-    Raises:
-        MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
-    """
-    error = problem.error(rigid.runs)
-    problem = problem.reweight(error, rigid.values.size)
-    start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
-    hertz = frequencies or start.search(progress)
-    problem = bound_springs(problem, start)
-    rough = problem.roughly()
-    error = rough.error(rough.simulate(rigid.numbers))
-    without = float(np.linalg.norm(error * rough.weights(error.size)))
-    descents = Descents(evaluations, progress)
-    end = descents.begin(rough, start, hertz, without)
-    if end.solution.status is Status.NOT_EVALUABLE:
-        raise MethodError(
-            f"The robot cannot be simulated where its search begins: {outcome_of(rough.run(end.solution.x)).value}. "
-            "Give other frequencies, or a record in which all joints move more."
-        )
-    stiff = not end.solution.converged and end.norm > without
-    if stiff:
-        # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
-        end = descents.from_start(rough, start, start.all_at(start.stiff))
-
-    if not end.may_show or (stiff and end.norm > without):
-        with suppress(MethodError):
-            seen = end.of(problem).fit(descents.tally.evaluations)
-            return replace(seen, springs=tuple(map(_refuse, _judge_springs(seen, robot))))
-    fit = descents.refine(problem, end).fit(descents.tally.evaluations)
-    before, after = (problem.norms(problem.error(one.runs)) for one in (rigid, fit))
-    if np.all(after >= before):
-        raise MethodError(
-            "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
-            "ended at; leave the springs out of the robot file, or excite their modes by a multisine."
-        )
-    return replace(fit, springs=_judge_springs(fit, robot))
 
 
 def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
@@ -331,8 +526,8 @@ def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
         stiffness, deviation = fit.value(f"{joint.name}.stiffness")
         compliance, spread = 1.0 / stiffness, deviation / stiffness**2
         bound = fit.parameters.parameters[fit.names.index(f"{joint.name}.stiffness")].upper
-        shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - OFF
-        at_least, unit = 1.0 / (compliance + UNSEEN * spread), "N/m" if link.kind == "prismatic" else "N m/rad"
+        shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - _OFF
+        at_least, unit = 1.0 / (compliance + _UNSEEN * spread), "N/m" if link.kind == "prismatic" else "N m/rad"
         judged = SpringVerdict(joint.name, True, stiffness, deviation, at_least, unit)
         found.append(judged if shown else _refuse(judged))
     return tuple(found)
@@ -342,60 +537,7 @@ def _refuse(judged: SpringVerdict) -> SpringVerdict:
     return replace(judged, shown=False, stiffness=None, deviation=None)
 
 
-# Delays and laws that are not linear
-
-
-def _search_laws(
-    robot: Robot,
-    linear: RobotFit,
-    pose: Callable[[Robot], Simulated],
-    known: Mapping[str, Parameter],
-    evaluations: int,
-    progress: Progress,
-    *,
-    delays: bool = False,
-) -> RobotFit:
-    """Search the laws of a robot from the fit of `Robot.linear`, and the free delays of its torques.
-
-    Args:
-        robot: with its laws.
-        linear: the fit with linear ones; itself the answer of a robot without others.
-        pose: the problem of a robot, by its laws, with the delays that are free.
-        known: starts of parameters, by name.
-        evaluations: simulations with derivatives, at most, of each descent.
-        progress: receives the steps.
-        delays: whether any is free; each begins where its parameter does.
-
-    Raises:
-        MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
-    """
-    descents, best, sigma = Descents(evaluations, progress), None, linear.problem.sigma
-    values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
-    changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
-    for i in (*([-1] if delays else []), *changed):  # the delays, then axis by axis
-        laws = replace(robot, joints=(*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :])))
-        problem = replace(pose(laws), sigma=sigma)
-        values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
-        if i < 0:
-            progress("looking for the delays of the torques")
-            best, what = descents.follow(problem, values), "delays"
-        else:
-            joint = robot.joints[i]
-            starts = _starts_of(joint, values_of_joint(numbers, i), _motion_of(linear, i), known)
-            progress(f"{joint.name}: looking for the {name_laws(joint.model)}, from {pluralise(len(starts), 'start')}")
-            ends = [descents.follow(problem, values | start) for start in starts]
-            best, what = min(ends, key=lambda end: end.norm), f"laws of {joint.name}"
-        if not best.solution.jacobian.any():
-            raise MethodError(
-                f"The robot cannot be simulated where the search of the {what} begins: "
-                f"{outcome_of(best.problem.run(best.solution.x)).value}. Declare simpler laws, or state starts of "
-                "their parameters."
-            )
-        found = problem.parameters.values(best.solution.x)
-        values, numbers = dict(zip(problem.parameters.names, found, strict=True)), problem.parameters.numbers(found)
-        sigma = best.reweight().sigma
-    assert best is not None
-    return descents.refine(problem, best).fit(descents.tally.evaluations)
+# Laws that are not linear
 
 
 def _starts_of(

@@ -76,25 +76,19 @@ class Payload(Documented):
         """True if a body can have the ten parameters as they were found."""
         return is_physical(self.inertial)
 
-    @property
-    def sentence(self) -> str:
-        """The mass and the centre."""
-        (mass, *centre), std = self.properties[0][:4], self.properties[1][0]
-        at = ", ".join(number(float(one), 3) for one in centre)
-        weight = interval(float(mass), _TWO * float(std))
-        return f"The payload weighs {weight} kg, 2 sigma, with its centre at ({at}) m of {self.link}."
-
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the mass first, then each number; there are no further details."""
+        """Return the mass and the centre first, then each number; there are no further details."""
         del details
         lines = [
             (name, interval(float(row["value"]), _TWO * float(row["std"])), str(row["unit"]))
             for name, row in self.rows.items()
         ]
+        at = ", ".join(number(float(one), 3) for one in self.properties[0][1:4])
+        first = f"The payload weighs {lines[0][1]} kg, 2 sigma, with its centre at ({at}) m of {self.link}."
         said = "" if self.possible else "No body has just these numbers; those that are not known may be far off."
         title = f"in the frame of {self.link}; inertia at the centre"
         return Document(
-            self.sentence,
+            first,
             (
                 *([Paragraph(said, tone="bad")] if said else []),
                 Table(("", "value, 2 sigma", "unit"), tuple(lines), title, (0, 1, 2)),
@@ -130,14 +124,9 @@ def identify_payload(
         progress: receives the steps.
 
     Raises:
-        MethodError: the records or the robot do not determine the payload, its mass comes out negative, or the method
-            does not fit the model, does not settle or is not that of the estimate.
+        MethodError: see `payload_difference`; or the method does not fit the model.
         RecordError: as of `jointid.identify`.
     """
-    if not isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        raise MethodError(
-            "A payload is identified with a Robot, a RobotLoop or a RobotDriveSide; of a joint, compare two estimates."
-        )
     each, warnings = list[Estimate](), list[str]()
     for log in (empty, loaded):
         if isinstance(log, Estimate):
@@ -164,28 +153,32 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
         MethodError: the estimates are of two robots or methods, an estimate did not settle or refuses a parameter, the
             robot does not tell all of a payload, or its mass comes out negative.
     """
-    both = empty, loaded
-    if empty.settings.method != loaded.settings.method or not all(one.fit.converged for one in both):
-        raise MethodError(
-            "A payload is the difference of two searches by one method that settled; these are by "
-            f"{empty.settings.method} and {loaded.settings.method}: identify each record to see what it leaves, or "
-            "allow more by method.evaluations."
-        )
     each = list[tuple[list[str], FloatArray, FloatArray, FloatArray]]()
-    for estimate in both:
+    for estimate in (empty, loaded):
         part = estimate.require_robot()
         sums = part.sums(part.model)
         own = np.flatnonzero(np.any(sums.of_standard, axis=1))  # a weight that is a constant torque is an offset's
         noise = sums.covariance.matrix[np.ix_(own, own)]
         each.append(([part.names[i] for i in own], sums.values[own], sums.of_standard[own], noise))
     (names, before, columns, noise), (others, after, standard, more) = each
-    if names != others or not np.allclose(columns, standard):
-        raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
-    if not np.all(np.diag(noise) * np.diag(more) > 0.0):
-        raise MethodError("A parameter that a payload would change is fixed: leave it free.")
+    alike = names == others and np.allclose(columns, standard) and empty.settings.method == loaded.settings.method
+    free = alike and np.all(np.diag(noise) * np.diag(more) > 0.0)
+    if not free or not (empty.fit.converged and loaded.fit.converged):
+        raise MethodError(
+            "A payload is the difference of two searches that settled, of one robot by one method, every parameter "
+            f"free that a payload changes; these are by {empty.settings.method} and {loaded.settings.method}: identify "
+            "each record to see what it leaves, free what is fixed, or allow more by method.evaluations."
+        )
     link, last = part.model.links[-1].name, len(SYMBOLS) * (len(part.model) - 1)
     columns = columns[:, last : last + len(SYMBOLS)]
-    _require_full_payload(columns)
+    _, sizes, directions = np.linalg.svd(columns / column_norms(columns), full_matrices=True)
+    hidden = directions[int(np.sum(sizes > _TOGETHER * sizes[0])) :]
+    if len(hidden):
+        lost = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
+        raise MethodError(
+            f"This robot does not tell all of a payload: {join(lost)} act on no torque, or only together; expected "
+            "joints that turn and tilt the last link about several axes."
+        )
     whiten = whitening(covariance_of(noise + more))
     seen = whiten @ columns
     spread = np.asarray(np.linalg.pinv(seen.T @ seen), dtype=np.float64)
@@ -196,15 +189,3 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
             "record is the one with the payload, and that both have the same torque's unit."
         )
     return Payload(link, inertial, covariance_of(spread))
-
-
-def _require_full_payload(columns: FloatArray) -> None:
-    """Raise if a payload's ten numbers do not change the parameters of a robot, (parameters, 10), in ten ways."""
-    _, sizes, directions = np.linalg.svd(columns / column_norms(columns), full_matrices=True)
-    hidden = directions[int(np.sum(sizes > _TOGETHER * sizes[0])) :]
-    if len(hidden):
-        names = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
-        raise MethodError(
-            f"This robot does not tell all of a payload: {join(names)} act on no torque, or only together; expected "
-            "joints that turn and tilt the last link about several axes."
-        )

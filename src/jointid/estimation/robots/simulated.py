@@ -25,8 +25,7 @@ from jointid.estimation.result.build_result import build_robot_result
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, Sums
 from jointid.estimation.result.verdict import SpringVerdict
-from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.fit import RobotFit, conclude
+from jointid.estimation.robots.didim import RobotFit, conclude, search_robot
 from jointid.estimation.robots.numbers import (
     RobotParameters,
     begin_delays,

@@ -1,32 +1,48 @@
-"""Starts for a rigid joint: regressions on a motion that the record implies, without a simulation."""
+"""Starts for rigid joints: regressions on a motion that the record implies, without a simulation.
+
+Of a known controller the motor's motion is what it must have seen to put out the logged torque:
+``position = reference - C^-1(torque)`` needs no guess, and as the gain of a controller is large, it is finer than most
+encoders. Or else the motor follows its reference.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
+from jointid.common.parameters import Bounds
 from jointid.estimation.methods.idim import solve_rows
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import inverse_of_joint, motion_along, steady_weights
-from jointid.estimation.starts.inverse_controller import (
-    first_state,
-    invertible_samples,
-    reconstructed_position,
-    torque_behind_limit,
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
+from jointid.estimation.problems.inverse_model import (
+    MeasuredMotion,
+    inverse_of_joint,
+    inverse_of_robot,
+    motion_along,
+    steady_weights,
 )
-from jointid.models.controllers import REFERENCE
-from jointid.records.record import Channel, Timing
+from jointid.models.controllers import POSITION, REFERENCE, invert
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.simulation.simulate import Outcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 
+if TYPE_CHECKING:
+    from jointid.estimation.problems.simulated import Simulated
+    from jointid.models.robots.robot import Robot
+    from jointid.simulation.loop_input import RobotLoop
+
+_BORDERS, _SHORT = 50, 500  # samples at each end of a motion that is a guess, of more than so many
+_REWEIGHTINGS = 2
 _EVALUATIONS = 10  # enough for two parameters that act almost linearly on the torque
 _MOST = 0.5  # of the samples
+_SLOPE = 20  # samples the initial velocity is first read from: the search corrects it
 
 
 def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[str, float]]:
@@ -50,9 +66,9 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[st
 
 def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Return a start by IDIM on the reconstructed position."""
-    position = reconstructed_position(problem)
-    acting, known = torque_behind_limit(problem), invertible_samples(problem)
-    found = _regress(problem, acting, position, known, problem.axis.law.delay)
+    position, command, axis = reconstructed_position(problem), command_of(problem), problem.axis
+    acting = command + axis.after_limit[:: axis.clock.skips][: command.size]
+    found = _regress(problem, acting, position, axis.law.delay)
     return _apply_fixed_values(problem, found | first_state(problem, position))
 
 
@@ -62,7 +78,7 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     periods = experiment.clock.log_index // experiment.clock.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
-    tracked = _regress(problem, torque, reference, np.ones(torque.size, dtype=np.bool_))
+    tracked = _regress(problem, torque, reference)
     known = next(p for p in problem.parameters if p.name == "inertia")
     nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
@@ -70,46 +86,33 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     return _apply_fixed_values(problem, regular)
 
 
-def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
-    """Return the best initial position and velocity, and the number of simulations.
+def fit_initial_state(problem: ClosedLoopProblem) -> FloatArray:
+    """Return the free parameters with the best initial position and velocity.
 
-    A motor at rest and a moving one are two problems (see `descent.or_moving`), so both are solved.
+    A motor at rest and a moving one are two problems (see `descent.search_rigid_joint`), so both are solved.
     """
     try:
         start = first_state(problem, reconstructed_position(problem))
     except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
         start = {"initial_position": float(problem.axis.inputs[0, 0]), "initial_velocity": 0.0}
-    problems = (problem.keeping({"initial_velocity": 0.0}), problem)
-    solver = LevenbergMarquardt(tolerance=1e-9, evaluations=_EVALUATIONS)
-    ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
+    both, solver = (problem.keeping({"initial_velocity": 0.0}), problem), LevenbergMarquardt(1e-9, _EVALUATIONS)
+    ends = [(p, solve(p, solver, p.vector(start))) for p in both]
     which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
-    return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
+    return problem.vector(which.values(best.x))
 
 
 def _regress(
-    problem: ClosedLoopProblem,
-    torque: FloatArray,
-    position: FloatArray,
-    known: NDArray[np.bool_],
-    delay: float = 0.0,
+    problem: ClosedLoopProblem, torque: FloatArray, position: FloatArray, delay: float = 0.0
 ) -> dict[str, float]:
-    """Estimate the parameters by IDIM on the samples of known position.
-
-    Elsewhere the position is interpolated, and torque and columns are set to zero.
-    """
-    joint = problem.joint
-    sample_time, instants = problem.axis.sample_time, np.arange(torque.size)
-    filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
-    held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
-    if not np.all(known):
-        position = np.interp(instants, instants[known], position[known])
-    motion = motion_along([held], position[:, np.newaxis], filtering, [delay])
-    assert filtering.position_cutoff is not None
+    """Return the parameters by IDIM on a motion, (samples,)."""
+    motion = _guess_motion(problem, torque[:, np.newaxis], position[:, np.newaxis], [delay])
+    cutoff = motion.filtering.position_cutoff
+    assert cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
-    weights = known * steady_weights(motion.v[:, 0], filtering.position_cutoff, sample_time)[1]
-    if np.sum(weights) < _MOST * np.sum(known):  # what is left tells less than what friction at rest bends
-        weights = known.astype(np.float64)
-    rows = inverse_of_joint(joint).rows([replace(motion, moving=weights[:, np.newaxis])])
+    weights = steady_weights(motion.v[:, 0], cutoff, motion.sample_time)[1]
+    if np.mean(weights) >= _MOST:  # else what is left tells less than what friction at rest bends
+        motion = replace(motion, moving=weights[:, np.newaxis])
+    rows = inverse_of_joint(problem.joint).rows([motion])
     found = solve_rows(rows, "ols", {p.name: p for p in problem.parameters if not p.free})
     return dict(zip(rows.names, map(float, found.values), strict=True))
 
@@ -117,3 +120,133 @@ def _regress(
 def _apply_fixed_values(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
     """Set every fixed parameter to its fixed value."""
     return {**values, **{p.name: p.start or 0.0 for p in problem.parameters if not p.free}}
+
+
+def _guess_motion(
+    problem: ClosedLoopProblem | Simulated, torques: FloatArray, positions: FloatArray, delays: Sequence[float]
+) -> MeasuredMotion:
+    """Return the motion through guessed positions, (samples, n), whose ends are left out."""
+    borders = _BORDERS if len(torques) > _SHORT else 0
+    filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
+    held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
+    return motion_along(held, positions, filtering, delays)
+
+
+# The controller turned round
+
+
+def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
+    """Return the motor position by the inverse of the controller, (samples,).
+
+    The law's memory of what was before the record is a guess, so the first samples, one more than the law has states,
+    are not to be used.
+
+    Raises:
+        MethodError: the log does not show the output of every period once, or the law cannot be inverted.
+    """
+    experiment = problem.axis
+    law, inputs = experiment.law, experiment.inputs
+    command = command_of(problem)
+    if experiment.clock.skips > 1:  # between the periods that the log shows the torque is a straight line
+        command = np.interp(np.arange(experiment.periods) / experiment.clock.skips, np.arange(command.size), command)
+    slope = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
+    # The inverse of a slow position loop forgets a wrong first position as slowly: a motor that moves lags behind.
+    home = beginning_position(problem, slope)
+    state = law.known_memory(inputs) + law.memory(POSITION, home, slope)
+    integral = law.integral()
+    if integral is not None:
+        there = inputs[0] + home * (np.arange(inputs.shape[1]) == POSITION)
+        first = law.C[0, law.output] @ state + law.D[0, law.output] @ there
+        state = state + integral * (command[0] - first)
+    return invert(law, command, inputs, state)[:: experiment.clock.skips][: experiment.clock.samples]
+
+
+def command_of(problem: ClosedLoopProblem) -> FloatArray:
+    """Return the logged output of the controller, (samples,), without what is added behind its limit.
+
+    Raises:
+        MethodError: the log does not show each output once at most.
+    """
+    experiment = problem.axis
+    whole = np.all(experiment.clock.lags == experiment.clock.lags[0, 0])
+    averaged, measured = experiment.timing is Timing.AVERAGED, experiment.tap is Tap.MEASURED
+    if (
+        experiment.clock.shows > 1
+        or ((averaged or measured) and experiment.clock.skips > 1)
+        or (averaged and measured and not whole)
+    ):
+        raise MethodError(
+            "The controller can be turned round only when the log shows the output of its periods, each once at most."
+        )
+    # A measured torque shows an output when it acts, an averaged one when its period is over.
+    late = int(averaged) + (int(experiment.clock.lags[0, 0]) if measured else 0)
+    output = np.concatenate([problem.measured[late:], np.full(late, problem.measured[-1])])
+    added = experiment.after_limit if measured else experiment.logged
+    return np.asarray(output - added[:: experiment.clock.skips][: output.size])
+
+
+def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, float]:
+    """Return the initial state of a reconstructed motion: a line through its first usable samples."""
+    law = problem.axis.law
+    skip, sample_time = law.order // problem.axis.clock.skips + 1, problem.axis.sample_time
+    first = position[skip : skip + _SLOPE]
+    slope, value = np.polyfit(np.arange(first.size) * sample_time, first, 1)
+    return {"initial_position": float(value - slope * skip * sample_time), "initial_velocity": float(slope)}
+
+
+# Of a robot
+
+
+def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
+    """Return the start of a search: the inverse model on the motion that the controllers saw.
+
+    Where a controller cannot be turned round, the commanded motion is taken. A start of regular inertias is not tried:
+    M(q) of one may not be positive definite in a pose.
+    """
+    log, failures = problem.log, list[str]()
+    clock = log.experiment.clock
+    commanded = log.experiment.references[clock.log_index // clock.lengths.size]
+    for name, read in (("inversion", _reconstruct), ("reference", lambda *_: (log.measured, commanded))):
+        try:
+            x = _regress_robot(problem, loop.robot, *read(problem, loop, records, commanded))
+        except MethodError as error:
+            failures.append(str(error))
+            continue
+        outcome = log.run(problem.parameters.numbers(problem.parameters.values(x)), keep=False).outcome
+        if outcome is Outcome.FINISHED:
+            return x
+        failures.append(f"at the {name} start {outcome.value}.")
+    alone = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","
+    raise MethodError(
+        "The robot cannot be simulated where its search begins: "
+        + " ".join(failures)
+        + f" Check the controllers' gains{alone} and their period where "
+        "they run faster than the log, the signs and units of torques and references, and the joints' places."
+    )
+
+
+def _reconstruct(
+    problem: Simulated, loop: RobotLoop, records: Sequence[Record], commanded: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
+    log, positions = problem.log, commanded.copy()
+    torques = log.measured.copy()
+    for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
+        if log.experiment.axes[j].clock.shows > 1:  # the log shows each output of this slow controller many times
+            continue
+        joint = RigidJoint(link.kind)
+        alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
+        torques[:, j] = command_of(alone)[: len(torques)]
+        positions[:, j] = reconstructed_position(alone)[: len(torques)]
+    return torques, positions
+
+
+def _regress_robot(problem: Simulated, robot: Robot, torques: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return the inverse model's weighted estimate on a motion, within bounds."""
+    delays = [one.law.delay for one in problem.log.experiment.axes]
+    motion, joints = _guess_motion(problem, torques, positions, delays), np.linalg.inv(robot.coupling).T
+    parameters = problem.parameters
+    motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
+    rows = inverse_of_robot(robot, parameters).rows([motion])
+    found = solve_rows(rows, "weighted", {one.name: one for one in parameters.fixed}, turns=_REWEIGHTINGS)
+    return Bounds.of(problem.free).clip(found.values[: len(parameters.places)])

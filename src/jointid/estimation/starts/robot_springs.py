@@ -9,20 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
-from jointid.common.parallel import in_threads, threads
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.simulated import Simulated, outcome_of
-from jointid.estimation.robots.fit import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.joints import spring_at
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome
+
+if TYPE_CHECKING:
+    from jointid.estimation.robots.didim import RobotFit
 
 STIFFEST = 0.15
 """Of the sampling frequency: the highest mode that is searched."""
@@ -58,6 +61,7 @@ class StartOfSprings:
     def of(cls, problem: Simulated, rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
         """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
 
+        Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
         Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
         the links' mass matrix may not be positive. So what is taken for granted of the rotors is more and more, until
         the robot can be simulated on stiff springs.
@@ -79,16 +83,27 @@ class StartOfSprings:
         taken = min(float(np.linalg.eigvalsh(M * root)[0]) for M in masses)
         wanted = np.where(numbers.flexible, np.minimum(_SHARE * about, _ROOM * taken * alone), 0.0)
 
-        def split(spread: float) -> tuple[StartOfSprings, bool]:
-            values, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
+        parameters, unit = problem.parameters, np.eye(len(problem.parameters.places))
+        zero = _stiffen(np.zeros(len(unit)), parameters, rigid)
+        felt = np.column_stack([_stiffen(one, parameters, rigid) - zero for one in unit])
+        # Beside the information the covariance has lost what is known of the sum of two that are not known.
+        known = triangle(rigid.slopes * rigid.problem.weights(len(rigid.slopes))[:, np.newaxis])
+        own = [c for c, p in enumerate(parameters.places) if p.own == "inertia"]
+        joints = np.array([parameters.places[c].axis for c in own], dtype=np.int64)
+        least, began = np.where(numbers.flexible, _LIGHTEST * about, -math.inf), np.zeros(len(unit))
+        began[own] = wanted[joints]
+        target = np.concatenate([known @ (rigid.values - zero - felt @ began), np.zeros(len(own))])
+        for spread in _SPREADS:
+            rows = np.vstack([known @ felt, unit[own] / (spread * about[joints])[:, np.newaxis]])
+            norms = column_norms(rows)
+            values = began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms
+            values[own] = np.maximum(values[own], least[joints])
+            rotors = wanted.copy()
+            rotors[joints] = values[own]
             start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about))
-            stiff = problem.parameters.to_search_variables(start.all_at(start.stiff))
-            return start, outcome_of(problem.run(stiff, keep=False)) is Outcome.FINISHED
-
-        for first in range(0, len(_SPREADS), threads()):
-            for start, runs in in_threads(split, _SPREADS[first : first + threads()]):
-                if runs:
-                    return start
+            stiff = parameters.to_search_variables(start.all_at(start.stiff))
+            if outcome_of(problem.run(stiff, keep=False)) is Outcome.FINISHED:
+                break
         return start
 
     @property
@@ -120,7 +135,13 @@ class StartOfSprings:
         All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
         what it does to its own, and a run for each joint and frequency would take as many times as long.
         """
-        row = frequency_row(self.problem.sample_time)
+        sample_time = self.problem.sample_time
+        row = [f for f in _MODES if f < _STIFF / sample_time]
+        if not row:
+            raise MethodError(
+                f"Modes are searched from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show;"
+                " log faster, or leave the springs out."
+            )
 
         def costs(frequency: float) -> FloatArray:
             values = self.problem.parameters.to_search_variables(self.all_at(frequency))
@@ -134,17 +155,6 @@ class StartOfSprings:
         return best
 
 
-def frequency_row(sample_time: float) -> list[float]:
-    """Return the trial frequencies of modes, Hz."""
-    row = [f for f in _MODES if f < _STIFF / sample_time]
-    if not row:
-        raise MethodError(
-            f"Modes are searched from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show; "
-            "log faster, or leave the springs out."
-        )
-    return row
-
-
 def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> FloatArray:
     """Return that of a robot of rigid joints, rotors included, (n, n)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
@@ -155,67 +165,14 @@ def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> Floa
     return M + np.diag([own["inertia"] for own in numbers.values])
 
 
-def _split(
-    parameters: RobotParameters,
-    rigid: RobotFit,
-    numbers: Numbers,
-    wanted: FloatArray,
-    spread: FloatArray,
-    lightest: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the parameters that move as the rigid robot does with stiff springs, and their rotors, (n,).
-
-    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors with
-    their spread, (n,) each; no rotor is lighter than the lightest.
-    """
-    rotors = wanted.copy()
-    known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
-    values = np.zeros(len(parameters.places))
-    shared = []  # inertias, and constant torques, as which a weight may act
-    for c, place in enumerate(parameters.places):
-        if place.of_link or place.own in ("inertia", "offset"):
-            shared.append(c)
-        elif place.name not in ("stiffness", "damping"):
-            found_of = {one.name: value for one, value in known.items() if one.axis == place.axis}
-            # The link's own friction is the same in both directions.
-            ways = [found_of.get(f"viscous_{way}", 0.0) for way in ("forwards", "backwards")]
-            whole = found_of.get(place.own, 0.0) + (0.5 * sum(ways) if place.own == "viscous" else 0.0)
-            # What rises towards standstill is the motor's.
-            halved = numbers.flexible[place.axis] and place.own != "stribeck_force"
-            values[c] = 0.5 * whole if halved else whole
-    # What each of these is of the rigid robot's: itself if that has it, or else as it groups it.
-    kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
-    weights = np.zeros((len(kept), len(shared)))
-    began = np.zeros(len(shared))
-    for i, c in enumerate(shared):
-        place = parameters.places[c]
-        if not place.of_link:
-            began[i] = wanted[place.axis] if place.own == "inertia" else 0.0
-            place = Place(place.axis, place.own)
-        if place in kept:
-            weights[kept.index(place), i] = 1.0
-        else:
-            weights[:, i] = rigid.parameters.grouping[:, dropped.index(place)]
-    felt = np.any(weights != 0.0, axis=1)
-    # What is known of them while the others are free: the end of a triangle that has these last.
-    last = np.column_stack([rigid.information[:, ~felt], rigid.information[:, felt]])
-    before = int(np.sum(~felt))
-    whiten = np.asarray(np.linalg.qr(last, mode="r"))[before:, before:]
-    places = [parameters.places[c] for c in shared]
-    mine = [i for i, place in enumerate(places) if place.own == "inertia"]
-    near = np.zeros((len(mine), len(shared)))
-    near[np.arange(len(mine)), mine] = [1.0 / spread[places[i].axis] for i in mine]
-    left = rigid.values[felt] - weights[felt] @ began
-    rows = np.vstack([whiten @ weights[felt], near])
-    norms = column_norms(rows)
-    target = np.concatenate([whiten @ left, np.zeros(len(mine))])
-    found = began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms
-    for i, c in enumerate(shared):
-        place = parameters.places[c]
-        values[c] = found[i]
-        if i in mine and numbers.flexible[place.axis]:
-            values[c] = rotors[place.axis] = max(float(found[i]), float(lightest[place.axis]))
-    return values, rotors
+def _stiffen(values: FloatArray, parameters: RobotParameters, rigid: RobotFit) -> FloatArray:
+    """Return the rigid robot's parameters of a flexible one with these values, (parameters,), and stiff springs."""
+    found, base, each = parameters.numbers(values), rigid.parameters.base, list[dict[str, float]]()
+    for own, like in zip(found.values, base.values, strict=True):
+        both = {name: sum(own.get(f"{side}{name}", 0.0) for side in ("", "motor_", "load_")) for name in like}
+        link = own.get("load_viscous", 0.0)  # the link's own friction is the same in both directions
+        each.append(both | {name: both[name] + link for name in both if name.startswith("viscous_")})
+    return rigid.parameters.group(replace(base, values=tuple(each), inertials=found.inertials))
 
 
 def bound_springs(problem: Simulated, start: StartOfSprings) -> Simulated:
