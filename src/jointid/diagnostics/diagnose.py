@@ -19,7 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Table
-from jointid.common.errors import FaultsError, JointidError, MethodError
+from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads, one_thread
 from jointid.common.parameters import Parameter
@@ -373,13 +373,8 @@ def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedL
 
 
 def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
-    """Yield the faults of a joint's channels, torque, limit, motion and controller."""
-    torque, needed = record.torque, ("torque", *(() if loop is None else loop.channels))
-    missing = [name for name in dict.fromkeys(needed) if getattr(record, name) is None]
-    if loop is not None and record.motor_position is not None and missing == ["torque"]:
-        return  # which the controller makes of the position
-    if missing:
-        yield Symptom(_UNREADABLE, f"the record has no {join(missing)}, without which this joint is not identified")
+    """Yield the faults of a joint's torque, limit, motion and controller; what is missing is refused later."""
+    torque = record.torque
     if torque is None:
         return
     if still := [*still_faults(record)]:
@@ -403,7 +398,7 @@ def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progr
     """Return the cause of a failed identification; its error if none is found."""
     causes = find_failure_causes(record, loop, progress=progress)
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
-        return Symptom("not_identified", str(error))
+        return Symptom(_UNREADABLE if isinstance(error, RecordError) else "not_identified", str(error))
     named = causes.explanations
     return Symptom(named[0].name if named else str(causes.message.code), causes.message.words)
 

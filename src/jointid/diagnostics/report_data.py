@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.errors import JointidError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.diagnose import Diagnosis
@@ -26,7 +26,6 @@ from jointid.models.linear import OUTPUTS, frequency_response
 from jointid.records.record import Channel, Record
 from jointid.uncertainty.profile import ProfileInterval
 
-Profile: TypeAlias = ProfileInterval  # as pages draw it
 _PARTS = 8  # of the record, each as long as a window of the spectra; windows overlap by half
 _LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
 _SHORTEST = 64
@@ -93,17 +92,17 @@ def collect_report_data(
     flexible = any(p.name == "stiffness" and p.free for p in estimate.params.rows)
     asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
     found, absent = dict[str, Any](), dict[str, str]()
-
-    def keep(name: str, compute: Callable[[], Any]) -> None:
+    parts: dict[str, Callable[[], Any]] = {
+        "validation": lambda: validate(estimate, record),
+        "response": lambda: compute_response(estimate),
+        "profiles": lambda: intervals(estimate, record, asked, progress=progress),
+    }
+    for name, compute in parts.items():
         progress(f"collecting the report: {name}")
         try:
             found[name] = compute()
         except JointidError as error:
             absent[name] = str(error)
-
-    keep("validation", lambda: validate(estimate, record))
-    keep("response", lambda: compute_response(estimate))
-    keep("profiles", lambda: intervals(estimate, record, asked, progress=progress))
     check = estimate.checks.diagnosis
     return ReportData(
         estimate, check if isinstance(check, Diagnosis) else None, **found, channels=dict(record.items()),
@@ -145,10 +144,7 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     Raises:
         MethodError: a parameter of the joint is not identifiable.
     """
-    joint, values, modes = estimate.settings.joint, estimate.values, estimate.frequencies
-    missing = [p.symbol for p in joint.parameters if p.name not in values]
-    if missing:
-        raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is not identifiable.")
+    joint, values, modes = estimate.settings.joint, estimate.require_values(), estimate.frequencies
     highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
