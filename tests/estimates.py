@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import jointid as ji
 from jointid.diagnostics.diagnose import diagnose_joint
-from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import MOST
+from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.numbers import robot_parameters

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.diagnostics.suspects import COGGING
+from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.result.verdict import Reason
 from jointid.models.position_forces import PositionHarmonics
 from studies.mechanics import spoiled
@@ -18,7 +18,7 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
     check = faults_of(identify(made.record, made.axis.loop), made.record, most=1)
     first = check.findings[0]
-    assert first.test.fault is COGGING
+    assert first.test.fault is FAULTS["cogging"]
     reference = made.record.reference
     travel = float(np.ptp(reference.values))
     assert travel / first.test.shape == pytest.approx(
@@ -33,7 +33,7 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
 def test_none_is_found_where_there_is_none() -> None:
     made = spoiled(103, "none", 8.0)
     tests = faults_of(identify(made.record, made.axis.loop), made.record).tests
-    assert next(one.p_value for one in tests if one.fault is COGGING) > 0.05
+    assert next(one.p_value for one in tests if one.fault is FAULTS["cogging"]) > 0.05
 
 
 @pytest.mark.slow
@@ -42,4 +42,4 @@ def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     joint = replace(made.axis.loop.joint, ripple=PositionHarmonics(made.truth["pitch"]))
     loop = replace(made.axis.loop, joint=joint)
     check = faults_of(identify(made.record, loop), made.record)
-    assert COGGING not in {one.fault for one in check.tests}
+    assert FAULTS["cogging"] not in {one.fault for one in check.tests}

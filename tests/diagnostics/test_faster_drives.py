@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.faults import AxisFaults
+from jointid.diagnostics.suspects import AxisFaults
 from jointid.diagnostics.variants import PERIOD, list_variants
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade

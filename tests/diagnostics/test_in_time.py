@@ -45,7 +45,7 @@ def test_noise_that_comes_back_is_no_part() -> None:
     assert find_part(white, time) is None
     assert find_part(white * (1.0 + 9.0 * (np.sin(2 * np.pi * time) > 0.7)), time) is None
     found = find_part(white * (1.0 + 9.0 * ((time > 2.0) & (time < 2.8))), time)
-    assert (found.begin, found.end) == pytest.approx((2.0, 2.8), abs=0.01)
+    assert (found.values["begin"], found.values["end"]) == pytest.approx((2.0, 2.8), abs=0.01)
 
 
 @pytest.mark.slow

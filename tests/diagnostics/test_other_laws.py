@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.faults import AxisFaults, FaultTest
+from jointid.diagnostics.suspects import AxisFaults, FaultTest
 from jointid.diagnostics.variants import (
     AVERAGED,
     LATE,

@@ -8,7 +8,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.seen import see_loop
-from jointid.diagnostics.suspects import LOAD_DEPENDENT_FRICTION
+from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade
 from jointid.models.friction import FRICTIONS, Friction
@@ -73,7 +73,7 @@ def test_its_signature_is_of_the_torque_that_acts_and_not_of_the_logged_one() ->
     record = simulated_record(plain, reference, truth, sample_time=1e-3, injected=injected, in_torque=False)
     made, own = (torque_problem(record, one, Filtering(), one.joint.parameters) for one in (plain, LOOP))
     seen = see_loop(made, made.vector(truth), np.zeros(0), np.zeros((0, 0)))
-    ((_, found),) = LOAD_DEPENDENT_FRICTION.columns(seen)
+    ((_, found),) = FAULTS["load_dependent_friction"].columns(seen)
     none, some = (own.torque(own.vector(truth | {"friction_per_torque": share})) for share in (0.0, 1e-4))
     law = (some - none) / 1e-4
     assert np.linalg.norm(found - law) < 0.1 * np.linalg.norm(law)

@@ -8,13 +8,10 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics.faults import Fault as KnownFault
-from jointid.diagnostics.faults import FaultSignature, FaultTest
 from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.search import search_faults
 from jointid.diagnostics.search_state import compute_signatures
-from jointid.diagnostics.suspects import FAULTS as KNOWN
-from jointid.diagnostics.suspects import number_fault
+from jointid.diagnostics.suspects import FaultSignature, FaultTest, number_fault
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -115,11 +112,6 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
         faults_of(estimate, twin(noise="white", seed=2).record)
 
 
-def named(name: str) -> KnownFault:
-    """Return the fault of that code, or of the number of the controller."""
-    return next((one for one in KNOWN if one.name == name), None) or number_fault(name)
-
-
 def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
     def crash(*_: object, **__: object) -> None:
         raise StopIteration
@@ -139,7 +131,7 @@ def test_what_is_significant_stands_first_however_strong_the_others_are() -> Non
     """A search among many periods finds the stronger shape, and by chance."""
 
     def test(name: str, strength: float, p_value: float) -> FaultTest:
-        return FaultTest(named(name), (), 0.0, strength, 1.0, p_value)
+        return FaultTest(number_fault(name), (), 0.0, strength, 1.0, p_value)
 
     tests = [test("cogging", 4.0, 0.8), test("limit", 2.0, 0.3), test("delay", 2.8, 0.02), test("offset", -3.0, 0.01)]
     assert [one.name for one in rank_tests(tests, 0.05)] == ["offset", "delay", "limit", "cogging"]
@@ -167,7 +159,7 @@ def test_a_wave_of_any_phase_is_tested_as_two_numbers() -> None:
     rng, rows, found = np.random.default_rng(3), 200, []
     waves = np.column_stack([turn(0.4 * np.arange(rows)) for turn in (np.cos, np.sin)])
     own = rng.standard_normal((rows, 2))
-    fault = replace(number_fault("position_gain"), one_sided=True, parts=2)
+    fault = replace(number_fault("position_gain"), one_sided=True, tried=1)
     for residual in rng.standard_normal((300, rows)):
         parts = np.linalg.lstsq(np.column_stack([waves, own]), residual, rcond=None)[0][:2]
         column = waves @ parts / np.linalg.norm(parts)

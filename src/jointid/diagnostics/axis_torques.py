@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults import FaultSignature
 from jointid.diagnostics.seen import Seen
-from jointid.diagnostics.suspects import COMPLIANCE, list_signatures
+from jointid.diagnostics.suspects import FAULTS, FaultSignature, list_signatures
 from jointid.diagnostics.variants import list_reference_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot, read_as
@@ -162,7 +161,8 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
         q, v, a = (one @ robot.coupling.T for one in (motion.q, motion.v, motion.a))
     if settings.method == "idim":
         bends = np.moveaxis(thin(_bend(part, source)), 2, 0).reshape(n, len(_ROTORS), n, -1)
-        known = [[FaultSignature(COMPLIANCE, *each) for each in zip(one, _ROTORS, strict=True)] for one in bends]
+        bent = FAULTS["compliance"]
+        known = [[FaultSignature(bent, *each) for each in zip(one, _ROTORS, strict=True)] for one in bends]
 
     def list_faults(k: int) -> list[FaultSignature]:
         others = {name: (v[:, i], a[:, i]) for i, name in enumerate(robot.names) if i != k}

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeAlias
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
-from jointid.diagnostics.faults import OtherLaw, milliseconds, name_number
+from jointid.diagnostics.suspects import OtherLaw, milliseconds, name_number
 from jointid.diagnostics.variants import PERIOD, WHOLE, list_variants
 from jointid.models.controllers import FirstOrder, numbers_of, unit_of_number, with_numbers
 from jointid.models.joints import ClosedLoop

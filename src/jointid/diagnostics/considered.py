@@ -22,10 +22,9 @@ from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnose import Diagnosis
-from jointid.diagnostics.faults import AxisFaults, Fault, FaultSignature
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
-from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER
+from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature
 from jointid.estimation.problems.simulated import decimate_each
 from jointid.estimation.result.answer import SLIGHT
 from jointid.estimation.result.estimate import Estimate

@@ -28,14 +28,14 @@ from jointid.common.transmission import Transmission
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.explain import find_failure_causes
-from jointid.diagnostics.faults import AxisFaults
 from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
 from jointid.diagnostics.samples import find_plain_cause
-from jointid.diagnostics.search import list_laws, search_axes, search_faults
+from jointid.diagnostics.search import search_axes, search_faults
 from jointid.diagnostics.search_state import MOST
+from jointid.diagnostics.suspects import AxisFaults
 from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
@@ -45,7 +45,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason, Status
 from jointid.models.controllers import Controller
 from jointid.models.controllers.servo_base import require_one_each
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.models.robots.robot import Link, Robot
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
@@ -361,11 +361,9 @@ def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedL
     Raises:
         MethodError: it is another model, or there are not as many records as joints.
     """
-    names: Sequence[str] = ("",)
-    loops = [model if isinstance(model, ClosedLoop) else None]
-    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        names = (model if isinstance(model, Robot) else model.robot).names
-        loops = list(model.loops) if isinstance(model, RobotLoop) else [None] * len(names)
+    robot = model if isinstance(model, Robot) else getattr(model, "robot", None)
+    names = ("",) if robot is None else robot.names
+    loops = getattr(model, "loops", [model if isinstance(model, ClosedLoop) else None] * len(names))
     records = [record] if isinstance(record, Record) else list(record) if isinstance(record, Sequence) else []
     if len(records) != len(names):
         raise MethodError(f"{len(names)} joints are examined with a record of each; received {len(records)}.")
@@ -462,9 +460,7 @@ def diagnose_robot(
 
     laws = in_threads(follow, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
-    joints = zip(robot.links, robot.joints, strict=True)
-    own = [list_laws(FlexibleJoint(link.kind, joint.law), linear=True) for link, joint in joints]
-    faults, explained = search_axes(torques, units, own)
+    faults, explained = search_axes(torques, units)
     axes = list[AxisDiagnosis]()
     for k, (record, found, law) in enumerate(zip(records, faults, laws, strict=True)):
         inside, repeats = torques.seen[k], None

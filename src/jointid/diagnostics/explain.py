@@ -31,9 +31,9 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.changes import Case, Cause, is_small, list_changes
-from jointid.diagnostics.faults import FaultTest, Finding
 from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
 from jointid.diagnostics.samples import find_plain_cause, find_steps
+from jointid.diagnostics.suspects import FaultTest, Finding
 from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM

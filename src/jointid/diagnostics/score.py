@@ -29,7 +29,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
-from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest
+from jointid.diagnostics.suspects import Fault, FaultSignature, FaultTest
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
@@ -42,6 +42,7 @@ _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the 
 _SAME = 0.999  # cosine of two collinear columns
 _MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
 _KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
+_OF_WAVE = 2  # numbers of a wave of any phase
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -96,7 +97,7 @@ def score(
     shapes: Counter[tuple[int, Fault]] = Counter()
     for one in (one for one in signatures if one.fault in declared):
         key, step = (one.axis, one.fault), _step_along(one, whiten, basis, left)
-        shapes[key] += one.fault.tried
+        shapes[key] += max(one.fault.tried, 1)
         if key not in best or step.gain > best[key].gain:
             best[key] = step
     groups = _group_identical(best.values())
@@ -118,8 +119,8 @@ def score(
         def judge(std: float) -> FaultTest:
             ratio = size / std if std > 0 else 0.0
             tail = norm.sf(ratio) if fault.one_sided else 2 * norm.sf(abs(ratio))
-            if fault.parts > 1:  # a size that its coefficients make has no sign
-                tail = chi2.sf(ratio**2, fault.parts)
+            if fault.tried:  # a size that its coefficients make has no sign
+                tail = chi2.sf(ratio**2, _OF_WAVE)
             p_value = min(float(tail) * tests, 1.0) if abs(size) >= fault.least else 1.0
             return FaultTest(
                 fault, tuple(one.fault for one in same), declared[fault], size, std, p_value, signature.shape,

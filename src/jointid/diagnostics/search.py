@@ -20,13 +20,21 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.parameters import Quantity, unit_of
+from jointid.common.messages import Message
+from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.faults import AxisFaults, FaultSignature, FaultTest, Finding, Part
 from jointid.diagnostics.model_free import LawOnPosition
 from jointid.diagnostics.score import RARER, score
 from jointid.diagnostics.search_state import LEVEL, MOST, Tested
-from jointid.diagnostics.suspects import LIMIT, LOG_GAIN, OFFSET
+from jointid.diagnostics.suspects import (
+    LIMIT,
+    LOG_GAIN,
+    AxisFaults,
+    FaultSignature,
+    FaultTest,
+    Finding,
+    state_part,
+)
 from jointid.diagnostics.variants import (
     OTHER_LAWS,
     WHOLE,
@@ -39,9 +47,6 @@ from jointid.diagnostics.variants import (
 from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
-from jointid.models.friction import FRICTIONS
-from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.springs import SPRINGS
 from jointid.records.record import Record
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
@@ -112,13 +117,10 @@ def search_faults(
     if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
         before, after = problem.residual(x), found.problem.residual(found.x)
         explained = 1.0 - float(after @ after) / float(before @ before)
-    units = {p.name: joint.unit(p) for p in joint.parameters}
-    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
-    units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
+    units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(
         tuple(findings), begun.tests,
-        symbols={p.name: p.symbol for p in joint.parameters}, units=units, laws=list_laws(joint),
-        suspected=tuple(suspected), part=part, explained=explained,
+        units, suspected=tuple(suspected), part=part, explained=explained,
     )  # fmt: skip
 
 
@@ -134,14 +136,6 @@ def _list_suspected(found: Tested, laws: Sequence[LawTest], more: Sequence[Fault
         yield _find(found, one)[0]
     law = find_undecided(found, laws)
     yield from () if law is None else (law,)
-
-
-def list_laws(joint: Joint, *, linear: bool = False) -> tuple[str, ...]:
-    """Return the names of springs and frictions that can replace those of a joint; linear frictions where asked for."""
-    even = joint.friction.offset_identifiable
-    laws = [law for law in FRICTIONS.values() if (linear or not law.linear) and law != joint.friction]
-    springs = SPRINGS if isinstance(joint, FlexibleJoint) else ()
-    return (*(law.name for law in laws if even or not law.offset_identifiable), *springs)
 
 
 def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
@@ -220,15 +214,12 @@ def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, M
 # Of a robot
 
 
-def search_axes(
-    torques: AxisTorques, units: Sequence[tuple[str, str]], laws: Sequence[tuple[str, ...]]
-) -> tuple[tuple[AxisFaults, ...], float]:
+def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple[tuple[AxisFaults, ...], float]:
     """Return the faults of each axis, and the share of the squares of a residual that they explain, summed up.
 
     Args:
         torques: of all axes, with the columns of their free parameters.
         units: of position and torque, of each axis.
-        laws: of each axis, the names of those that can replace its own.
     """
     rows, own, residual = torques.rows, torques.stack(torques.own), torques.stack(torques.error)
     own, every = own[:, np.any(own, axis=0)], range(len(torques.names))
@@ -273,9 +264,8 @@ def search_axes(
     parts = [find_part(rest[one], torques.time[seen]) for one, seen in zip(rows, torques.seen, strict=True)]
     faults = tuple(
         AxisFaults(
-            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k), {},
-            {"position": position, "velocity": f"{position}/s", "torque": torque}, laws=laws[k], of_loop=False,
-            part=parts[k],
+            () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k),
+            {"position": position, "torque": torque}, part=parts[k],
         )
         for k, (position, torque) in enumerate(units)
     )  # fmt: skip
@@ -292,7 +282,7 @@ def explained_share(before: FloatArray, after: FloatArray, rows: Sequence[slice]
 # In time
 
 
-def find_part(residual: FloatArray, time: FloatArray) -> Part | None:
+def find_part(residual: FloatArray, time: FloatArray) -> Message | None:
     """Return the part of the time in which a residual is concentrated, or None.
 
     A contact, a hand on the arm or a drive that is off acts for a part of the record. No number of the joint, the loop
@@ -319,10 +309,10 @@ def find_part(residual: FloatArray, time: FloatArray) -> Part | None:
     part = squares[first:last]
     if np.mean(part) < least or np.mean(part > least) <= _MOST_OF_IT:
         return None
-    return Part(float(time[first * size]), float(time[last * size - 1]), float(within[best] / ends[-1]))
+    return state_part(float(time[first * size]), float(time[last * size - 1]), float(within[best] / ends[-1]))
 
 
-def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Part | None:
+def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Message | None:
     """Return the part of the time in which a joint does not follow its solved problem, or None."""
     residual = problem.residual(x)
     return find_part(residual, np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size))

@@ -11,11 +11,21 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, ParameterShift
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.seen import see_loop
-from jointid.diagnostics.suspects import DELAY, FAULTS, LOG_DELAY, LOG_GAIN, list_signatures, number_fault
+from jointid.diagnostics.suspects import (
+    DELAY,
+    FAULTS,
+    LOG_DELAY,
+    LOG_GAIN,
+    Fault,
+    FaultSignature,
+    FaultTest,
+    ParameterShift,
+    list_signatures,
+    number_fault,
+)
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -136,9 +146,9 @@ class Tested:
     def shifts_to(self, values: Mapping[str, float]) -> dict[str, ParameterShift]:
         """Return the shifts of the joint's parameters to other values."""
         found = {}
-        for name, x in zip((p.name for p in self.problem.free_joint), self.x.tolist(), strict=False):
-            by, std = values[name] - x, self.std.get(name, 0.0)
-            found[name] = ParameterShift(by, by / std if std > 0 else 0.0)
+        for p, x in zip(self.problem.free_joint, self.x.tolist(), strict=False):
+            by, std = values[p.name] - x, self.std.get(p.name, 0.0)
+            found[p.name] = ParameterShift(by, by / std if std > 0 else 0.0, p.symbol, self.problem.units[p.name])
         return found
 
 
@@ -152,7 +162,7 @@ def compute_signatures(
     """
     taken = {p.name for p in problem.free}
     numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
-    apart = {fault.name for fault in FAULTS if fault.columns and fault is not LOG_DELAY}
+    apart = {fault.name for fault in FAULTS.values() if fault.columns and fault is not LOG_DELAY}
     wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in apart)]
     of_log = () if problem.seen is not None else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
     names = [name for name in (*wanted, *of_log) if name not in taken]

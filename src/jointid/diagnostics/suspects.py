@@ -1,26 +1,35 @@
-"""The table of suspects: what may be wrong with an axis of a joint or a robot, each a row, in the order of the tests.
+"""The table of suspects: what may be wrong with an axis of a joint or a robot, its tests, and what is found.
 
-To add one, write what a unit of it adds to the torque of the axis (`Fault.columns`), and its row.
+Each is a row, in the order of the tests. It is tested as a small deviation by what a unit of it adds to the torque of
+the axis. All that is particular to it is a field of `Fault`; the tests and the report read these fields. What corrects
+a large one is in `changes`. To add one, write its columns, and its row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from functools import cache, partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
+from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
-from jointid.diagnostics.faults import Fault, FaultSignature, name_number
-from jointid.diagnostics.score import fit_whitener
+from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason
+from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring, swinging_part
 
+_SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
+_LISTED = 3  # parameters in a sentence, at most
+_NO_TIME = 1e-6  # s: no drive keeps so short a time
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
@@ -32,11 +41,292 @@ _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
 _WAVES_TRIED = np.arange(3.0, 150.0, 0.25)  # times that a ripple comes back over the travel
-_LIKELIEST = 6  # that are simulated
 _RANK = 1e-10  # of the largest singular value of columns
 _STEP = 1e-4  # of the known signal
 VISCOUS, COULOMB = 1.0, 0.0
 """Shapes of a friction that changes over the record."""
+
+Measure: TypeAlias = Literal["", "%", "ms", "torque", "position", "level"]
+"""Unit in which a sentence shows the size of a fault: none, or that its level is shown, as a torque."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Fault of the loop, the log or the mechanics: one row of one table, for joint and robot.
+
+    Attributes:
+        name: its code.
+        title: noun phrase, without an article, that states it.
+        columns: returns what it adds to the torque of an axis, in each of its shapes.
+        remedy: what to declare, or to do, as the end of a sentence, with {shape}.
+        tried: number of waves, of any phase, that its column is the best of; 0 of a column without a phase.
+        declared: value without the fault; None for a number of the controller, whose value is declared.
+        one_sided: whether its size can only be positive.
+        least: smallest size that is named: less is within what such a part is known to.
+        mechanical: whether it is a fault of the joint's model, not of loop or log.
+        last: whether it is named only where no other fault is collinear.
+        kin: group of faults of the model that describe one effect; after one is found, the others are not tested.
+        measure: unit of its size.
+        reason: code of the verdict.
+    """
+
+    name: str
+    title: str
+    columns: Callable[[Seen], Columns] | None = None
+    remedy: str = ""
+    tried: int = 0
+    declared: float | None = 0.0
+    one_sided: bool = False
+    least: float = 0.0
+    mechanical: bool = False
+    last: bool = False
+    kin: str = ""
+    measure: Measure = ""
+    reason: Reason = Reason.LOOP_NOT_AS_DECLARED
+
+    @property
+    def of_model(self) -> bool:
+        """True of a fault of the joint's mechanics or friction, False of one of loop and log."""
+        return self.mechanical or bool(self.kin)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultSignature:
+    """Change of the torque by one fault.
+
+    Attributes:
+        fault: that makes it.
+        column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
+        shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
+        raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
+        axis: that has it.
+        trial: the problem of the joint with it, and (free,) a start, if a law of the joint has it.
+    """
+
+    fault: Fault
+    column: FloatArray
+    shape: float | None = None
+    raw: FloatArray | None = None
+    axis: int = 0
+    trial: tuple[ClosedLoopProblem, FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTest:
+    """Test of one fault.
+
+    Attributes:
+        fault: that is tested.
+        alike: faults that no record of this loop can distinguish from it.
+        declared: value; 0 for what is not declared at all.
+        size: value less the declared one; of a limit, the observed share of what it cuts off.
+        std: standard deviation of the size, autocorrelation-robust.
+        p_value: adjusted for all tests of the record together.
+        shape: the level of a limit in the torque's unit, or a Stribeck speed.
+        axis: that has it.
+    """
+
+    in_json = "name statistic -fault -alike -axis"
+    fault: Fault
+    alike: tuple[Fault, ...]
+    declared: float
+    size: float
+    std: float
+    p_value: float
+    shape: float | None = None
+    axis: int = 0
+
+    @property
+    def name(self) -> str:
+        """Code of the fault."""
+        return self.fault.name
+
+    @property
+    def statistic(self) -> float:
+        """Ratio of the size to its deviation."""
+        return self.size / self.std if self.std > 0 else 0.0
+
+    @property
+    def strength(self) -> float:
+        """The absolute statistic; at least 0 for a fault that can only be positive.
+
+        A shape that is the best of many is strong by chance: the fault is as strong as a single test of its p-value.
+        """
+        from scipy.stats import norm
+
+        found = max(self.statistic, 0.0) if self.fault.one_sided else abs(self.statistic)
+        many = self.fault.tried and self.p_value > 0.0
+        return min(found, float(norm.isf(0.5 * self.p_value))) if many else found
+
+
+def name_number(name: str) -> str:
+    """Return a number's name in words, also a filter's: "time constant of the velocity filter"."""
+    *owner, last = name.replace("_", " ").split(".")
+    if len(owner) == 2:  # one of several, which are counted
+        return f"{last} of {owner[0].removesuffix('s')} {owner[1]}"
+    return f"{last} of the {owner[0]}" if owner else last
+
+
+def milliseconds(seconds: float) -> str:
+    """Return a time in ms; one that no drive keeps is 0."""
+    return "0" if abs(seconds) < _NO_TIME else number(1e3 * seconds, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterShift:
+    """Change of a parameter when a fault is corrected: in its unit, and in its standard deviations; symbol and unit."""
+
+    in_json = "-symbol -unit"
+    by: float
+    sigmas: float
+    symbol: str = ""
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.symbol} by {format_signed(self.by, 3)} {self.unit} ({abs(self.sigmas):.1f} sigma)"
+
+
+@dataclass(frozen=True, slots=True)
+class OtherLaw:
+    """A law that a drive may run instead of the declared one.
+
+    Attributes:
+        fault: what differs.
+        words: clause on what the drive does.
+        remedy: its declaration.
+        controller: with that law.
+        rate: of the law, Hz, if that differs.
+        evident: whether it is tried only where a record surely shows it.
+    """
+
+    fault: Fault
+    words: str
+    remedy: str
+    controller: Controller
+    rate: float = 0.0
+    evident: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Fault that was found.
+
+    Attributes:
+        test: of the fault, those found before it corrected.
+        value: estimated, in the unit of the declaration; None where no parameter stands for the fault.
+        rivals: tests of faults that are at most 20 times less likely.
+        changes: of the joint's parameters, by name, when it is corrected.
+        law: that the drive runs instead of the declared one, where that is the fault.
+        left: residual share of the filtered torque under that law, or with that fault in the joint.
+        alike: equally good laws, the likeliest first.
+    """
+
+    in_json = "-law -alike"
+    test: FaultTest
+    value: float | None
+    rivals: tuple[FaultTest, ...]
+    changes: Mapping[str, ParameterShift]
+    law: OtherLaw | None = None
+    left: float | None = None
+    alike: tuple[OtherLaw, ...] = ()
+
+
+def state_part(begin: float, end: float, share: float) -> Message:
+    """Return the message on a part of the time, s, that has this share of the squares of a residual."""
+    clause = f"from {number(begin, 3)} to {number(end, 3)} s the torque does not follow the model"
+    words = (
+        f"{clause}: {number(100 * share, 2)} % of the squares of the residual are there, and no known fault explains "
+        "them, as where something touches the joint; leave that out by record.start and record.stop (times count from "
+        "the first sample that was read)"
+    )
+    return Message(Reason.MISFIT_IN_PART, words, {"begin": begin, "end": end, "share": share}, clause)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFaults:
+    """Faults of one axis that were found, and the tests of all.
+
+    Attributes:
+        findings: faults found, the likeliest first.
+        tests: of every fault as if it were the only one, the likeliest first.
+        units: of "torque" and "position".
+        suspected: faults that are not named, and whose shifts the intervals hold. One of the mechanics that is
+            significant at the level of those of the loop, not at its own tenth of that; where none was found, one of
+            loop or log that the motor position excludes: the joint has what looks like it; and another law that the
+            record does not exclude, and that would shift a parameter out of its interval.
+        part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
+        explained: share of the squares of the residual that the faults explain together, where so many were found that
+            none of them is likely to be the cause.
+    """
+
+    findings: tuple[Finding, ...]
+    tests: tuple[FaultTest, ...]
+    units: Mapping[str, str]
+    suspected: tuple[Finding, ...] = ()
+    part: Message | None = None
+    explained: float | None = None
+
+    @property
+    def as_declared(self) -> bool:
+        """True if no fault was found."""
+        return not self.findings and self.part is None
+
+    @property
+    def reasons(self) -> tuple[Message, ...]:
+        """The faults found, one message each; one that says so where there are none."""
+        if self.part is not None:
+            return (self.part,)
+        if self.explained is not None:
+            clause = "something is wrong that is none of the known faults"
+            share, alike = number(100 * self.explained, 2), ", ".join(_call(one.test.fault) for one in self.findings)
+            words = f"{clause}: {alike} together explain {share} % of the squares of the residual"
+            return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
+        if self.findings:
+            return tuple(map(self._describe, self.findings))
+        least = min((one.p_value for one in self.tests), default=1.0)
+        said = f"loop and log are as declared as far as this record shows ({len(self.tests)} faults were tested, "
+        said += f"p >= {number(least, 2)})"
+        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
+
+    def _describe(self, finding: Finding) -> Message:
+        """Return the message on a fault: its size, what else may be, what it moves, and what to declare."""
+        test = finding.test
+        clause = self._state(finding)
+        if test.alike:
+            clause += f", or {_call(*test.alike)} is wrong, which this loop cannot distinguish"
+        words = f"{clause} ({'p < 1e-6' if test.p_value < 1e-6 else f'p = {number(test.p_value, 2)}'})"
+        if finding.rivals:
+            words += f"; {_call(*(rival.fault for rival in finding.rivals))} would explain nearly as much"
+        far = sorted(finding.changes.values(), key=lambda change: -abs(change.sigmas))[:_LISTED]
+        if moved := [str(change) for change in far if abs(change.sigmas) >= _SMALLEST_SHIFT]:
+            words += f"; correcting it changes {', '.join(moved)}"
+        if test.fault.remedy and finding.law is None:
+            words += f"; {test.fault.remedy.format(shape=number(test.shape, 3))}"
+        changes = {name: change.by for name, change in finding.changes.items()}
+        numbers = {"size": test.size, "std": test.std, "p_value": test.p_value, "changes": changes}
+        values = {"suspect": test.name, "alike": [one.name for one in test.alike], **numbers}
+        return Message(test.fault.reason, words, values, clause)
+
+    def _state(self, finding: Finding) -> str:
+        """Return the clause that states a fault with its size and interval, or the laws that the drive may run."""
+        test, fault, measure = finding.test, finding.test.fault, finding.test.fault.measure
+        if finding.law is not None:
+            laws = [f"{one.words}: declare {one.remedy}" for one in (finding.law, *finding.alike)]
+            return "; or, as far as this record shows, ".join(laws)
+        if measure == "level":
+            return f"{fault.title}: {number(finding.value or test.shape, 4)} {self.units['torque']}"
+        unit, factor = {"ms": ("ms", 1e3), "%": ("%", 100.0)}.get(measure, (self.units.get(measure, ""), 1.0))
+        if test.declared and not measure:  # a number in percent of its declaration
+            unit, factor = "% of what is declared", 100.0 / abs(test.declared)
+        size = f"{format_signed(factor * test.size, 3)} ± {number(2 * factor * test.std, 2)} {unit}"
+        return f"{fault.title}: {size}" if unit and 2 * test.std < abs(test.size) else fault.title
+
+
+def _call(*faults: Fault) -> str:
+    return " or ".join(f"the {fault.title}" for fault in faults)
 
 
 # What each adds to the torque of an axis
@@ -100,8 +390,10 @@ def _cog(seen: Seen) -> Columns:
     """Yield the ripple, per unit of amplitude, that explains most of a residual of a loop without smooth laws.
 
     The residual is regressed on cosine and sine of the simulated position over each period: a loop that holds its
-    position against a force shows the force nearly as it is. The likeliest periods are then simulated.
+    position against a force shows the force nearly as it is. The likeliest period is then simulated.
     """
+    from jointid.diagnostics.score import fit_whitener  # which reads this table
+
     travel = float(np.ptp(seen.position))
     if seen.loop is None or not isinstance(joint := seen.loop[0].joint, FlexibleJoint) or joint.stepped or not travel:
         return
@@ -122,19 +414,13 @@ def _cog(seen: Seen) -> Columns:
         turn = 2 * np.pi * wave / travel * position
         return explain(np.column_stack([np.cos(turn), np.sin(turn), way * np.cos(turn), way * np.sin(turn)]))[0]
 
-    def simulate(wave: float) -> tuple[float, float, FloatArray]:
-        turn = 2 * np.pi * wave / travel * seen.position
-        parts = [one for each in (np.cos(turn), np.sin(turn)) if (one := seen.force(-each)) is not None]
-        if len(parts) < 2:
-            return 0.0, wave, np.zeros(turn.size)
+    wave = float(_WAVES_TRIED[np.argmax(in_threads(regress, _WAVES_TRIED.tolist()))])
+    turn = 2 * np.pi * wave / travel * seen.position
+    parts = [one for each in (np.cos(turn), np.sin(turn)) if (one := seen.force(-each)) is not None]
+    if len(parts) > 1:
         raw = np.column_stack(parts)
-        gain, weights = explain(problem.filter(raw))
-        return gain, wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
-
-    gains = np.array(in_threads(regress, _WAVES_TRIED.tolist()))
-    likeliest = _WAVES_TRIED[np.argsort(-gains)[:_LIKELIEST]]
-    _, wave, raw = max(in_threads(simulate, likeliest.tolist()), key=lambda one: one[0])
-    yield travel / wave, raw
+        weights = explain(problem.filter(raw))[1]
+        yield travel / wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
 
 
 def _wave(seen: Seen) -> Columns:
@@ -223,143 +509,121 @@ def _by_direction(seen: Seen) -> Columns:
         yield None, seen.force(-np.abs(seen.velocity))
 
 
-def _other_spring(*laws: str) -> Callable[[Seen], Columns]:
-    """Return a function that yields springs of other laws for a flexible joint's linear one, at their starts."""
-
-    def vary(seen: Seen) -> Columns:
-        joint, values = None if seen.loop is None else seen.loop[0].joint, seen.values
-        if not isinstance(joint, FlexibleJoint) or not joint.spring.linear or seen.windup == 0.0:
-            return
-        for law in map(Spring, laws):
-            if law.name == "elastic-load":
-                first = joint.frequencies(values)["free_free"]
-                for times in _MODES:
-                    yield times * first, seen.vary(swinging_part(values, _SHARE, times), _SHARE, spring=law)
-                continue
-            for start in law.starts(values, seen.windup):
-                if law.name == "backlash":
-                    yield 0.5 * start["gap"], seen.vary(start, start["gap"], spring=law)
-                else:  # stiffer at the largest wind-up than near none
-                    torque = law.torque({**values, **start}, np.array([seen.windup]), np.zeros(1))
-                    more = float(torque[0]) / (start["stiffness"] * seen.windup) - 1.0
-                    yield more, seen.vary(start, more, spring=law)
-
-    return vary
+def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
+    """Yield springs of other laws for a flexible joint's linear one, at their starts."""
+    joint, values = None if seen.loop is None else seen.loop[0].joint, seen.values
+    if not isinstance(joint, FlexibleJoint) or not joint.spring.linear or seen.windup == 0.0:
+        return
+    for law in map(Spring, laws):
+        if law.name == "elastic-load":
+            first = joint.frequencies(values)["free_free"]
+            for times in _MODES:
+                yield times * first, seen.vary(swinging_part(values, _SHARE, times), _SHARE, spring=law)
+            continue
+        for start in law.starts(values, seen.windup):
+            if law.name == "backlash":
+                yield 0.5 * start["gap"], seen.vary(start, start["gap"], spring=law)
+            else:  # stiffer at the largest wind-up than near none
+                torque = law.torque({**values, **start}, np.array([seen.windup]), np.zeros(1))
+                more = float(torque[0]) / (start["stiffness"] * seen.windup) - 1.0
+                yield more, seen.vary(start, more, spring=law)
 
 
 # The rows
-
-_mechanical = partial(Fault, mechanical=True)
-_friction = partial(Fault, table="friction", reason=Reason.FRICTION_NOT_AS_MODELLED)
-_spring = partial(_mechanical, table="spring", reason=Reason.SPRING_NOT_LINEAR, kin="spring law")
 
 VELOCITY_FILTER = Fault("velocity_filter", "velocity filter")
 TORQUE_FILTER = Fault("torque_filter", "torque filter")
 _number = partial(Fault, declared=None)
 DELAY = _number("delay", "delay of the torque", measure="ms")
 REFERENCE_DELAY = _number("reference_delay", "reference delay", measure="ms")
-LOG_DELAY = _number("log_delay", "delay of the log behind its time stamps", columns=_late, measure="ms")
+LOG_DELAY = _number("log_delay", "delay of the log behind its time stamps", _late, measure="ms")
 LOG_GAIN = _number("log_gain", "size of the logged torque")
-INJECTED_GAIN = Fault(
-    "injected_gain", "size of the injected signal", columns=_scale_injected, declared=1.0, last=True
-)  # fmt: skip
-_NUMBERS = (
+OFFSET = Fault("offset", "constant force that is not declared", _push, measure="torque")
+LIMIT = Fault("limit", "undeclared limit of the controller's output", _limit, one_sided=True, measure="level")
+_position = partial(Fault, mechanical=True, reason=Reason.FORCE_FOLLOWS_POSITION)
+_low_speed = partial(Fault, one_sided=True, kin="low-speed friction", measure="torque")
+_friction = partial(Fault, mechanical=True, reason=Reason.FRICTION_NOT_AS_MODELLED)
+_spring = partial(Fault, mechanical=True, reason=Reason.SPRING_NOT_LINEAR, kin="spring law")
+_load = partial(Fault, mechanical=True, reason=Reason.LOAD_NOT_RIGID)
+
+_ROWS = (
     DELAY, REFERENCE_DELAY, _number("gain", "gain of the controller's output", last=True), LOG_GAIN, LOG_DELAY,
-    INJECTED_GAIN,
+    Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0, last=True), OFFSET,
+    Fault(
+        "torque_saturation", "torque constant that falls with the current", _saturate,
+        "the joint file has one torque constant: record with half of that torque",
+        mechanical=True, one_sided=True, least=_LEAST_SAG, measure="%",
+    ),
+    _position("gravity", "load that hangs", _hang, 'declare it: [gravity] load = "link"', measure="torque"),
+    _position(
+        "position_force", "force that follows the position", _wave,
+        "a gear that turns unevenly, a cable or a counterbalance makes one",
+    ),
+    _low_speed(
+        "stribeck", "friction that rises towards standstill", partial(_at_low_speed, 1.0),
+        'declare friction = "stribeck", or "asymmetric-stribeck", and stribeck_speed near {shape}',
+    ),
+    _low_speed(
+        "presliding", "friction that falls towards standstill", partial(_at_low_speed, -1.0),
+        'declare friction = "presliding", or "stribeck"',
+    ),
+    _position("uneven_friction", "friction that differs along the travel", _along_travel, measure="torque"),
+    _friction(
+        "winding_friction", "friction that winds up behind each reversal", _winds_up,
+        'declare friction = "presliding"', one_sided=True, kin="low-speed friction",
+    ),
+    _friction(
+        "load_dependent_friction", "friction that grows with the load's torque", _under_load,
+        'declare friction = "load-dependent"', one_sided=True, measure="%",
+    ),
+    _friction(
+        "changing_friction", "friction that changes over the record", _over_time, 'declare friction = "drifting"'
+    ),
+    _friction(
+        "asymmetric_friction", "friction that differs by direction", _by_direction,
+        'declare friction = "asymmetric"',
+    ),
+    _position(
+        "cogging", "force that comes back with the motor's position", _cog, "declare it: [ripple] period = {shape}",
+        tried=_WAVES_TRIED.size, one_sided=True, measure="torque",
+    ),
+    _spring(
+        "cubic_spring", "spring that is not linear, stiffer at the largest torque than near none",
+        partial(_other_spring, ("three-piece", "cubic")), "jointid diagnose --laws tells its law", measure="%",
+    ),
+    _spring(
+        "backlash", "backlash of the transmission", partial(_other_spring, ("backlash",)),
+        'declare spring = "backlash"', measure="position", one_sided=True,
+    ),
+    _load(
+        "second_mode", "load of which a part swings on a spring of its own",
+        partial(_other_spring, ("elastic-load",)), 'declare spring = "elastic-load"', measure="%", one_sided=True,
+    ),
+    _load(
+        "compliance", "gear that bends", None,
+        "declare the spring of this joint, or identify below its mode by a lower filtering.cutoff",
+    ),
+    LIMIT,
 )  # fmt: skip
-OFFSET = Fault("offset", "constant force that is not declared", columns=_push, measure="torque")
-LIMIT = Fault("limit", "undeclared limit of the controller's output", columns=_limit, one_sided=True, measure="level")
-TORQUE_SATURATION = _mechanical(
-    "torque_saturation", "torque constant that falls with the current", columns=_saturate, one_sided=True,
-    least=_LEAST_SAG, measure="%",
-    remedy="the joint file has one torque constant: record with half of that torque, or see the curve of torque and "
-    "current in the motor's data sheet",
-)  # fmt: skip
-GRAVITY = _mechanical(
-    "gravity", "load that hangs", columns=_hang, measure="torque", reason=Reason.FORCE_FOLLOWS_POSITION,
-    remedy='to identify it, declare it: [gravity] load = "link"',
-)  # fmt: skip
-POSITION_FORCE = _mechanical(
-    "position_force", "force that follows the position", columns=_wave, reason=Reason.FORCE_FOLLOWS_POSITION,
-    remedy="a gear that turns unevenly, a cable or a counterbalance makes one",
-)  # fmt: skip
-COGGING = _mechanical(
-    "cogging", "force that comes back with the motor's position", columns=_cog, tried=_WAVES_TRIED.size, parts=2,
-    one_sided=True, measure="torque", reason=Reason.FORCE_FOLLOWS_POSITION,
-    remedy="to identify it, declare it: [ripple] period = {shape}",
-)  # fmt: skip
-STRIBECK = Fault(
-    "stribeck", "friction that rises towards standstill", columns=partial(_at_low_speed, 1.0), one_sided=True,
-    kin="low-speed friction", measure="torque", table="friction",
-    laws=("stribeck", "asymmetric-stribeck"),
-)  # fmt: skip
-PRESLIDING = replace(
-    STRIBECK, name="presliding", title="friction that falls towards standstill", columns=partial(_at_low_speed, -1.0),
-    laws=("presliding", *STRIBECK.laws),
-)  # fmt: skip
-UNEVEN_FRICTION = _mechanical(
-    "uneven_friction", "friction that differs along the travel", columns=_along_travel, measure="torque",
-    reason=Reason.FORCE_FOLLOWS_POSITION,
-)  # fmt: skip
-WINDING_FRICTION = _friction(
-    "winding_friction", "friction that winds up behind each reversal", columns=_winds_up, mechanical=True,
-    one_sided=True, kin="low-speed friction", laws=("presliding",),
-)  # fmt: skip
-LOAD_DEPENDENT_FRICTION = _friction(
-    "load_dependent_friction", "friction that grows with the load's torque", mechanical=True, one_sided=True,
-    columns=_under_load, measure="%", laws=("load-dependent",),
-)  # fmt: skip
-CHANGING_FRICTION = _friction(
-    "changing_friction", "friction that changes over the record", columns=_over_time, mechanical=True,
-    laws=("drifting",),
-)  # fmt: skip
-ASYMMETRIC_FRICTION = _friction(
-    "asymmetric_friction", "friction that differs by direction", columns=_by_direction, mechanical=True,
-    laws=("asymmetric",),
-)  # fmt: skip
-CUBIC_SPRING = _spring(
-    "cubic_spring", "spring that is not linear, stiffer at the largest torque than near none", measure="%",
-    columns=_other_spring("three-piece", "cubic"),
-    laws=("three-piece", "cubic", "two-piece"),
-)  # fmt: skip
-BACKLASH = _spring(
-    "backlash", "backlash of the transmission", measure="position", columns=_other_spring("backlash"), one_sided=True,
-    laws=("backlash",),
-)  # fmt: skip
-SECOND_MODE = _mechanical(
-    "second_mode", "load of which a part swings on a spring of its own", columns=_other_spring("elastic-load"),
-    measure="%", one_sided=True, reason=Reason.LOAD_NOT_RIGID, table="spring", laws=("elastic-load",),
-)  # fmt: skip
-COMPLIANCE = _mechanical(
-    "compliance", "gear that bends", reason=Reason.LOAD_NOT_RIGID,
-    remedy="declare the spring of this joint, or identify below its mode by a lower filtering.cutoff",
-)  # fmt: skip
-
-FAULTS = (
-    *_NUMBERS, OFFSET, TORQUE_SATURATION, GRAVITY, POSITION_FORCE, STRIBECK, PRESLIDING, UNEVEN_FRICTION,
-    WINDING_FRICTION, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, ASYMMETRIC_FRICTION, COGGING, CUBIC_SPRING, BACKLASH,
-    SECOND_MODE, COMPLIANCE, LIMIT,
-)  # fmt: skip
-"""Every fault that can be tested, in the order of the tests."""
+FAULTS = {one.name: one for one in _ROWS}
+"""Every fault that can be tested, by its code, in the order of the tests."""
 
 
-@cache
 def number_fault(name: str) -> Fault:
     """Return the fault of a number of the controller or the log that is not as declared."""
-    return next((one for one in _NUMBERS if one.name == name), None) or _number(name, name_number(name))
+    return FAULTS.get(name) or _number(name, name_number(name))
 
 
 def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
     """Yield the torque that each fault adds to an axis, before the filter."""
     coupled = (
-        replace(
-            POSITION_FORCE, name=f"coupled_{name}", title=f"torque that follows the motion of {name}",
-            reason=Reason.LOOP_NOT_AS_DECLARED, remedy="motors or gears that are coupled make one",
-            columns=partial(_follow_other, name),
+        Fault(
+            f"coupled_{name}", f"torque that follows the motion of {name}", partial(_follow_other, name),
+            "motors or gears that are coupled make one", mechanical=True,
         )
         for name in seen.others
     )  # fmt: skip
-    for fault in (*FAULTS, *coupled):
+    for fault in (*_ROWS, *coupled):
         for shape, raw in () if fault.columns is None else fault.columns(seen):
             if raw is not None:
                 yield FaultSignature(fault, raw, shape, raw, trial=seen.trials.get(id(raw)))

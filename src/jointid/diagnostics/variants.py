@@ -31,10 +31,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.faults import Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.search_state import INTERVAL, LEVEL, RIVAL, Tested
-from jointid.diagnostics.suspects import REFERENCE_DELAY
+from jointid.diagnostics.suspects import REFERENCE_DELAY, Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
@@ -63,12 +62,12 @@ PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sam
 MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions")
 PERIOD = Fault("period", "period of the controller")
 INTERPOLATIONS: dict[Interpolation, Fault] = {
-    way: Fault(_CODES[way], f"reference {done} between its samples", f'declare interpolation = "{way}"')
+    way: Fault(_CODES[way], f"reference {done} between its samples", remedy=f'declare interpolation = "{way}"')
     for way, done in _DONE.items()
 }
 AVERAGED = Fault(
     "averaged_reference", "reference averaged by the drive",
-    "declare it as reference_average, or half of it as reference_delay",
+    remedy="declare it as reference_average, or half of it as reference_delay",
 )  # fmt: skip
 LATE = REFERENCE_DELAY
 WHOLE = tuple(_CODES.values())

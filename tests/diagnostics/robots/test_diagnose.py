@@ -9,7 +9,7 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.diagnose import Diagnosis, diagnose_robot
 from jointid.diagnostics.identify import identify
-from jointid.diagnostics.suspects import ASYMMETRIC_FRICTION
+from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Status, Subject
 from jointid.models.controllers import Controller
@@ -195,7 +195,7 @@ def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() ->
     records = logged_by(RobotLoop(other, loop.controllers))
     found = diagnose_robot(identified(loop.robot, records), records).axes[0]
     assert not found.explained
-    assert ASYMMETRIC_FRICTION in [one.test.fault for one in found.faults.findings]
+    assert FAULTS["asymmetric_friction"] in [one.test.fault for one in found.faults.findings]
     assert diagnose_robot(identified(other, records), records).axes[0].left < 0.2 * found.left
 
 
