@@ -246,9 +246,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     if failed:
         verdicts.append(_fail(*failed))
     elif part.has_controllers and unseen:
-        said = f"the controller of {join(unseen)} was not checked, which needs a motor position and a reference"
-        if any(record.computed for record in fit.records):
-            said = "not checked: the torque is that of the declared controllers"
+        said = f"the controller of {join(unseen)} was not checked, which needs a logged torque, position and reference"
         verdicts.append(skip_test(Subject.LOOP, said, unseen if len(unseen) < len(found.axes) else ()))
     elif part.has_controllers:
         said = "the declared controllers make the logged torques of the positions"
