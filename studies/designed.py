@@ -65,11 +65,11 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, search_time: float) -> 
     played = design.records()[0]
     assert design.present is not None and played.reference is not None
     own = [p.name for p in axis.loop.joint.parameters]
-    rows = [i for i, p in enumerate(q for q in estimate.params.rows if q.free) if p.of_joint]
+    rows = [p.name for p in estimate.rows if p.free and p.of_joint]
     return ProposedTest(
         design.description, design.present.std_of(design.goal.weights), told.std_of(design.goal.weights), design.floor,
         dict(design.goal.weights), design.axes[0].limits.stated, {name: float(estimate.values[name]) for name in own},
-        estimate.params.covariance[np.ix_(rows, rows)].tolist(), played.reference.values.tolist(),
+        estimate.covariance_of(rows).matrix.tolist(), played.reference.values.tolist(),
         None if played.injected is None else played.injected.channel.values.tolist(),
     )  # fmt: skip
 

@@ -174,8 +174,8 @@ def judge(seed: int, longest: float = 60.0, noise: str = "") -> Said:
         found = ji.identify(axis.record, axis.loop)
     except JointidError:
         return Said(False, "", {})
-    rows = {row.name: row for row in found.params.rows if row.name in axis.truth}
+    rows = {row.name: row for row in found.rows if row.name in axis.truth}
     known = {n: (r.value, r.stderr) for n, r in rows.items() if r.value is not None and r.stderr}
-    loop = [str(v.status) for v in found.checks.verdicts if str(v.subject) == "loop"]
+    loop = ["failed" if one.passed is False else "" for one in found.checks if one.name == "loop"]
     z = {name: (value - axis.truth[name]) / std for name, (value, std) in known.items()}
     return Said(rows["stiffness"].value is not None, loop[0] if loop else "", z)

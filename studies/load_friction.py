@@ -18,7 +18,7 @@ def judge(seed: int, system: str) -> dict[str, float | bool]:
     if system == "joint":
         loop, record, numbers = hanging_joint(seed)
         found = ji.identify(record, loop, ji.DIDIM(), checks=False)
-        stderr = {name: found.params[name].stderr or np.inf for name in numbers}
+        stderr = {name: found[name].stderr or np.inf for name in numbers}
         z = {name: (found.values[name] - value) / stderr[name] for name, value in numbers.items()}
         plain = replace(loop, joint=replace(loop.joint, friction=Friction()))
         named = _FAULT in str(ji.identify(record, plain, ji.DIDIM()).to_dict())
@@ -29,7 +29,7 @@ def judge(seed: int, system: str) -> dict[str, float | bool]:
         assert robot is not None
         truth = robot.parameters_of(arm.robot)
         assert truth is not None
-        errors = (robot.values - truth) / robot.covariance.std
+        errors = (robot.values - truth) / found.covariance_of(robot.names).std
         z = dict(zip(robot.names, map(float, errors), strict=True))
         estimate = ji.identify(arm.logs[0], arm.plain, ji.DIDIM(), checks=False)
         said = ji.diagnose(arm.logs[0], estimate, controllers=LAWS)

@@ -309,9 +309,7 @@ def judge(
     row, truth = found["stiffness"], made.stiffness(spring)
     named = [
         str(values.get("suspect", values.get("law", values.get("cause", ""))))
-        for verdict in found.checks.verdicts
-        if str(verdict.subject) == "loop"
-        for reason in verdict.reasons
+        for reason in [one for one in found.checks if one.name == "loop"]
         for values in reason.values.get("causes", [reason.values])
     ]
     z = (row.value - truth) / row.deviation if row.value is not None and row.deviation else None

@@ -62,7 +62,7 @@ def judge(seed: int, family: Literal["prismatic", "rotary"], spread: float = 0.0
 def cost(case: Case, record: Record, estimate: Estimate) -> float:
     """Return the criterion at the end over the criterion at the truth, on the band of the estimate."""
     problem = torque_problem(record, case.loop, estimate.settings.filtering, case.loop.joint.parameters)
-    found = {p.name: p.value for p in estimate.params.rows}
+    found = {p.name: p.value for p in estimate.rows}
     if None in found.values():
         return math.inf
     assert record.reference is not None

@@ -275,16 +275,14 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
         found = ji.identify(records, truth.model, ji.IDIM())
     except JointidError as error:
         return [("unit" if "check its unit" in str(error) else f"refused: {error}", 0)]
-    said = [
-        ("sample_time", names.index(one.split(":")[0]) + 1) for one in found.checks.warnings if "sample_time" in one
-    ]
-    diagnosis = found.checks.diagnosis
+    said = [("sample_time", names.index(one.split(":")[0]) + 1) for one in found.warnings if "sample_time" in one]
+    diagnosis = found.diagnosis
     assert isinstance(diagnosis, Diagnosis)
     if diagnosis.cause is not None:
         said.append((diagnosis.cause.name, names.index(diagnosis.cause.joints[0]) + 1 if diagnosis.cause.joints else 0))
     said += [("misfit_in_part", k + 1) for k, axis in enumerate(diagnosis.axes) if axis.faults.part is not None]
     said += [(one.test.name, k + 1) for k, axis in enumerate(diagnosis.axes) for one in axis.faults.findings]
-    said += [("log_delay", 0) for one in found.checks.warnings if "late" in one]
+    said += [("log_delay", 0) for one in found.warnings if "late" in one]
     said += [("?", k + 1) for k, axis in enumerate(diagnosis.axes) if not axis.explained]
     return said
 

@@ -136,13 +136,13 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     except JointidError as error:  # with its cause, as the command line has it
         said = explain_failure(error, made.record, axis.loop)
         return Said(kind, str(said), "", {}, ())
-    rows = {row.name: row for row in found.params.rows if row.name in axis.truth}
+    rows = {row.name: row for row in found.rows if row.name in axis.truth}
     z = {
         name: (row.value - axis.truth[name]) / row.deviation
         for name, row in rows.items()
         if row.value is not None and row.deviation
     }
-    reasons = [one for verdict in found.checks.verdicts if str(verdict.subject) == "loop" for one in verdict.reasons]
+    reasons = [one for one in found.checks if one.name == "loop"]
     named = []
     for values in (reason.values for reason in reasons):
         causes: Any = values.get("causes", [])

@@ -102,7 +102,7 @@ def identify_plant(seed: int) -> BoundRun:
     run = replace(run, simulations=estimate.fit.simulations)
     spring = estimate["stiffness"]
     if spring.value is None:
-        return replace(run, bound={b.share: b.stiffness for b in estimate.checks.bounds}.get(plant.share))
+        return replace(run, bound={b.share: b.stiffness for b in estimate.bounds}.get(plant.share))
     return replace(run, value=spring.value, std=spring.stderr)
 
 

@@ -121,5 +121,5 @@ def stiff_axis() -> tuple[Record, Estimate]:
     force = 10.0 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=SAMPLE_TIME, disturbance=force, encoder_step=1e-6)
     estimate = identify(record.without("motor_position", "load_position"), loop)
-    assert estimate.checks.bounds
+    assert estimate.bounds
     return record, estimate

@@ -25,7 +25,7 @@ identify = partial(ji.identify, checks=False)
 
 
 def amended(estimate: T, **parts: Mapping[str, Any]) -> T:
-    """Return an estimate with some entries exchanged: ``amended(estimate, checks={"warnings": ()})``."""
+    """Return an estimate with some entries exchanged: ``amended(estimate, fit={"converged": False})``."""
     return replace(estimate, **{name: replace(getattr(estimate, name), **entries) for name, entries in parts.items()})
 
 
@@ -33,8 +33,10 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
     """Return what a robot leaves of the records of another motion, in the place of the estimate's nominal one."""
     part = estimate.require_robot()
     if estimate.settings.method == "idim":
-        other = replace(part, nominal=part.parameters_of(bodies))
-        return [axis.nominal_error for axis in ji.validate(replace(estimate, robot=other), records).axes]
+        there = part.parameters_of(bodies)
+        assert there is not None
+        rows = [replace(row, nominal=float(one)) for row, one in zip(estimate.rows, there, strict=True)]
+        return [axis.nominal_error for axis in ji.validate(replace(estimate, rows=tuple(rows)), records).axes]
     problem: Any = pose_robot(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
     return [*errors_of(problem, Numbers.of(bodies))]
 

@@ -439,10 +439,10 @@ def tell(record: ji.Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
         if causes.nearest or not causes.found:
             return (), str(error)
         return _codes(causes.message), str(explain_failure(error, record, loop))
-    verdict, said = estimate.checks.verdicts[-1], str(estimate.answer)
-    if verdict.good is not False or verdict.reasons[0].brief not in said:
+    found, said = next(one for one in estimate.checks if one.name == estimate.checks[-1].name), str(estimate.answer)
+    if found.passed is not False or found.brief not in said:
         return (), said
-    return _codes(verdict.reasons[0]), said
+    return _codes(found), said
 
 
 def is_misled(mistake: Mistake, named: tuple[str, ...]) -> bool:

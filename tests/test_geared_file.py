@@ -10,7 +10,7 @@ import pytest
 import jointid as ji
 from jointid.common.messages import dot_path
 from jointid.config import File, loads
-from jointid.estimation.result.parts import on_other_side
+from jointid.output.export.joint_model import on_other_side
 from jointid.output.json import load_estimate, to_dict, write
 from tests.estimates import identify
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
@@ -80,8 +80,8 @@ def test_three_files_give_one_answer(folder: Path, motor: ji.Estimate) -> None:
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
     assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
     gear = by_load.settings.joint.transmission
-    for found in (by_motor.params.rows, on_other_side(by_load.params.rows, gear, by_load.data.torque_unit)):
-        for p, q in zip(found, motor.params.rows, strict=True):
+    for found in (by_motor.rows, on_other_side(by_load.rows, gear, by_load.data.torque_unit)):
+        for p, q in zip(found, motor.rows, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
             for value, expected in ((p.value, q.value), (p.stderr, q.stderr)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name

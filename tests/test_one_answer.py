@@ -18,7 +18,7 @@ from tests.rigid_axis import JOINT, run, write_axis
 
 def _told(answer: dict[str, Any]) -> tuple[Any, ...]:
     """Return what an answer in JSON says: its first line in two parts, its trust and its verdicts."""
-    first, text = answer["answer"], json.dumps(answer["checks"]["verdicts"])
+    first, text = answer["answer"], json.dumps(answer["checks"])
     verdicts = json.loads(text, parse_float=lambda number: f"{float(number):.5g}")
     return first["found"]["words"], first["trust"]["words"], first["trust"]["code"], verdicts
 
@@ -32,7 +32,7 @@ def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monk
     notebook = ji.identify(record, ji.ClosedLoop(file.joint, file.loop.controller))
     expected = _told(ji.to_dict(notebook))
     assert expected[2] == trust
-    assert notebook.checks.verdicts[-1].subject is Subject.LOOP
+    assert notebook.checks[-1].name is Subject.LOOP
     assert _told(ji.to_dict(file.identify(record))) == expected
     page = ("--html", tmp_path / "report.html", "--no-profiles", "--no-tuning", "-q")
     assert run("identify", joint, "--record", log, "--json", tmp_path / "command.json", "-q") == 0

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import joint_file_keys
 
 import jointid
-from jointid.estimation.result.parts import Params
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -157,7 +156,7 @@ def _results(room: str) -> list[str]:
     """Return the classes of a folder that public functions return, and the parts of an estimate, not public by name."""
     actions = [thing for name in HOMES if inspect.isroutine(thing := _thing(name))]
     said = [(thing.__globals__, str(thing.__annotations__.get("return"))) for thing in actions]
-    for made in (jointid.Estimate, Params):
+    for made in (jointid.Estimate,):
         said += [(vars(sys.modules[made.__module__]), str(hint)) for hint in made.__annotations__.values()]
     found = dict.fromkeys(known.get(word) for known, hint in said for word in re.findall(r"\w+", hint))
     return [

@@ -126,7 +126,7 @@ def test_a_damaged_answer_is_refused(tmp_path: Path) -> None:
         lambda a: a["parameters"].update(inertia=None),
         lambda a: a["parameters"]["inertia"].update(value="1"),
         lambda a: a.update(data=[]),
-        lambda a: a["checks"].update(known=[1]),
+        lambda a: a.update(known=[1]),
     ):
         spoiled = json.loads(json.dumps(answer))
         spoil(spoiled)

@@ -115,7 +115,7 @@ def test_a_reference_that_is_filled_in_as_declared_is_not_blamed() -> None:
 
 def _said(estimate: ji.Estimate) -> str:
     """Return what the check of the loop says first."""
-    return next(str(one.reasons[0]) for one in estimate.checks.verdicts if one.subject is Subject.LOOP)
+    return next(str(one) for one in estimate.checks if one.name is Subject.LOOP)
 
 
 def _averaged(mean: float, coarse: int = 1) -> tuple[Record, ClosedLoop, Cascade]:

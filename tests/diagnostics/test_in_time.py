@@ -5,7 +5,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.search import find_part
-from jointid.estimation.result.verdict import Reason, Status, Subject
+from jointid.estimation.result.verdict import Reason, Subject
 from studies.robot_mistakes import judge
 
 STEP = 1e-3
@@ -29,13 +29,13 @@ def pushed(size: float) -> ji.Record:
 @pytest.mark.parametrize("size", [0.2, -0.3])
 def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: float) -> None:
     found = ji.identify(pushed(size), LOOP)
-    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-    assert loop.status is Status.FAILED
-    assert [one.code for one in loop.reasons] == [Reason.MISFIT_IN_PART]
-    begin, end = loop.reasons[0].values["begin"], loop.reasons[0].values["end"]
+    (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
+    assert loop.passed is False
+    assert loop.code == Reason.MISFIT_IN_PART
+    begin, end = loop.values["begin"], loop.values["end"]
     assert BEGIN - 0.1 < begin < end < END + 0.1
     assert not found.answer.reliable
-    assert not found.checks.diagnosis.axes[0].faults.findings
+    assert not found.diagnosis.axes[0].faults.findings
 
 
 def test_noise_that_comes_back_is_no_part() -> None:

@@ -195,8 +195,8 @@ def test_a_spring_that_is_not_linear_has_no_stiffness_to_rely_on() -> None:
     found = ji.identify(made.record, made.axis.loop)
     assert found.answer.trust.code == Trust.NOT_YET
     assert Reason.SPRING_NOT_LINEAR in found.answer.trust.values["reasons"]
-    assert isinstance(found.checks.diagnosis, Diagnosis)
-    size = found.checks.diagnosis.axes[0].faults.findings[0].test.size
+    assert isinstance(found.diagnosis, Diagnosis)
+    size = found.diagnosis.axes[0].faults.findings[0].test.size
     assert 0.05 <= size <= made.size  # at least so much, and not more than it is
 
 

@@ -45,7 +45,7 @@ def widened(record, law=LAW):
     found = fit(record, ji.ClosedLoop(JOINT, law), ji.DIDIM(frequency=50.0))
     solved = found.problem, found.x
     wider = [*widen_for_undeclared(found, SimpleNamespace(torques=torques_of_loop(*solved), axes=[UNSPOILT]))]
-    rows = {row.name: row for row in found.params.rows if row.name in TRUE}
+    rows = {row.name: row for row in found.rows if row.name in TRUE}
     moved = {name: max((one.by[name] for one in wider), default=0.0) for name in rows}
     return {
         name: (abs(row.value - TRUE[name]), row.stderr, np.hypot(row.stderr, moved[name])) for name, row in rows.items()
@@ -115,7 +115,7 @@ def test_intervals_of_a_robot_allow_for_a_hidden_filter():
             for one, more in zip(made, noise, strict=True)
         )
     plain, found = (ji.identify(one, twin.loop(), ji.DIDIM()) for one in logs.values())
-    assert not any("undeclared" in one for one in plain.checks.warnings)
-    assert any("undeclared" in one and "velocity filter" in one for one in found.checks.warnings)
-    wider = {row.name: row.deviation / row.stderr for row in found.params.rows if row.stderr}
+    assert not any("undeclared" in one for one in plain.warnings)
+    assert any("undeclared" in one and "velocity filter" in one for one in found.warnings)
+    wider = {row.name: row.deviation / row.stderr for row in found.rows if row.stderr}
     assert wider["joint2.viscous"] > 1.2 > wider["joint1.coulomb"]

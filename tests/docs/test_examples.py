@@ -27,7 +27,7 @@ def test_a_typical_axis_is_identified_from_its_record(name: str, tmp_path: Path)
     estimate = file.identify(file.record(tmp_path / "run.csv"))
     assert estimate.answer.reliable, estimate.answer
     truth = axes.AXES[name].values
-    for row in (row for row in estimate.params.rows if row.of_joint):
+    for row in (row for row in estimate.rows if row.of_joint):
         assert row.value == pytest.approx(truth[row.name], abs=5.0 * row.stderr), row.name
     asked = estimate.answer.found.values["parameter"]
     assert estimate[asked].value == pytest.approx(truth[asked], rel=0.03)

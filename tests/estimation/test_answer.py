@@ -6,45 +6,33 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.messages import Message
 from jointid.estimation.result.answer import Found, Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Params
-from jointid.estimation.result.verdict import (
-    AGAINST_EVERY_VALUE,
-    Reason,
-    Status,
-    StiffnessBound,
-    Subject,
-    Verdict,
-)
+from jointid.estimation.result.verdict import AGAINST_EVERY_VALUE, Check, Reason, StiffnessBound, Subject
 from jointid.estimation.result.verdict import judged as with_verdicts
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.records.checks import EncoderLag
 from tests.estimates import amended
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 
-RIGID = amended(
+RIGID = replace(
     ESTIMATE,
-    params={
-        "rows": (
-            parameter("inertia", "ZZ", "kg", 94.9034, 0.46),
-            parameter("viscous", "Fv", "N s/m", 207.534, 13.0),
-            parameter("coulomb", "Fc", "N", 20.1, 0.3),
-        )
-    },
+    rows=(
+        parameter("inertia", "ZZ", "kg", 94.9034, 0.46),
+        parameter("viscous", "Fv", "N s/m", 207.534, 13.0),
+        parameter("coulomb", "Fc", "N", 20.1, 0.3),
+    ),
 )
-LAG = EncoderLag("load_position", 0.0031, 0.97)
+HIDES = {"parameters": ["stiffness", "damping"]}
+LAG = Check(Reason.ENCODER_LAG, "one is late", HIDES, name=Subject.ENCODERS, passed=False)
 
 
-def judged(estimate: Estimate, *more: Verdict, **changes: float) -> Estimate:
+def judged(estimate: Estimate, *more: Check, **changes: float) -> Estimate:
     """Return an estimate whose loop has a fault that changes parameters by so much; none without changes."""
-    reason = Message(Reason.LOOP_AS_DECLARED, "as declared")
+    loop = Check(Reason.LOOP_AS_DECLARED, "as declared", name=Subject.LOOP, passed=True)
     if changes:
-        clause = "velocity_gain is 25 % smaller"
-        reason = Message(Reason.LOOP_NOT_AS_DECLARED, f"{clause} (p < 1e-6)", {"changes": changes}, clause)
-    verdict = Verdict.of(Subject.LOOP, not changes, reason)
-    return with_verdicts(amended(estimate, checks={"verdicts": (verdict, *more)}))
+        code, values = Reason.LOOP_NOT_AS_DECLARED, {"changes": changes}
+        loop = Check(code, "velocity_gain is smaller (p < 1e-6)", values, name=Subject.LOOP, passed=False)
+    return with_verdicts(replace(estimate, checks=(loop, *more)))
 
 
 def flexible(stiffness: float | None = 17467.0, stderr: float | None = 1057.0, **more: float) -> Estimate:
@@ -53,14 +41,14 @@ def flexible(stiffness: float | None = 17467.0, stderr: float | None = 1057.0, *
         parameter("stiffness", "K12", "N m/rad", stiffness, stderr, **more),
         parameter("load_inertia", "ZZ2", "kg m^2", 0.5, 0.001),
     )
-    found = replace(ESTIMATE, params=Params(rows, ("motor_inertia",), np.zeros((0, 0))))
+    found = replace(ESTIMATE, rows=rows)
     joint = FlexibleJoint(kind="revolute")
     return amended(found, settings={"system": joint, "loop": ClosedLoop(joint, CONTROLLER)})
 
 
 def with_row(estimate: Estimate, name: str, **changes: object) -> Estimate:
-    rows = (replace(p, **changes) if p.name == name else p for p in estimate.params.rows)  # type: ignore[arg-type]
-    return amended(estimate, params={"rows": tuple(rows)})
+    rows = (replace(p, **changes) if p.name == name else p for p in estimate.rows)  # type: ignore[arg-type]
+    return replace(estimate, rows=tuple(rows))
 
 
 UNEXPLAINED = {"filtered_error": 0.4, "converged": False}
@@ -90,12 +78,12 @@ BOUND = with_row(flexible(), "load_inertia", stderr=None, free=False, at_bound=0
         (judged(flexible(0.0, 1.0)), "not_reliable_yet", ["wide_interval"], []),
         (judged(flexible(1000.0, np.nan)), "not_reliable_yet", ["no_interval"], []),
         (judged(flexible(1000.0, np.inf)), "not_reliable_yet", ["no_interval"], []),
-        (judged(amended(flexible(), checks={"encoder_lag": LAG})), "not_reliable_yet", ["encoder_lag"], []),
-        (judged(amended(RIGID, checks={"encoder_lag": LAG})), "reliable", [], []),
+        (judged(flexible(), LAG), "not_reliable_yet", ["encoder_lag"], []),
+        (judged(RIGID, LAG), "reliable", [], []),
         (judged(flexible(None, None)), "refused", [], []),
         *(
             (
-                judged(RIGID, Verdict(Subject.WHITENESS, Status.FAILED, (Message(code, "it is so"),))),
+                judged(RIGID, Check(code, "it is so", name=Subject.WHITENESS, passed=False)),
                 "not_reliable_yet", [str(code)], [],
             )
             for code in AGAINST_EVERY_VALUE
@@ -126,7 +114,7 @@ def test_the_answer_is_a_value_with_its_interval() -> None:
 
 def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:
     bounds = (StiffnessBound(0.1, 4.1e5, 30.0), StiffnessBound(0.2, 3.1e5, 22.0), StiffnessBound(0.5, None, None))
-    answer = amended(judged(flexible(None, None)), checks={"bounds": bounds}).answer
+    answer = replace(judged(flexible(None, None)), bounds=bounds).answer
     assert (answer.found.code, answer.trust.code) == (Found.LOWER_BOUND, Trust.REFUSED)
     assert answer.found.values["lower_bound"] == 3.1e5
     assert "at least 310000 N m/rad, mode above 22 Hz, for a load of 10 to 20 %" in str(answer)
@@ -139,9 +127,9 @@ def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": -20.0, "coulomb": 15.0, "offset": 2.0}
     estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop, checks=False)
-    (bounds,) = (v for v in estimate.checks.verdicts if v.subject is Subject.BOUNDS)
-    assert bounds.status is Status.FAILED
-    assert bounds.reasons[0].values == {"parameters": ["viscous"]}
+    (bounds,) = (v for v in estimate.checks if v.name is Subject.BOUNDS)
+    assert bounds.passed is False
+    assert bounds.values == {"parameters": ["viscous"]}
     assert estimate.to_dict()["parameters"]["viscous"]["at_bound"] == 0.0
 
 

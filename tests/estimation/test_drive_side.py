@@ -116,4 +116,4 @@ def test_a_rigid_joint_needs_no_load() -> None:
     estimate = ji.identify(record.without("reference"), DriveSide(joint))
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
-    assert any("rests in" in warning for warning in estimate.checks.warnings)
+    assert any("rests in" in warning for warning in estimate.warnings)

@@ -90,8 +90,8 @@ def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Rec
     # 1.3 kg apart: what Coulomb's law lacks, which the solution by the regressor weighs otherwise, is in the intervals.
     assert abs(first.values["inertia"] - second.values["inertia"]) > 1.0
     assert 0.3 < float(first["inertia"].stderr or 0.0) < 0.7
-    (repeats,) = (v for v in first.checks.verdicts if v.subject == "repeatable residual")
-    assert not repeats.good
+    (repeats,) = (v for v in first.checks if v.name == "repeatable residual")
+    assert not repeats.passed
 
 
 def test_each_of_several_records_has_the_interval_that_it_has_alone(emps: Record, emps_pulses: Record) -> None:

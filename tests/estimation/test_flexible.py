@@ -60,11 +60,11 @@ def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alo
         total = sum(axis.truth[f"{side}_{friction}"] for side in ("motor", "load"))
         found = sum(estimate.values[f"{side}_{friction}"] for side in ("motor", "load"))
         assert abs(found / total - 1) <= 0.02
-    verdicts = {verdict.subject: verdict for verdict in estimate.checks.verdicts}
-    pairs = [reason.values.get("parameters") for reason in verdicts["identifiability"].reasons]
+    passed = {check.name: check.passed for check in estimate.checks}
+    pairs = [check.values.get("parameters") for check in estimate.checks if check.name == "identifiability"]
     assert ["motor_viscous", "load_viscous"] in pairs
-    assert verdicts["stiffness"].good
-    assert verdicts["whiteness"].good is (noise == "white")
+    assert passed["stiffness"]
+    assert passed["whiteness"] is (noise == "white")
     assert estimate.fit.converged
 
 
@@ -98,9 +98,9 @@ def test_bounds_hold_and_are_named() -> None:
     low = {"stiffness": replace(parameters["stiffness"], upper=7.5e5)}
     estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), parameters=low)
     assert estimate.values["stiffness"] <= 7.5e5
-    (bounds,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "bounds")
-    assert not bounds.good
-    assert "stiffness at a bound" in bounds.said
+    (bounds,) = (verdict for verdict in estimate.checks if verdict.name == "bounds")
+    assert not bounds.passed
+    assert "stiffness at a bound" in bounds.words
 
 
 def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
@@ -115,9 +115,9 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     assert float(found.value or 0.0) <= 3 * float(found.stderr or 0.0) + 1e-9
     assert float(found.stderr or 0.0) > 1e-3
     # The descent ends a billionth of a newton above 0, which is no millionth of itself.
-    (bounds,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "bounds")
-    assert "motor_coulomb at a bound" in bounds.said
-    assert not bounds.good
+    (bounds,) = (verdict for verdict in estimate.checks if verdict.name == "bounds")
+    assert "motor_coulomb at a bound" in bounds.words
+    assert not bounds.passed
 
 
 def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> None:

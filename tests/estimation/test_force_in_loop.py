@@ -33,7 +33,7 @@ def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
     problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     found = ji.identify(axis.record, axis.loop, checks=False)
-    start = problem.vector({row.name: row.value or 0.0 for row in found.params.rows})
+    start = problem.vector({row.name: row.value or 0.0 for row in found.rows})
     return problem, solve(problem, LevenbergMarquardt(1e-7), start)
 
 
@@ -44,7 +44,7 @@ def test_intervals_hold_what_a_force_moves(seed: int) -> None:
     coulomb, viscous = found["coulomb"], found["viscous"]
     for row in (coulomb, viscous):
         assert abs(row.value - axis.truth[row.name]) <= 2 * row.stderr
-    (note,) = [note for note in found.checks.notes if "force in the loop" in note]
+    (note,) = [note for note in found.notes if "force in the loop" in note]
     assert seed != 25 or "coulomb" in note
 
 

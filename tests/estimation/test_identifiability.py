@@ -107,7 +107,7 @@ def test_a_motion_in_one_direction_determines_no_coulomb_friction() -> None:
     names, truth = ("motor_coulomb", "offset"), axis.truth
     assert [found[name].value for name in names] == [None, None]
     assert "not identifiable" in found.summary()
-    (together,) = [one.values for one in found.checks.known.limitations if one.values.get("parameters") == [*names]]
+    (together,) = [one.values for one in found.known.limitations if one.values.get("parameters") == [*names]]
     assert together["value"] == pytest.approx(sum(truth[name] for name in names), abs=3 * together["std"])
     with pytest.raises(ji.MethodError, match="fix one of them"):
         ji.validate(found, axis.record)

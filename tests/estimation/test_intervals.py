@@ -21,8 +21,7 @@ def estimate():  # type: ignore[no-untyped-def]
 def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola(estimate) -> None:  # type: ignore[no-untyped-def]
     found = intervals(estimate, RECORD, ["stiffness", "compliance", "motor_viscous + load_viscous"])
     stiffness, compliance, total = found
-    at = [estimate.params.names.index(name) for name in SIDES]
-    both = np.sqrt(estimate.params.covariance[np.ix_(at, at)].sum())
+    both = estimate.covariance_of(SIDES).std_of(np.ones(len(SIDES)))
     low, high = (1 / (end or 1.0) for end in reversed(compliance.interval))
     for profile, value, std in (
         (stiffness, estimate.values["stiffness"], estimate["stiffness"].stderr),

@@ -47,7 +47,7 @@ def test_two_loads_tell_it() -> None:
     one, other = slow_record(0, TRUTH["inertia"]), slow_record(1, TRUTH["inertia"] + ADDED)
     found = identify([one, other], LOOP, several={"added_inertia": (0.0, ADDED)})
     for name, value in TRUTH.items():
-        stderr = found.params[name].stderr
+        stderr = found[name].stderr
         assert stderr is not None and stderr < 0.03 * value
         assert abs(found.values[name] - value) < 3.0 * stderr
 
@@ -59,11 +59,12 @@ def test_two_payloads_tell_the_share_of_every_axis(by: Literal["torque", "motor_
     logs = arm.logs
     if by == "motor_position":
         logs = tuple(tuple(without_torque(one, rng) for one in log) for log in logs)  # type: ignore[assignment]
-    robot = identify(logs, arm.loop, ji.DIDIM(outputs=(by,))).robot
-    z = (robot.values - robot.parameters_of(arm.robot)) / robot.covariance.std
+    found = identify(logs, arm.loop, ji.DIDIM(outputs=(by,)))
+    robot, spread = found.robot, found.covariance_of([*found.parameters]).std
+    z = (robot.values - robot.parameters_of(arm.robot)) / spread
     assert np.max(np.abs(z)) < 4.0
     share = robot.names.index("lower.friction_per_torque")
-    assert robot.covariance.std[share] < 0.02 * robot.values[share]
+    assert spread[share] < 0.02 * robot.values[share]
 
 
 def test_its_signature_is_of_the_torque_that_acts_and_not_of_the_logged_one() -> None:

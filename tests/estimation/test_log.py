@@ -14,7 +14,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.result.verdict import Status, Subject
+from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -108,13 +108,13 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> No
 @pytest.mark.slow
 def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
     steady = identify(rigid(400.0), LOOP, windows=4.0)
-    assert len(steady.checks.drift.segments) == 8
-    assert not steady.checks.drift.differs
+    assert len(steady.agreement.segments) == 8
+    assert not steady.agreement.differs
     warming = joined(*(rigid(100.0, seed=k, viscous=80.0 - 10.0 * k) for k in range(4)))
     estimate = identify(warming, LOOP, windows=4.0)
-    assert "viscous" in estimate.checks.drift.names
-    assert "inertia" not in estimate.checks.drift.names
-    values = [s.values["viscous"] for s in estimate.checks.drift.segments]
+    assert "viscous" in estimate.agreement.names
+    assert "inertia" not in estimate.agreement.names
+    values = [s.values["viscous"] for s in estimate.agreement.segments]
     assert values[0] == pytest.approx(80.0, abs=5.0)
     assert values[-1] == pytest.approx(50.0, abs=5.0)
 
@@ -142,7 +142,7 @@ def test_how_long_a_window_remembers_is_measured() -> None:
     loose = identify(record, slow, windows=10.0)
     assert stiff.data.windows.settling < 1.0 < loose.data.windows.settling
     assert loose["inertia"].value == pytest.approx(30.0, rel=1e-2)
-    assert any("forgets" in warning for warning in identify(record, slow, windows=1.5).checks.warnings)
+    assert any("forgets" in warning for warning in identify(record, slow, windows=1.5).warnings)
 
 
 @pytest.mark.parametrize(
@@ -183,11 +183,11 @@ def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     log = 2.0 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=PERIOD, torque_noise=log)
     estimate = identify(record, loop, windows=5.0)
-    first, second = estimate.checks.drift.segments
+    first, second = estimate.agreement.segments
     told = {"inertia", "viscous_forwards", "coulomb_forwards"}
-    assert set(second.values) == told == {p.name for p in estimate.checks.drift.parameters}
+    assert set(second.values) == told == {p.name for p in estimate.agreement.parameters}
     assert set(first.values) == told | {"viscous_backwards", "coulomb_backwards"}
-    assert not estimate.checks.drift.differs
+    assert not estimate.agreement.differs
     assert "not excited" in estimate.summary(details=True)
 
 
@@ -212,10 +212,10 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     expected = identify(record, LOOP, windows=found.data.windows.length)
     for name in TRUTH:
         assert found[name].value == pytest.approx(expected[name].value, rel=1e-9)
-    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-    assert loop.status is Status.PASSED, "the loop is checked in a part"
+    (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
+    assert loop.passed is True, "the loop is checked in a part"
     said_of = "is identified in windows of 13.3 s, of which one is checked"
-    assert any(said_of in one for one in said) and any(said_of in one for one in found.checks.warnings)
+    assert any(said_of in one for one in said) and any(said_of in one for one in found.warnings)
     uses = (lambda one, log: ji.diagnose(log, one), ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one))
     for use in uses:
         with pytest.raises(MethodError):
@@ -234,8 +234,8 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.torque) // 2)
     found = ji.identify(record, LOOP)
     assert found.data.windows is not None
-    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-    assert loop.status is Status.PASSED, loop
+    (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
+    assert loop.passed is True, loop
 
 
 def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:

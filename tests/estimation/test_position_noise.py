@@ -50,7 +50,7 @@ def test_stated_cutoff_is_obeyed_and_too_wide_one_said():
     record, _ = moved(5000.0, 1e-4, 0.3)
     found = ji.identify(record, ji.RigidJoint("revolute"), ji.IDIM(), filtering=ji.Filtering(cutoff=200.0))
     assert found.settings.filtering.cutoff == 200.0
-    assert any("lower filtering.cutoff" in one for one in found.checks.warnings)
+    assert any("lower filtering.cutoff" in one for one in found.warnings)
 
 
 def test_limit_does_not_follow_the_rate_and_good_positions_have_none():

@@ -64,12 +64,12 @@ def test_two_records_under_different_gains() -> None:
     found = identify(records, [axis.loop, slower], method=QUICK)
     for name, value in found.values.items():
         assert value == pytest.approx(axis.truth[name], rel=1e-4), name
-    assert not found.checks.agreement.differs
+    assert not found.agreement.differs
     with pytest.raises(MethodError, match="gain cannot be distinguished"):
         identify(records, [axis.loop, slower], several={"free": ["drive_gain"]}, method=QUICK)
     wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
-    assert wrong.checks.agreement.differs
-    assert "agreement" in [v.subject for v in wrong.checks.verdicts if v.status == "failed"]
+    assert wrong.agreement.differs
+    assert "agreement" in [v.name for v in wrong.checks if v.passed is False]
 
 
 def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
@@ -111,8 +111,8 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
     names = {"coulomb": "coulomb", "offset": "offset", "viscous": "viscous", "coulomb@1": "coulomb@3"}
 
     def together(estimate: Estimate, *pair: str) -> float:
-        at = [estimate.params.names.index(name) for name in pair]
-        return float(estimate.params.correlation[at[0], at[1]])
+        at = [estimate.free.index(name) for name in pair]
+        return float(estimate.correlation[at[0], at[1]])
 
     for name, other in names.items():
         assert found[name].stderr == pytest.approx(last[other].stderr, rel=0.05), name
@@ -163,11 +163,11 @@ def noisy() -> Estimate:
 def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
     """Each record by itself, and both: about the root of the sum of their informations."""
     first, second = ({p.name: p for p in record.alone} for record in noisy.data.records)
-    for p in (row for row in noisy.params.rows if row.of_joint):
+    for p in (row for row in noisy.rows if row.of_joint):
         alone = [float(each[p.name].stderr or 0.0) for each in (first, second)]
         assert float(p.stderr or 0.0) <= 1.1 * np.sum(np.array(alone) ** -2.0) ** -0.5, p.name
         assert abs(float(p.value or 0.0) - twins("white").truth[p.name]) <= 3 * float(p.stderr or 0.0)
-    assert not noisy.checks.agreement.differs
+    assert not noisy.agreement.differs
 
 
 @pytest.mark.slow
@@ -213,13 +213,13 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     values, spreads = (np.array([getattr(p, key) for p in alone]) for key in ("value", "stderr"))
     assert values == pytest.approx([95.4, 94.1], abs=0.1)
     assert abs(values[0] - values[1]) < 2 * np.hypot(*spreads)
-    inertia = found.checks.agreement["inertia"]
+    inertia = found.agreement["inertia"]
     assert not inertia.differs
     assert inertia.between == pytest.approx(0.72, abs=0.1)
     assert abs(values - found["inertia"].value) == pytest.approx(0.0, abs=2 * float(found["inertia"].stderr or 0.0))
     for name in found.values:
         if name not in ("inertia", "offset"):
-            assert not found.checks.agreement[name].differs, name
+            assert not found.agreement[name].differs, name
     assert all(
         record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
     )

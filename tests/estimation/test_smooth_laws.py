@@ -14,6 +14,6 @@ def test_a_flexible_joint_tells_its_law(law: str) -> None:
     loop, values = with_law(case, law)
     found = identify(noisy(case, loop, values), loop)
     assert abs(found["stiffness"].value - values["stiffness"]) < 3 * found["stiffness"].stderr
-    for p in found.params.rows:
+    for p in found.rows:
         if p.of_joint and p.value is not None and p.stderr:
             assert abs(p.value - values[p.name]) < 4.5 * p.stderr, p.name

@@ -43,7 +43,7 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
     case = prismatic(1)
     loop, values = slow(case, shares)
     estimate = identify(noisy(case, loop, values), loop)
-    for row in estimate.params.rows:
+    for row in estimate.rows:
         if row.name in values:
             assert abs(row.value - values[row.name]) < 3.5 * row.stderr, row.name
     assert estimate["stiffness"].stderr < 1e-3 * values["stiffness"]  # type: ignore[operator]

@@ -12,10 +12,11 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, on_other_side
+from jointid.estimation.result.parts import EstimatedParameter
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
+from jointid.output.export.joint_model import on_other_side
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -102,7 +103,7 @@ def beyond(estimate: Estimate) -> tuple[EstimatedParameter, ...]:
     """Return the parameters on the other side of the transmission."""
     gear = estimate.settings.joint.transmission
     assert gear is not None
-    return on_other_side(estimate.params.rows, gear, estimate.data.torque_unit)
+    return on_other_side(estimate.rows, gear, estimate.data.torque_unit)
 
 
 by_motor = cache(found)
@@ -115,10 +116,10 @@ CASES = [("rigid", "symmetric"), ("rigid", "asymmetric"), ("flexible", "symmetri
 def test_either_side_of_a_gear_gives_the_same_answer(gear: Transmission, model: str, friction: str) -> None:
     """Values and deviations, to rounding, some 1e-11, in as many simulations."""
     motor, there = by_motor(model, None, friction), found(model, gear, friction)
-    back = there.params.rows if gear.side == "motor" else beyond(there)
-    assert [p.unit for p in back] == [p.unit for p in motor.params.rows]
-    assert apart(values_of(motor.params.rows), values_of(back)) < CLOSE
-    assert apart(deviations_of(motor.params.rows), deviations_of(back)) < CLOSE
+    back = there.rows if gear.side == "motor" else beyond(there)
+    assert [p.unit for p in back] == [p.unit for p in motor.rows]
+    assert apart(values_of(motor.rows), values_of(back)) < CLOSE
+    assert apart(deviations_of(motor.rows), deviations_of(back)) < CLOSE
     assert there.fit.simulations == motor.fit.simulations
     assert there.fit.filtered_error == pytest.approx(motor.fit.filtered_error, rel=1e-9)
     truth, name = (FLEXIBLE, "stiffness") if model == "flexible" else (RIGID, "inertia")
@@ -133,8 +134,8 @@ def test_inverse_models_have_both_sides_too(gear: Transmission) -> None:
     motor = identify(record, replace(joint_of("rigid", None), ripple=PositionHarmonics(period, 2)), IDIM())
     ripple = PositionHarmonics(period / abs(gear.motor_per_load), 2)
     there = identify(on_side(record, gear), replace(joint_of("rigid", gear), ripple=ripple), IDIM())
-    assert apart(values_of(motor.params.rows), values_of(beyond(there))) < 1e-7  # a parabola of small amplitudes
-    assert [p.unit for p in beyond(there)] == [p.unit for p in motor.params.rows]
+    assert apart(values_of(motor.rows), values_of(beyond(there))) < 1e-7  # a parabola of small amplitudes
+    assert [p.unit for p in beyond(there)] == [p.unit for p in motor.rows]
 
 
 def test_a_gain_that_is_freed_is_that_of_the_law_on_its_own_side() -> None:

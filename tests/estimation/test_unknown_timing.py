@@ -18,7 +18,7 @@ def test_intervals_hold_the_truth_whichever_the_timing_was():
                 found = ji.identify(logged(rate, held, seed)[0], ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
                 inside += [abs(found[name].value - true) <= 2 * found[name].stderr for name, true in TRUE.items()]
                 errors.append(abs(found["coulomb"].value / TRUE["coulomb"] - 1))
-                assert any("held or sampled" in one for one in found.checks.warnings)
+                assert any("held or sampled" in one for one in found.warnings)
     assert np.mean(inside) >= 0.85
     assert np.sqrt(np.mean(np.square(errors))) < 0.015  # 4 % with the rows about reversals
 
@@ -30,8 +30,8 @@ def test_intervals_of_a_robot_hold_the_truth():
             found = ji.identify(logged(50.0, held, seed, arm=True), ARM, ji.IDIM(), checks=False)
             part = found.require_robot()
             away = np.abs(part.values - part.parameters_of(ARM))
-            inside += [*(away <= 2 * part.covariance.std)]
-            assert any("held or sampled" in one for one in found.checks.warnings)
+            inside += [*(away <= 2 * found.covariance_of(part.names).std)]
+            assert any("held or sampled" in one for one in found.warnings)
     assert np.mean(inside) >= 0.85
 
 
@@ -55,7 +55,7 @@ def test_on_the_drive_side_the_delay_makes_up_for_the_timing(late):
             # It counts from a held torque, of which a sampled one is half a sample late.
             for delay in (0.0, 0.5 / rate):
                 assert abs(found["log_delay"].value - delay) <= 3 * found["log_delay"].stderr
-            assert any("log_delay, which makes up for" in one for one in found.checks.warnings)
+            assert any("log_delay, which makes up for" in one for one in found.warnings)
             stated = replace(record, torque=replace(record.torque, stated=True))
             wrong = ji.identify(stated, joint, ji.DriveSideFit(0.0), checks=False)
             kept += [abs(wrong[name].value - true) <= 2 * wrong[name].stderr for name, true in TRUE.items()]
@@ -86,8 +86,8 @@ def test_held_and_sampled_are_one_to_didim(robot):
         ]
         read = [replace(one, torque=torque) for one, torque in zip(records, torques, strict=True)]
         found = ji.identify(read if robot else read[0], loop, checks=False)
-        assert not any("held or sampled" in one for one in found.checks.warnings)
-        values.append([row.value for row in found.params.rows])
+        assert not any("held or sampled" in one for one in found.warnings)
+        values.append([row.value for row in found.rows])
     assert values[0] == values[1]
 
 
@@ -106,7 +106,7 @@ def _sine() -> ji.Record:
 def test_one_sine_covers_both_readings_and_says_so():
     found = ji.identify(_sine(), ji.RigidJoint("revolute"), ji.IDIM(), checks=False)
     half = 0.01 * TRUE["inertia"] * (2 * np.pi) ** 2  # half a sample moves Fv by that
-    assert any("held or sampled" in one for one in found.checks.warnings)
+    assert any("held or sampled" in one for one in found.warnings)
     assert abs(found["viscous"].value - TRUE["viscous"]) <= 2 * found["viscous"].stderr
     assert 0.3 * half < found["viscous"].stderr < 3 * half
 

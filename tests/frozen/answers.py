@@ -22,11 +22,9 @@ def answer_of(result: Any) -> dict[str, Any]:
     """Return what is compared of a result."""
     if isinstance(result, ji.Estimate):
         rows = {
-            row.name: [number(row.value), number(row.stderr)]
-            for row in result.params.rows
-            if row.free and "@" not in row.name
+            row.name: [number(row.value), number(row.stderr)] for row in result.rows if row.free and "@" not in row.name
         }
-        bounds = [number(bound.stiffness) for bound in result.checks.bounds]
+        bounds = [number(bound.stiffness) for bound in result.bounds]
         return {"values": rows, "trust": str(result.answer.trust.code), "bounds": bounds, "cause": first_cause(result)}
     if isinstance(result, ji.robots.Robot):
         return {"values": {joint.name: [number(joint.rotor_inertia), None] for joint in result.joints}}
@@ -38,7 +36,7 @@ def answer_of(result: Any) -> dict[str, Any]:
 
 def first_cause(estimate: ji.Estimate) -> str:
     """Return the name of the first cause that the checks name; the code of the reason where it has no name."""
-    failed = {str(v.subject): v.reasons[0] for v in estimate.checks.verdicts if v.status == "failed"}
+    failed = {str(one.name): one for one in reversed(estimate.checks) if one.passed is False}
     first = next((failed[subject] for subject in _OF_CAUSES if subject in failed), None)
     if first is None:
         return ""

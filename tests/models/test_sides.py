@@ -3,10 +3,10 @@
 import pytest
 
 from jointid.common.transmission import Transmission
-from jointid.estimation.result.parts import cross
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
+from jointid.output.export.joint_model import cross
 from tests.geared import TURNED_SCREW
 
 R = abs(TURNED_SCREW.motor_per_load)

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Message
 from jointid.config import loads
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import Reason, Status, StiffnessBound, Subject, Verdict
+from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.friction import Friction
@@ -170,20 +169,20 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
-    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params.rows)
+    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.rows)
     controller = estimate.settings.loop.controller
     fast = ClosedLoop(
         estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain)
     )  # 8.5 times as fast it would not be stable
-    found = tune(amended(estimate, params={"rows": wide}, settings={"loop": fast}), gain_margin=1e6, notch=False)
+    found = tune(replace(amended(estimate, settings={"loop": fast}), rows=wide), gain_margin=1e6, notch=False)
     assert found.present.estimate.stable
     assert not found.present.worst.stable
     assert json.loads(dumps(to_dict(found)))["present"]["worst"]["modulus"] == 0.0
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
-    wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params.rows)
-    interval = possible_joints(amended(estimate, params={"rows": wide}), 0.95)
+    wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.rows)
+    interval = possible_joints(replace(estimate, rows=wide), 0.95)
     joints = interval.at(np.concatenate([np.eye(len(interval.names)), -np.eye(len(interval.names))]))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
     law = Cascade(position_gain=10.0, velocity_gain=10.0, gain=35.0).law(PERIOD)
@@ -203,18 +202,19 @@ def test_gains_beyond_any_margin_are_not_proposed(estimate: Estimate) -> None:
 
 
 def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) -> None:
-    reason = Message(Reason.LOOP_NOT_AS_DECLARED, "velocity_gain is larger than declared")
-    tuned = tune(amended(estimate, checks={"verdicts": (Verdict(Subject.LOOP, Status.FAILED, (reason,)),)}))
+    words = "velocity_gain is larger than declared"
+    failed = Check(Reason.LOOP_NOT_AS_DECLARED, words, name=Subject.LOOP, passed=False)
+    tuned = tune(replace(estimate, checks=(failed,)))
     assert tuned.sentence.startswith("Beware: ") and len(tuned.doubts) == 1
-    assert reason.words in tuned.doubts[0]
+    assert words in tuned.doubts[0]
 
 
 @pytest.mark.parametrize(
     "asked",
     [
         lambda found: tune(identify(twin().record, twin().loop.joint.rigid, IDIM())),
-        lambda found: tune(amended(found, params={"correlation": np.zeros((0, 0))})),
-        lambda found: tune(amended(found, checks={"bounds": (StiffnessBound(0.3, 8e5, 30.0),)})),
+        lambda found: tune(replace(found, correlation=np.zeros((0, 0)))),
+        lambda found: tune(replace(found, bounds=(StiffnessBound(0.3, 8e5, 30.0),))),
         lambda found: tune(found, gain_margin=0.5),
         lambda found: tune(found, confidence=1.0),
         lambda found: tune(found, foo=1.0),

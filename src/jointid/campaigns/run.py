@@ -81,14 +81,10 @@ def _identify(case: Case) -> dict[str, Any]:
         )
     estimate = file.identify(file.record(case.record))
     of_robot = estimate.robot is not None  # of which every number counts, those of its logs, too
-    known = estimate.checks.known
+    known = estimate.known
     sums = [] if known is None else known.physical
     numbers = [
-        *(
-            (p.name, p.value, p.stderr if p.free else None, p.unit)
-            for p in estimate.params.rows
-            if p.of_joint or of_robot
-        ),
+        *((p.name, p.value, p.stderr if p.free else None, p.unit) for p in estimate.rows if p.of_joint or of_robot),
         # The sums of both sides are identifiable where their parts are not.
         *((f"total_{one.combination.quantity}", one.value, one.std, one.combination.unit) for one in sums),
     ]

@@ -148,11 +148,11 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
     """Return the properties that two estimates must share; of a robot its sums, too."""
-    system, robot = answer["settings"]["system"], answer["robot"]
+    system = answer.get("settings", {})["system"]  # an estimate that is no document has no `get`
     gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
-    if robot is not None:
+    if "joints" in system:
         names = ", ".join(str(one["name"]) for one in system["joints"])
-        sums = ", ".join(sorted(map(str, robot["formulas"])))
+        sums = ", ".join(sorted(str(one["formula"]) for one in answer["parameters"].values()))
         return {"model": "robot", "robot": f"{system['name']} of {names}", "torque unit": unit, "list of sums": sums}
     said = {"model": system["model"], "kind": system["kind"], "friction law": system["friction"]["name"]}
     side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"
@@ -161,22 +161,21 @@ def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
 
 def _fingerprints(answer: Mapping[str, Any]) -> set[str]:
     """Return the fingerprints of the torque of each record; none of a long log."""
-    data = answer["data"]
-    found = data["logs"] or [one["fingerprint"] for one in data["records"] or (data,)]
-    return {str(one) for one in found if one}
+    return {*map(str, answer["data"]["fingerprints"])}
 
 
 def _quantities(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
     """Return the parameters by name, but those of the initial state."""
     rows = {name: read(EstimatedParameter, raw) for name, raw in answer["parameters"].items()}
     of_motion = {name for name in rows if name.rpartition(".")[2].startswith("initial_")}
-    of_motion |= set() if answer["robot"] is None else {name for name, row in rows.items() if not row.axis}
+    if "joints" in answer["settings"]["system"]:
+        of_motion |= {name for name, row in rows.items() if not row.axis}
     return {name: row for name, row in rows.items() if name not in of_motion}
 
 
 def _sums(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
     """Return the sums of both sides of a flexible joint, by name."""
-    known = (answer["checks"]["known"] or {"physical": ()})["physical"]
+    known = (answer["known"] or {"physical": ()})["physical"]
     stated = [{"free": True} | one | one["combination"] for one in known]
     rows = [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
     return {row.name: row for row in rows}

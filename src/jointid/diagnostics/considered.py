@@ -95,7 +95,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     ]
     if torques is None or not tried:
         return
-    rows = {row.name: row for row in fit.params.rows if row.stderr}
+    rows = {row.name: row for row in fit.rows if row.stderr}
     solve = Influence(torques.stack(torques.own), torques.stack(torques.error)).matrix
     changes = _simulate(fit, torques, tried) if fit.solved is None else _respond(fit.solved, tried)
     sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
@@ -112,7 +112,7 @@ def _simulate(fit: Estimate, torques: AxisTorques, tried: Sequence[Element]) -> 
 
     An element under which the loop cannot be simulated is not that of the record: it changes nothing.
     """
-    problem, x, record = fit.problem, fit.x, fit.record
+    problem, x, record = fit.problem, fit.x, fit.records[0] if fit.records else None
 
     def change(one: Element) -> FloatArray:
         assert problem is not None and x is not None and record is not None
@@ -167,7 +167,7 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
                 for name, by in moved.items()
                 if abs(finding.changes[name].sigmas) > INTERVAL and by < SLIGHT * abs(rows[name].value or 0.0)
             }
-        yield Widening(moved)
+        yield moved, ""
     for suspect in check.suspected:
         what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"
         if suspect.law is not None:
@@ -182,4 +182,4 @@ def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedPa
         for name, row in rows.items()
         if by.get(name, 0.0) > _TOLD * (row.stderr or 0.0)
     ]
-    return Widening(dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else "")
+    return dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else ""

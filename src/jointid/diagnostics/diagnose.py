@@ -40,9 +40,8 @@ from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import POOR_FIT, Reason, Status
+from jointid.estimation.result.verdict import POOR_FIT, Reason, Subject
 from jointid.models.controllers import Controller
 from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
@@ -53,7 +52,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.controller_torque import SOURCE
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.uncertainty.position_dependent_error import Repeatable, cells, repeatable
+from jointid.uncertainty.position_dependent_error import cells, repeatable
 from jointid.uncertainty.residual_tests import Whiteness, whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
@@ -316,7 +315,7 @@ def diagnose(
             symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, progress))
         else:
             symptoms += _examine_estimate(estimate)
-            made = estimate.checks.diagnosis
+            made = estimate.diagnosis
             found = made if isinstance(made, Diagnosis) else found
             if found.axes and not isinstance(model, RobotLoop) and any(one is not None for one in controllers):
                 with contextlib.suppress(JointidError):  # the diagnosis that was made stands
@@ -403,13 +402,13 @@ def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progr
 
 def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
     """Yield the faults of the loop and the fit of an estimate, and its undecided checks."""
-    loop, fit = loop_verdict(estimate), estimate.fit
-    if loop is not None and loop.status is not Status.PASSED:
-        values = loop.reasons[0].values
+    loop, fit = estimate.about(Subject.LOOP), estimate.fit
+    if loop and not loop[0].passed:
+        values = loop[0].values
         causes = values.get("causes")
-        code = str(causes[0]["cause"] if causes else values.get("suspect", loop.reasons[0].code))
-        spoils = loop.status is Status.FAILED and not estimate.answer.reliable
-        yield Symptom(code, "; ".join(one.words for one in loop.reasons[:2]), spoils=spoils)
+        code = str(causes[0]["cause"] if causes else values.get("suspect", loop[0].code))
+        spoils = loop[0].passed is False and not estimate.answer.reliable
+        yield Symptom(code, "; ".join(one.words for one in loop[:2]), spoils=spoils)
     for axis, error in (fit.axis_errors or {"": fit.filtered_error}).items():
         if not error <= POOR_FIT:
             left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the model"
@@ -429,11 +428,12 @@ def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int
         most: faults that are named at most.
     """
     problem, x = solved
-    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
+    std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     faults = search_faults(problem, x, std, record, law, most=most)
-    torques, residuals = torques_of_loop(problem, x), estimate.fit.residuals
-    axis = _diagnose_axis(estimate, torques, 0, law, faults, None if residuals is None else residuals.repeatable)
+    torques = torques_of_loop(problem, x)
+    repeats = next((one.passed for one in estimate.about(Subject.REPEATABLE)), None)
+    axis = _diagnose_axis(estimate, torques, 0, law, faults, None if repeats is None else not repeats)
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques)
 
 
@@ -467,7 +467,8 @@ def diagnose_robot(
         # The noise of a torque that is computed from the controller, at some frequencies at least, is coloured.
         if record.torque is not None and record.torque.source.endswith(SOURCE):
             where = cells(torques.position[k][inside], torques.velocity[k][inside])
-            repeats = repeatable(torques.error[k][inside], where)
+            seen = repeatable(torques.error[k][inside], where)
+            repeats = seen.significant if seen.p_value is not None else None  # too little was visited twice
         axes.append(_diagnose_axis(estimate, torques, k, law, found, repeats))
     large = sum(one.left >= _LEFT or (one.whiteness is not None and one.whiteness.p_value <= _SURE) for one in axes)
     cause = find_copied_reference(robot, records)
@@ -493,13 +494,12 @@ def _diagnose_axis(
     axis: int,
     law: LawOnPosition | None,
     faults: AxisFaults,
-    repeats: Repeatable | None,
+    repeats: bool | None,
 ) -> AxisDiagnosis:
     """Return the diagnosis of one axis."""
     inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
     white = whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff)
-    known = repeats is not None and repeats.p_value is not None  # else too little was visited twice
     return AxisDiagnosis(
         torques.names[axis], float(np.linalg.norm(torques.error[axis])) / whole, white, law, faults,
-        repeats.significant if known and repeats is not None else None, signal=estimate.signal,
+        repeats, signal=estimate.signal,
     )  # fmt: skip

@@ -155,14 +155,14 @@ def explain_misfit(
     loop, error = estimate.settings.loop, estimate.fit.filtered_error
     assert loop is not None and record.reference is not None
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
-    refused = any(p.value is None for p in estimate.params.rows)
+    refused = any(p.value is None for p in estimate.rows)
     gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
     poor = gross or error > _SUSPICIOUS or (refused and _is_poor_far_below(estimate, record, loop))
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     responses = find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
-    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
+    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.rows)
     if not (poor or strained or find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
     left = next((one.left for one in findings or () if one.left is not None), None)
@@ -263,7 +263,7 @@ def find_causes(
     filtering, until = Filtering(), time.process_time() + _SECONDS
     if estimate is not None:
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *DRIVE_AND_LOG}
-        free = [row.name for row in estimate.params.rows if row.name in names and not row.of_joint]
+        free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
     filtering = filtering.resolve(record.torque.sample_time, loop.joint.model)
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
     tried = list_cases(declared)
@@ -353,7 +353,7 @@ def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
     flexible = replace(declared.loop, joint=joint.flexible)
     with contextlib.suppress(*_FAILS):  # the other causes stand
         found = identify_record(declared.record, flexible, DIDIM(free=declared.beside), declared.filtering)
-        if found.params["stiffness"].value is not None:
+        if found["stiffness"].value is not None:
             mode = found.frequencies["free_free"]
             words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
             yield Cause("flexible", words, mode, found.fit.filtered_error)

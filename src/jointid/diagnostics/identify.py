@@ -23,7 +23,7 @@ from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import CheckResults, Reason, Subject, Verdict, Widening, assemble, skip_test
+from jointid.estimation.result.verdict import Check, Checked, Reason, Subject, Widening, assemble, checks_of, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -96,7 +96,7 @@ def identify(
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> round(ji.identify(record, loop).params["inertia"].value, 6)
+        >>> round(ji.identify(record, loop)["inertia"].value, 6)
         30.0
 
         Two records, the second with 10 kg on the load and a friction of its own:
@@ -104,7 +104,7 @@ def identify(
         >>> heavier = ji.simulated_record(loop, reference, truth | {"inertia": 40.0, "coulomb": 18.0}, sample_time=1e-3)
         >>> shared = {"added_inertia": (0.0, 10.0), "own": ((), ("coulomb",))}
         >>> both = ji.identify([record, heavier], loop, several=shared)
-        >>> round(both.params["inertia"].value, 4), round(both.params["coulomb@2"].value, 4)
+        >>> round(both["inertia"].value, 4), round(both["coulomb@2"].value, 4)
         (30.0, 18.0)
 
         A minute, in windows of six seconds:
@@ -112,7 +112,7 @@ def identify(
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=60.0)
         >>> minute = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
         >>> estimate = ji.identify(minute, loop, windows=6.0)
-        >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
+        >>> round(estimate["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
     streamed = windows_of(record, model, method, several) if windows is None else None
@@ -131,23 +131,23 @@ def identify(
         said = f"the record is long, and is identified in windows of {streamed:.3g} s, of which one is checked"
         progress(said)
         fit, checked = fit.warn(said), fit.window or fit
-    if (fit.robot is None and (checked.record is None or checked.problem is None)) or fit.data.records:
+    if (fit.robot is None and (not checked.records or checked.problem is None)) or fit.data.records:
         return assemble(fit)
     if not checks:
-        return assemble(fit, _left_out("not checked: the checks were left out"))
+        return assemble(fit, *_left_out("not checked: the checks were left out"))
     if unchecked is not None:
-        unchecked(assemble(fit, _left_out("not checked yet")))
-    return assemble(fit, run_checks(checked, progress))
+        unchecked(assemble(fit, *_left_out("not checked yet")))
+    return assemble(fit, *run_checks(checked, progress))
 
 
-def _left_out(why: str) -> CheckResults:
-    return CheckResults((skip_test(Subject.LOOP, why),))
+def _left_out(why: str) -> Checked:
+    return (skip_test(Subject.LOOP, why),), (), None
 
 
 def run_checks(
     fit: Estimate,
     progress: Progress = ignore_progress,
-) -> CheckResults:
+) -> Checked:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
     What the record does not allow to check is left out. An exception loses no estimate: the verdict on the loop states
@@ -159,73 +159,73 @@ def run_checks(
     try:
         if fit.robot is not None:
             return _check_robot(fit, fit.robot, progress)
-        if fit.record is not None and fit.problem is not None and fit.x is not None:
-            return _check_joint(fit, fit.record, (fit.problem, fit.x), progress)
+        if fit.records and fit.problem is not None and fit.x is not None:
+            return _check_joint(fit, fit.records[0], (fit.problem, fit.x), progress)
     except Exception as error:  # an estimate is worth more than any check of it
         said = f"a check failed, which is a fault of jointid ({type(error).__name__}: {error})"
-        return CheckResults((Verdict.of(Subject.LOOP, None, Message(Reason.CHECK_FAILED, said)),))
-    return CheckResults()
+        return checks_of(Subject.LOOP, None, Message(Reason.CHECK_FAILED, said)), (), None
+    return (), (), None
 
 
-def _fail(*reasons: Message) -> Verdict:
-    return Verdict.of(Subject.LOOP, False, *reasons)
+def _fail(*said: Message) -> tuple[Check, ...]:
+    return checks_of(Subject.LOOP, False, *said)
 
 
-def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> CheckResults:
+def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> Checked:
     """Return the checks of a joint's fit; see `run_checks`."""
     broken = find_broken_part(record)
     if broken is not None:
-        return CheckResults((_fail(broken),))
+        return _fail(broken), (), None
     problem, x = solved
     causes = found = None
     progress("checking loop and log")
-    whole = all(p.value is not None for p in fit.params.rows)
+    whole = all(p.value is not None for p in fit.rows)
     try:
         if whole:
             found = diagnose_joint(fit, record, solved)
-            verdict = Verdict.of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
+            loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
         else:
-            verdict = check_without_joint(record, problem.loop_at(x))
+            loop = (check_without_joint(record, problem.loop_at(x)),)
     except _OF_RECORD as error:
-        verdict = skip_test(Subject.LOOP, f"not checked: {error}")
+        loop = (skip_test(Subject.LOOP, f"not checked: {error}"),)
     faults = None if found is None else found.axes[0].faults
     with contextlib.suppress(*_OF_RECORD):
         part = find_part_of_loop(problem, x) if faults is None else faults.part
         if part is None:  # what acts all the time does not explain a part of it
             causes = explain_misfit(assemble(fit), record, None if faults is None else faults.findings, progress)
     if causes is not None:
-        return CheckResults((_fail(causes.message),), diagnosis=found)
+        return _fail(causes.message), (), found
     if faults is not None and faults.part is not None:
-        return CheckResults((verdict,), diagnosis=found)
+        return loop, (), found
     law = None if found is None else found.axes[0].law
     named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
     of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
     if of_joint and law is not None and law.agreement.code in (Agreement.DIFFERS, Agreement.SCALED):
-        verdict = _fail(law.agreement, *(verdict.reasons if verdict.good is False else ()))
+        loop = _fail(law.agreement, *(one for one in loop if one.passed is False))
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
-        verdict = _fail(short)
-    return CheckResults((verdict,), () if found is None else tuple(_widen(fit, found)), found)
+        loop = _fail(short)
+    return loop, () if found is None else _widen(fit, found), found
 
 
 def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
     """Return the shifts of parameters by faults and by undeclared elements that are not excluded."""
-    rows = {row.name: row for row in fit.params.rows}
+    rows = {row.name: row for row in fit.rows}
     wider = [] if fit.robot is not None else list(widen_for_faults(found.axes[0].faults, rows))
     with contextlib.suppress(*_OF_RECORD):
         wider += widen_for_undeclared(fit, found)
     return wider
 
 
-def check_without_joint(record: Record, loop: ClosedLoop) -> Verdict:
-    """Return the verdict on a loop whose joint is not fully identified: that of the motor position, where logged."""
+def check_without_joint(record: Record, loop: ClosedLoop) -> Check:
+    """Return the check of a loop whose joint is not fully identified: that of the motor position, where logged."""
     law = compare_law(record, loop)
     if law is None:
         return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    return Verdict.of(Subject.LOOP, law.agreement.code == Agreement.HOLDS, law.agreement)
+    return checks_of(Subject.LOOP, law.agreement.code == Agreement.HOLDS, law.agreement)[0]
 
 
-def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> CheckResults:
+def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Checked:
     """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
     if len(fit.records) != len(part.model):
         return _left_out("not checked: several records were identified in one fit")
@@ -233,22 +233,22 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     try:
         found = diagnose_robot(fit, fit.records)
     except _OF_RECORD as error:
-        return CheckResults((skip_test(Subject.LOOP, f"not checked: {error}"),))
+        return _left_out(f"not checked: {error}")
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, str(found.cause))]
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
         rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))
     rest += found.name_faults(of_model=True) if rest else ()
-    verdicts = [Verdict.of(Subject.REPEATABLE, not rest, *(rest or [Message(Reason.PASSED, "what is left is noise")]))]
+    checks = checks_of(Subject.REPEATABLE, not rest, *(rest or [Message(Reason.PASSED, "what is left is noise")]))
     lost = [message for message in map(find_lost_samples, fit.records) if message is not None]
     failed = lost[:1] or found.name_faults(of_model=False)
     unseen = [joint.name for joint in found.axes if joint.law_holds is None]
     if failed:
-        verdicts.append(_fail(*failed))
+        checks += _fail(*failed)
     elif part.has_controllers and unseen:
         said = f"the controller of {join(unseen)} was not checked, which needs a logged torque, position and reference"
-        verdicts.append(skip_test(Subject.LOOP, said, unseen if len(unseen) < len(found.axes) else ()))
+        checks += (skip_test(Subject.LOOP, said, unseen if len(unseen) < len(found.axes) else ()),)
     elif part.has_controllers:
         said = "the declared controllers make the logged torques of the positions"
-        verdicts.append(Verdict.of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said)))
-    return CheckResults(tuple(verdicts), tuple(_widen(fit, found)), found)
+        checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))
+    return checks, _widen(fit, found), found

@@ -79,13 +79,13 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
     estimate.require_values()
     record = take_identified_torque(estimate, record)
     record.require(("torque",), "The estimate")
-    if record.torque is not None and fingerprint(record.torque.values) != estimate.data.fingerprint:
+    if record.torque is not None and (fingerprint(record.torque.values),) != estimate.data.fingerprints:
         other = f"The estimate is from {estimate.data.record}, and {record.name} has another torque: give its record."
         raise MethodError(other if estimate.data.windows is None else IN_WINDOWS)
-    values = {p.name: p.value or 0.0 for p in estimate.params.rows}
+    values = {p.name: p.value or 0.0 for p in estimate.rows}
     problem = torque_problem(record, loop, estimate.settings.filtering, estimate.settings.joint.parameters)
     problem = problem.freeing(*(name for name in values if name not in problem.units))
-    problem = problem.keeping({p.name: values[p.name] for p in estimate.params.rows if not p.free})
+    problem = problem.keeping({p.name: values[p.name] for p in estimate.rows if not p.free})
     return problem, problem.vector(values)
 
 

@@ -89,7 +89,7 @@ def collect_report_data(
     progress: Progress = ignore_progress,
 ) -> ReportData:
     """Collect the results that a report on an estimate presents; see `Report.of`."""
-    flexible = any(p.name == "stiffness" and p.free for p in estimate.params.rows)
+    flexible = any(p.name == "stiffness" and p.free for p in estimate.rows)
     asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
     found, absent = dict[str, Any](), dict[str, str]()
     parts: dict[str, Callable[[], Any]] = {
@@ -103,7 +103,7 @@ def collect_report_data(
             found[name] = compute()
         except JointidError as error:
             absent[name] = str(error)
-    check = estimate.checks.diagnosis
+    check = estimate.diagnosis
     return ReportData(
         estimate, check if isinstance(check, Diagnosis) else None, **found, channels=dict(record.items()),
         checks=tuple(checks), absent=absent,

@@ -40,7 +40,7 @@ from jointid.estimation.problems.inverse_model import (
     through_window,
 )
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.verdict import POOR_FIT, scale_verdict
+from jointid.estimation.result.verdict import POOR_FIT, scale_check
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop
 from jointid.records.checks import check_record
@@ -252,7 +252,7 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         )
         for k, axis in enumerate(axes)
     )  # fmt: skip
-    warnings = (scale_verdict(()).said,) if any(one.computed for one in records) else ()
+    warnings = (scale_check(()).words,) if any(one.computed for one in records) else ()
     return Validation(
         "direct" if own else "cross", settings.method, records[0].name, estimate.data.record, found.sample_time,
         found.borders, made, warnings, records[0].resampled, None if robot is not None else settings.joint.transmission,
@@ -348,7 +348,8 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     )  # fmt: skip
     if part is None:
         return found
-    nominal = partial(rows.relative_errors, part.nominal) if part.model.has_masses else None
+    given = np.array([row.nominal for row in estimate.rows], dtype=np.float64)
+    nominal = partial(rows.relative_errors, given) if part.model.has_masses else None
     return found._replace(compared=motion.moving, nominal_errors=nominal)
 
 

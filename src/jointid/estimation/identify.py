@@ -12,14 +12,16 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import Setting
+from jointid.common.text import number
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method, Task, default_method
-from jointid.estimation.outputs import state_position, state_scale, state_timing, torques_of
+from jointid.estimation.outputs import state_scale, state_timing, torques_of
 from jointid.estimation.problems.base import adjust_parameters
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.estimation.result.verdict import Reason, Subject, check_of
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.simulated import identify_simulated_robot
@@ -133,8 +135,7 @@ def fit(
             found = identify_records(read, layout, known, alone, progress)
         else:
             found = identify_record(read[0], model, method, filtering, known, progress, read[1:])
-    found = state_scale(state_timing(found, read), read)
-    return state_position(found) if by_loop else found
+    return state_scale(state_timing(found, read), read)
 
 
 def _require_together(
@@ -239,12 +240,13 @@ def identify_record(
                 "has the wrong sign (turn record.channels.torque.sign round), or they do not belong together"
                 f"{''.join(f'; {note}' for note in said)}."
             )
-    if others:
-        torques = [one.torque.values for one in (record, *others) if one.torque is not None]
-        fit = replace(fit, data=replace(fit.data, fingerprint="", logs=tuple(map(fingerprint, torques))))
-    if {"motor_position", "load_position"} <= set(fit.data.channels):
-        fit = replace(fit, checks=replace(fit.checks, encoder_lag=find_encoder_lag(record)))
-    return replace(fit, record=None if others else record).warn(*dict.fromkeys(said))
+    lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(fit.data.channels) else None
+    if lag is not None:
+        late = f"{lag.late} seems {number(1e3 * lag.lag, 2)} ms late, which hides the spring"
+        hidden = {"parameters": ["stiffness", "damping"], "lag": lag.lag}
+        check = check_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, late, hidden)
+        fit = replace(fit, checks=(*fit.checks, check))
+    return replace(fit, records=() if others else (record,)).warn(*dict.fromkeys(said))
 
 
 def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:

@@ -12,12 +12,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
 from jointid.estimation.problems.base import LOG_DELAY
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import scale_verdict
+from jointid.estimation.result.verdict import scale_check
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import CHANNELS, Record
 from jointid.simulation.controller_torque import compute_controller_torque
@@ -61,28 +60,8 @@ def torques_of(records: Logs, loops: Sequence[ClosedLoop], outputs: Sequence[str
     return [compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)]
 
 
-def position_rms(names: Sequence[str], records: Logs, simulated: FloatArray) -> dict[str, float]:
-    """Return the rms error of simulated motor positions, (samples, joints), of those logged at the same instants."""
-    found = {}
-    for name, record, values in zip(names, records, simulated.T, strict=True):
-        position, torque = record.motor_position, record.torque
-        if position is not None and torque is not None and position.sample_time == torque.sample_time:
-            size = min(len(position), values.size)
-            found[name] = float(np.sqrt(np.mean((position.values[:size] - values[:size]) ** 2)))
-    return found
-
-
-def state_position(fit: Estimate) -> Estimate:
-    """Return the fit of a joint under its controller with the error of the position; any other as it is."""
-    if fit.record is None or fit.problem is None or fit.x is None or fit.record.motor_position is None:
-        return fit
-    simulated = fit.problem.simulate(fit.x).motor_position[:, np.newaxis]
-    rms = position_rms([""], [fit.record], simulated)
-    return replace(fit, fit=replace(fit.fit, position_rms=rms, simulations=fit.fit.simulations + 1))
-
-
 def state_scale(fit: Estimate, records: Logs) -> Estimate:
-    """Return a fit of computed torques with a verdict on what these do not tell; any other fit as it is.
+    """Return a fit of computed torques with a check of what these do not tell; any other fit as it is.
 
     A fixed parameter other than 0 that is a part of the torque, or a known torque beside the controller's output, tells
     the factor that controller and joint have in common. The content of an integral at the first sample is unknown, and
@@ -93,7 +72,7 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
     ]
     if not computed:
         return fit
-    rows = [row for row in fit.params.rows if row.of_joint]
+    rows = [row for row in fit.rows if row.of_joint]
     known = [row.name for row in rows if not row.free and row.value and row.unit.startswith(_OF_TORQUE)]
     if any(  # large enough beside the controller's output to tell a scale
         record.injected is not None and np.std(record.injected.channel.values) > _ENOUGH * np.std(torque.values)
@@ -103,14 +82,13 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
     integral = any(law.law(torque.sample_time).integrates for _, torque, law in computed)
     parts = {row.name: row.name.rpartition(".")[2].removeprefix("motor_").removeprefix("load_") for row in rows}
     lost = tuple(row.name for row in rows if integral and row.free and parts[row.name] in CONSTANT)
-    freed = any(not row.of_joint and row.free and row.name == "gain" for row in fit.params.rows)
+    freed = any(not row.of_joint and row.free and row.name == "gain" for row in fit.rows)
     if freed and not known:
         raise MethodError(
             "From positions alone the controller's gain is one with the scale of the joint; expected a known inertia, "
             "friction or stiffness, or an injected torque: fix one of them, or keep the gain."
         )
-    verdict = scale_verdict(known, lost, identified=freed)
-    checks = replace(fit.checks, verdicts=(*fit.checks.verdicts, verdict))
+    checks = (*fit.checks, scale_check(known, lost, identified=freed))
     read = {*fit.data.channels, "motor_position", *(name for *_, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
     return replace(fit, checks=checks, data=data, undetermined=lost)
@@ -128,9 +106,9 @@ def state_timing(fit: Estimate, records: Logs) -> Estimate:
     more = 0.25 * fit.data.sample_time  # half of it in two deviations
     rows = tuple(
         replace(row, stderr=float(np.hypot(row.stderr, more))) if row.name == LOG_DELAY.name and row.stderr else row
-        for row in fit.params.rows
+        for row in fit.rows
     )
-    return replace(fit, params=replace(fit.params, rows=rows)).warn(
+    return replace(fit, rows=rows).warn(
         "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
         "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
     )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,8 +21,8 @@ from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import finite, read
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
-from jointid.estimation.result.verdict import SpringVerdict, judged
+from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
+from jointid.estimation.result.verdict import Check, judged
 from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
@@ -32,7 +31,6 @@ from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.uncertainty.covariance import Covariance
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide
 System = Joint | ClosedLoop | DriveSide | RobotSystem
@@ -53,15 +51,10 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
         RecordError: the robot is another one, has no controllers where they are needed, or a value is refused.
         KeyError, TypeError, ValueError, ...: the document is damaged.
     """
-    settings, fit, checks, data, params = (answer[part] for part in ("settings", "fit", "checks", "data", "params"))
-    method = method_of(settings["method"]) if settings["method"] in METHODS else None
-    if method is None:
-        raise ValueError
+    settings, fit, robot, part = answer["settings"], answer["fit"], None, None
     rows = tuple(replace(read(EstimatedParameter, one), name=key) for key, one in answer["parameters"].items())
-    shares = {
-        name: math.inf if fit[name] is None else finite(fit[name]) for name in ("relative_error", "filtered_error")
-    }
-    robot, part, names = None, None, read(tuple[str, ...], params["names"])
+    if settings["method"] not in METHODS:
+        raise ValueError
     if isinstance(system, Joint):
         known = {p.name for p in system.parameters} | {ENCODER_OFFSET.name}
         if beyond := [row.name for row in rows if row.of_joint and row.name.partition("@")[0] not in known]:
@@ -72,131 +65,106 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
             loop = replace(loop, controller=with_numbers(loop.controller, {name: freed[name] for name in of_law}))
     else:
         robot = system if isinstance(system, Robot) else system.robot
-        if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
-            raise RecordError(f"it is of the joints {', '.join(stated)}, and this robot has {', '.join(robot.names)}")
-        if refused := [row.name for row in rows if row.value is None]:
-            raise RecordError(
-                f"it refuses {', '.join(refused)}, so it predicts no torque; identify these joints as rigid"
-            )
-        kept, sums = _compute_sums(answer, system, robot, rows)
-        _require_same(dict(zip(answer["robot"]["names"], answer["robot"]["formulas"], strict=True)), sums)
-        rows = tuple(Params(rows, (), np.zeros((0, 0)))[name] for name in sums)
-        if {*names} != {row.name for row in rows if row.free} or {*fit["axis_errors"]} != {*robot.names}:
+        part = _restore_robot(answer, system, robot, {row.name: row for row in rows})
+        if [*fit["axis_errors"]] != [*robot.names]:
             raise ValueError
-        part = _part(answer, system, kept, rows)
+    shares = {name: _share(fit[name]) for name in ("relative_error", "filtered_error")}
+    of_axes = {key: {name: _share(one) for name, one in fit[key].items()} for key in ("axis_errors", "nominal_errors")}
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
-    logs = [str(one["fingerprint"]) for one in data["records"]] or [*map(str, data["logs"])]
     found = judged(
         Estimate(
-            Params(rows, names, _correlation(params, len(names), robot is not None)),
-            read(Fit, fit, measured=empty, predicted=empty, residuals=None, conditioning=None, **shares),
-            read(Checks, {name: checks[name] for name in ("verdicts", "warnings", "notes")}),
-            read(Data, data, resampled=None, records=(), windows=None, logs=tuple(logs)),
+            rows,
+            _correlation(answer, sum(row.free for row in rows), robot is not None),
+            read(Fit, fit, measured=empty, predicted=empty, conditioning=None, **shares, **of_axes),
+            read(Data, answer["data"], resampled=None, records=(), windows=None),
             read(
-                Settings, settings, system=robot or system, loop=loop if method.needs_controller else None,
+                Settings, settings, system=robot or system,
+                loop=loop if method_of(settings["method"]).needs_controller else None,
                 controller=str(answer["controller_sha256"]),
             ),
-            part,
+            checks=read(tuple[Check, ...], answer["checks"]),
+            warnings=read(tuple[str, ...], answer["warnings"]),
+            notes=read(tuple[str, ...], answer["notes"]),
+            robot=part,
         )
     )  # fmt: skip
     found.summary(details=True)  # what cannot be described is damaged
     return found
 
 
-def _part(
-    answer: dict[str, Any],
-    system: RobotSystem,
-    own: RobotParameters,
-    rows: Sequence[EstimatedParameter],
+def _share(value: object) -> float:
+    """Return an error; infinite where it is not known."""
+    return math.inf if value is None else finite(value)
+
+
+def _restore_robot(
+    answer: dict[str, Any], system: RobotSystem, robot: Robot, rows: dict[str, EstimatedParameter]
 ) -> IdentifiedRobot:
-    """Return the robot-only content, its parameters in the order of the rows."""
-    said, free = answer["robot"], [i for i, row in enumerate(rows) if row.free]
-    order = [said["names"].index(row.name) for row in rows]
-    std = np.array([row.stderr or 0.0 for row in rows])
-    correlation, names = np.eye(len(rows)), answer["params"]["names"]
-    if (found := _correlation(answer["params"], len(free), whole=True)).size:
-        at = [names.index(rows[i].name) for i in free]
-        correlation[np.ix_(free, free)] = found[np.ix_(at, at)]
-    common: dict[str, Any] = {
-        "names": tuple(row.name for row in rows),
-        "values": np.array([row.value for row in rows], dtype=np.float64),
-        "covariance": Covariance(std, correlation),
-        "nominal": np.array([finite(said["nominal"][i]) for i in order]),
-        "nominal_errors": np.array([np.inf if e is None else finite(e) for e in said["nominal_errors"]]),
-        "formulas": tuple(str(said["formulas"][i]) for i in order),
-        "springs": read(tuple[SpringVerdict, ...], said["springs"]),
-    }
-    robot, method, setup = system if isinstance(system, Robot) else system.robot, answer["settings"]["method"], system
-    if method == "idim":
-        setup = replace(system, robot=robot.rigid) if isinstance(system, RobotLoop) else robot.rigid
-    elif method == "didim" and isinstance(system, RobotLoop):
-        setup = at_estimate(system, own, common["values"])
+    """Return the robot of a document with the geometry of another, which must give the same sums.
+
+    Raises:
+        RecordError: it is another one, has no controllers where they are needed, or a value is refused.
+    """
+    settings = answer["settings"]
+    setup: RobotSystem = RobotDriveSide(robot)
+    if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
+        raise RecordError(f"it is of the joints {', '.join(stated)}, and this robot has {', '.join(robot.names)}")
+    if refused := [name for name, row in rows.items() if row.value is None]:
+        raise RecordError(f"it refuses {', '.join(refused)}, so it predicts no torque; identify these joints as rigid")
+    if settings["method"] == "idim":
+        robot = robot.rigid
+        setup = replace(system, robot=robot) if isinstance(system, RobotLoop) else robot
+        parameters = robot_parameters(robot, whole=False)
     else:
-        setup = RobotDriveSide(robot)
-    return IdentifiedRobot(setup=setup, parameters=own, **common)
-
-
-def _compute_sums(
-    answer: dict[str, Any], system: RobotSystem, robot: Robot, rows: Sequence[EstimatedParameter]
-) -> tuple[RobotParameters, dict[str, str]]:
-    """Return the parameters of the robot, and their sums as text by name."""
-    method = answer["settings"]["method"]
-    if method == "idim":
-        found = robot_parameters(robot.rigid, whole=False)
-        return found, dict(zip(found.names, found.formulas(robot.rigid), strict=True))
-    if method == "didim" and not isinstance(system, RobotLoop):
-        raise RecordError("it was identified under controllers, and this robot has none; add the [controller] tables")
-    found = _parameters(robot, rows, answer["robot"], finite(answer["data"]["sample_time"]))
-    if isinstance(system, RobotLoop):
-        stated = {row.name for row in rows}
-        found = add_delays(found, system, [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in stated])
-    fixed = {p.name: p.symbol for p in found.fixed}
-    return found, dict(zip(found.names, found.formulas(robot), strict=True)) | fixed
+        parameters = _parameters(robot, rows, settings["log_delay"], finite(answer["data"]["sample_time"]))
+    if settings["method"] == "didim":
+        if not isinstance(system, RobotLoop):
+            raise RecordError("it was identified under controllers, and this robot has none; add [controller] tables")
+        late = [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in rows]
+        parameters = add_delays(parameters, system, late)
+    part = IdentifiedRobot(setup, parameters, np.zeros(0))
+    formulas = (*parameters.formulas(robot), *(one.symbol for one in parameters.fixed))
+    if [*rows] != [*part.names]:
+        other = ", ".join(sorted(rows.keys() ^ {*part.names})) or "their order"
+        raise RecordError(f"its parameters are not those of this robot, which differ in {other}; identify again")
+    for name, formula in zip(part.names, formulas, strict=True):
+        there, here = (
+            {symbol: float(f"{sign}{weight or 1}") for sign, symbol, weight in _TERM.findall(text)}
+            for text in (rows[name].formula, formula)
+        )
+        if there.keys() != here.keys() or not np.allclose([there[one] for one in here], [*here.values()], rtol=_DIGITS):
+            raise RecordError(f"there {name} is {rows[name].formula}, and of this robot {formula}; identify again")
+    values = np.array([rows[name].value for name in part.names], dtype=np.float64)
+    if settings["method"] == "didim" and isinstance(system, RobotLoop):
+        setup = at_estimate(system, parameters, values)
+    return IdentifiedRobot(setup, parameters, values)
 
 
 def _parameters(
-    robot: Robot, rows: Sequence[EstimatedParameter], said: dict[str, Any], sample_time: float
+    robot: Robot, rows: dict[str, EstimatedParameter], late: float | None, sample_time: float
 ) -> RobotParameters:
-    """Return the parameters of a search as the document has them."""
-    names = {row.name for row in rows}
+    """Return the parameters of a search as the document has them; with `late` those of the record."""
     known = {
-        row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0) for row in rows if not row.free
+        row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0)
+        for row in rows.values()
+        if not row.free
     }
-    offsets = any(f"{name}.offset" in names for name in robot.names)
+    offsets = any(f"{name}.offset" in rows for name in robot.names)
     # The numbers of a law are all parameters where it was searched, and its linear part where lines were enough.
     for whole in (True, False):
         parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=whole), known)
-        if names >= {*parameters.names}:
+        if rows.keys() >= {*parameters.names}:
             break
-    delay = said["log_delay"]
-    if delay is None:
+    if late is None:
         return parameters
-    log = log_delay(None if LOG_DELAY.name in names else finite(delay), sample_time)
-    resting = np.array([f"{name}.initial_link_position" not in names for name in robot.names])
+    log = log_delay(None if LOG_DELAY.name in rows else finite(late), sample_time)
+    resting = np.array([f"{name}.initial_link_position" not in rows for name in robot.names])
     return of_record(parameters, robot, resting, log)
 
 
-def _require_same(stated: dict[str, str], sums: dict[str, str]) -> None:
-    """Require the parameters of a document, sums by name, to be those of the robot in any order.
-
-    Raises:
-        RecordError: they are not.
-    """
-    if other := stated.keys() ^ sums.keys():
-        names = ", ".join(sorted(other))
-        raise RecordError(f"its parameters are not those of this robot, which differ in {names}; identify again")
-    for name, formula in sums.items():
-        there, here = (
-            {symbol: float(f"{sign}{weight or 1}") for sign, symbol, weight in _TERM.findall(text)}
-            for text in (stated[name], formula)
-        )
-        if there.keys() != here.keys() or not np.allclose([there[one] for one in here], [*here.values()], rtol=_DIGITS):
-            raise RecordError(f"there {name} is {stated[name]}, and of this robot {formula}; identify again")
-
-
-def _correlation(params: dict[str, Any], size: int, whole: bool) -> FloatArray:
+def _correlation(answer: dict[str, Any], size: int, whole: bool) -> FloatArray:
     """Return the correlation of the free parameters, or of the joint's alone; empty where it is not known."""
-    found: FloatArray = np.array(params["correlation"], dtype=np.float64)
+    found: FloatArray = np.array(answer["correlation"], dtype=np.float64)
     if not found.size or np.any(np.isnan(found)):
         return np.zeros((0, 0))
     most = min(len(found), size)  # the joint's come first

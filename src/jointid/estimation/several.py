@@ -36,8 +36,8 @@ from jointid.estimation.result.build_result import (
     find_active_bounds,
     list_loop_channels,
 )
-from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, EstimatedParameter, Params, RecordFit
+from jointid.estimation.result.estimate import Estimate, relative_error
+from jointid.estimation.result.parts import EstimatedParameter, RecordFit
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
@@ -352,7 +352,7 @@ def _solved(fit: Estimate) -> tuple[ClosedLoopProblem, FloatArray]:
 
 def _told(fit: Estimate) -> dict[str, float]:
     """Return every parameter that a record tells by itself, by name, the fixed ones too."""
-    (problem, x), told = _solved(fit), {p.name for p in fit.params.rows if p.value is not None}
+    (problem, x), told = _solved(fit), {p.name for p in fit.rows if p.value is not None}
     return {name: value for name, value in problem.values(x).items() if name in told}
 
 
@@ -438,26 +438,25 @@ def _judge(
         shares.append(
             RecordFit(
                 record.name,
-                fingerprint(torque if record.torque is None else record.torque.values),
                 list_loop_channels(layout.loops[k], record),
                 sum(layout.added[k].values()),
                 alone[k][1],
-                float(np.linalg.norm(error)) / math.sqrt(error.size),
                 error.size,
                 relative_error(torque, run.torque, borders),
                 problem.filtered_error(error),
             )
         )
     repeats = [str(found.repeatable)] if found.repeatable.significant else []
-    said = [f"record {k}: {one}" for k, fit in enumerate(fits, 1) for one in fit.checks.warnings]
+    said = [f"record {k}: {one}" for k, fit in enumerate(fits, 1) for one in fit.warnings]
     sizes = np.array([problem.size for problem in together.problems])
     left = np.array([share.filtered_error for share in shares]) * sizes
     delay = loop.controller.law(together.problems[0].sample_time).delay
+    rows = build_rows(together.parameters, values, std, layout.unit, own, held)
+    order = [names.index(row.name) for row in rows if row.free]
     made_of = build_estimate(
         records,
-        Params(
-            build_rows(together.parameters, values, std, layout.unit, own, held), tuple(names), covariance.correlation
-        ),
+        rows,
+        covariance.correlation[np.ix_(order, order)],
         (np.concatenate([p.measured for p in together.problems]), np.concatenate([run.torque for run in runs])),
         float(np.linalg.norm(left) / np.linalg.norm(sizes)),
         sum(count),
@@ -465,7 +464,8 @@ def _judge(
         sum(fit.fit.simulations for fit in fits) + made + 2 * len(runs),
         replace(fits[0].settings, loop=loop, delay=delay),
         [name for share in shares for name in share.channels],
-        Checks(agreement=compared, warnings=(*map(str, found.warnings), *repeats, *said)),
+        agreement=compared,
+        warnings=(*map(str, found.warnings), *repeats, *said),
     )
     return replace(made_of, data=replace(made_of.data, records=tuple(shares), torque_unit=layout.torque_unit))
 
@@ -492,12 +492,12 @@ def _describe_alone(
     fit: Estimate, together: SeveralRecords, layout: RecordLayout, number: int, gain: float
 ) -> tuple[Alone, tuple[EstimatedParameter, ...]]:
     """Return what a record, numbered from 0, says by itself, in terms of the acting torque, and its rows of a table."""
-    (problem, x), known = _solved(fit), fit.params
-    separable = dict(zip(known.names, find_separable(problem.linearise(x)[1]), strict=True))
+    (problem, x), known = _solved(fit), fit.parameters
+    separable = dict(zip(fit.free, find_separable(problem.linearise(x)[1]), strict=True))
     rows, names = list[EstimatedParameter](), list[str]()
     shared = zip(together.problems[number].free, together.places[number], together.added[number], strict=True)
     for p, place, more in shared:
-        row, common = dict(known).get(p.name), together.free[place]
+        row, common = known.get(p.name), together.free[place]
         if row is None or row.value is None or not row.stderr or row.at_bound is not None or not separable[p.name]:
             continue
         scale = gain if row.of_joint else 1.0
@@ -508,4 +508,4 @@ def _describe_alone(
         names.append(p.name)
     values = {row.name: row.value for row in rows if row.value is not None}
     std = np.array([row.stderr for row in rows], dtype=np.float64)
-    return Alone(values, Covariance(std, known.correlation_of(names))), tuple(rows)
+    return Alone(values, Covariance(std, fit.covariance_of(names).correlation)), tuple(rows)

@@ -32,9 +32,9 @@ from jointid.common.messages import Detail, Progress, follow
 from jointid.common.parameters import Bounds, Parameter
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.estimation.result.agreement import Window, drift
-from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds, warn_of_limit
+from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem, warn_of_limit
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Checks, Windows
+from jointid.estimation.result.parts import Windows
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import LongRecord
@@ -320,10 +320,11 @@ def identify_windows(
     covariance, sums, at = found.covariance(), found.sums, like.loop_at(x)
     changes = drift(found.windows, x, problem.free, like.units)
     held = find_active_bounds(problem.free, x, np.array([math.sqrt(sums.square)]), solution.jacobian)
-    params = build_params(like, x, covariance, held)
+    rows = [row for row in rows_of_problem(like, x, covariance, held) if row.of_joint or row.free]
     made = build_estimate(
         [record],
-        replace(params, rows=tuple(row for row in params.rows if row.of_joint or row.free)),
+        tuple(rows),
+        covariance.correlation,
         (np.zeros(0), np.zeros(0)),
         sums.relative_error,
         sums.rows,
@@ -334,13 +335,11 @@ def identify_windows(
             delay=at.controller.law(sample_time).delay,
         ),
         began.data.channels,
-        Checks(
-            known=identifiability(problem.free, like.units, x, solution.jacobian, covariance),
-            warnings=(
-                *([f"{forgets}; give longer windows"] if needed > settled else []),
-                *warn_of_limit(float(np.mean([w.at_limit for w in found.windows]))),
-            ),
-            drift=changes,
+        known=identifiability(problem.free, like.units, x, solution.jacobian, covariance),
+        agreement=changes,
+        warnings=(
+            *([f"{forgets}; give longer windows"] if needed > settled else []),
+            *warn_of_limit(float(np.mean([w.at_limit for w in found.windows]))),
         ),
     )  # fmt: skip
     span = Windows(
@@ -353,7 +352,7 @@ def identify_windows(
     return replace(
         made,
         fit=replace(made.fit, passes=len(problem.passes)),
-        data=replace(made.data, record=log.name, fingerprint="", resampled=None, windows=span),
+        data=replace(made.data, record=log.name, fingerprints=(), resampled=None, windows=span),
         window=began,
     )
 
@@ -381,9 +380,9 @@ def _start(
         except (RecordError, MethodError) as error:
             refusal = error
             continue
-        lost = [p.name for p in found.params.rows if p.of_joint and p.value is None]
+        lost = [p.name for p in found.rows if p.of_joint and p.value is None]
         if not lost and found.problem is not None:
-            like, rows = begin_window(found.problem, record), found.params.rows
+            like, rows = begin_window(found.problem, record), found.rows
             return record, found, like, like.vector({row.name: row.value for row in rows if row.value is not None})
         refusal = MethodError(
             f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."

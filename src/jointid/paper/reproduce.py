@@ -193,7 +193,7 @@ def _tabulate_axis(numbers: tuple[int, int], part: ReproducedExperiment) -> list
         ),
         Table(("", *_RUN), tuple((SYMBOLS[name], *cells) for name, cells in best.items()), by_squares),
         Paragraph(f"{part.best.fit.simulations} simulations; {part.best.fit.stop}."),
-        *(Paragraph(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.checks.warnings),
+        *(Paragraph(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.warnings),
     ]
 
 
@@ -264,7 +264,7 @@ def _list_errata() -> list[Block]:
 
 def _format_parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
-    for p in estimate.params.rows:
+    for p in estimate.rows:
         if p.of_joint and p.value is not None and p.stderr is not None:
             percent = number(100 * p.stderr / abs(p.value), 2) if p.value else "-"
             found[p.name] = (number(p.value, 4), number(2 * p.stderr, 2), percent)
@@ -325,12 +325,12 @@ def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate
     stop = ", then ".join(f"{run.nit} iterations and {run.nfev} simulations" for run in runs)
     values = problem.values(x)
     std = dict(zip((p.name for p in problem.free), inverse_model_deviations(problem, x), strict=True))
-    rows = tuple(replace(p, value=values[p.name], stderr=std.get(p.name)) for p in best.params.rows)
+    rows = tuple(replace(p, value=values[p.name], stderr=std.get(p.name)) for p in best.rows)
     fit = replace(
         best.fit, filtered_error=problem.filtered_error(problem.residual(x)),
         simulations=sum(run.nfev for run in runs), stop=f"Nelder-Mead stopped after {stop}",
     )  # fmt: skip
-    return replace(best, params=replace(best.params, rows=rows), fit=fit)
+    return replace(best, rows=rows, fit=fit)
 
 
 def inverse_model_deviations(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray:

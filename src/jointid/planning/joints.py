@@ -230,10 +230,9 @@ def joint_model(
     """Return what is known of a joint, for tests of so many samples and their time; see `jointid.design`."""
     covariance, loop = None, model if isinstance(model, ClosedLoop) else model.settings.loop
     if isinstance(model, Estimate) and loop is not None and present:
-        own = [i for i, p in enumerate(q for q in model.params.rows if q.free) if p.of_joint]
-        covariance = model.params.covariance[np.ix_(own, own)]
+        covariance = model.covariance_of([p.name for p in model.rows if p.free and p.of_joint]).matrix
         values, noise, filtering = model.values, noise or Noise.of(model, present[0]), model.settings.filtering
-        free = {p.name for p in model.params.rows if p.free}
+        free = {p.name for p in model.rows if p.free}
         parameters = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
     if loop is None or values is None or noise is None:
         raise MethodError(

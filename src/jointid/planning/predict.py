@@ -53,8 +53,7 @@ class Noise:
         Raises:
             MethodError: the estimate is not of a simulated loop as declared, or not of this record, or refuses a value.
         """
-        estimate.require_joint()
-        rows = [p for p in estimate.params.rows if p.free]
+        rows = [p for p in estimate.rows if p.free]
         freed = [p.name for p in rows if not p.of_joint and p.name not in INITIAL]
         if estimate.settings.loop is None or freed or any(p.value is None or p.stderr is None for p in rows):
             found = f"by {estimate.settings.method}" + (f" with {', '.join(freed)} free" if freed else "")

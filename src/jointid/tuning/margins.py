@@ -241,18 +241,18 @@ def possible_joints(estimate: Estimate, confidence: float) -> Interval:
     from scipy.special import gammaincinv
 
     joint, values = estimate.settings.joint, estimate.require_values()
-    free = [p.name for p in estimate.params.rows if p.free]
+    free = [p.name for p in estimate.rows if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
-    chosen = [p for p in estimate.params.rows if p.name in moving and p.free]
+    chosen = [p for p in estimate.rows if p.name in moving and p.free]
     at = [free.index(p.name) for p in chosen]
-    if any(p.stderr is None for p in chosen) or max(at, default=-1) >= len(estimate.params.correlation):
+    if any(p.stderr is None for p in chosen) or max(at, default=-1) >= len(estimate.correlation):
         raise MethodError(
             "Margins over an interval need the deviations of the parameters and their correlation, and this estimate "
             f"of {estimate.data.record} has none; identify by least squares."
         )
     std = np.array([p.stderr for p in chosen], dtype=np.float64)
     radius = math.sqrt(2.0 * float(gammaincinv(len(chosen) / 2.0, confidence))) if chosen else 0.0
-    size, axes = np.linalg.eigh(estimate.params.correlation[np.ix_(at, at)])
+    size, axes = np.linalg.eigh(estimate.correlation[np.ix_(at, at)])
     factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
     lower = [
         max(moving[p.name].lower, 0.0) if moving[p.name].quantity is Quantity.VISCOUS else _LEAST * values[p.name]

@@ -212,15 +212,13 @@ def lumped_parameters(estimate: Estimate) -> dict[str, tuple[str, float, float |
     wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}}
     wanted |= {part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS}
     wanted["constant"] = {n: w for side in sides for n, w in law.constant(side).items()}
-    names = {p.name for p in estimate.params.rows}
+    names = {p.name for p in estimate.rows}
     wanted["constant"] |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
     for name, weights in wanted.items():
         kept = {n: w for n, w in weights.items() if estimate[n].free or estimate.values.get(n)} or weights
         terms = [f"{'' if w == 1.0 else f'{w:g} '}{estimate[n].symbol}" for n, w in kept.items()]
-        spread = {n: weight * std for n, weight in weights.items() if (std := estimate[n].stderr)}
-        sizes, known = np.array(list(spread.values())), list(spread)
-        square = float(sizes @ estimate.params.correlation_of(known) @ sizes) if spread else 0.0
-        deviation = math.sqrt(max(square, 0.0)) if spread else None
+        spread = estimate.covariance_of([*weights])
+        deviation = spread.std_of(np.array([*weights.values()])) if np.any(spread.std) else None
         value = sum(weight * estimate.values[n] for n, weight in weights.items())
         found[name] = (" + ".join(terms).replace("+ -", "- ") or "0", value, deviation)
     return found

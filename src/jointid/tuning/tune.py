@@ -186,7 +186,7 @@ def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: A
     if unknown := sorted(asked.keys() - known):
         raise MethodError(f"Tuning has no setting {join(unknown)}; expected {join(known)}: correct the name.")
     settings, joint = Tuning(**asked), estimate.settings.joint
-    if estimate.checks.bounds:
+    if estimate.bounds:
         raise MethodError(
             f"The stiffness is refused, and margins need the joint's mode: {estimate.data.record} does not show it. "
             "jointid design --goal stiffness plans a test that does; or identify the joint as rigid."
@@ -203,7 +203,7 @@ def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: A
     progress("tuning the loop")
     present = _evaluate(estimate, interval, controller, settings)
     layout = _propose(estimate, interval, controller, settings)
-    doubted = (v.said for v in estimate.checks.verdicts if v.good is False and v.subject in (Subject.FIT, Subject.LOOP))
+    doubted = (c.words for name in (Subject.FIT, Subject.LOOP) for c in estimate.about(name) if c.passed is False)
     return Tuned(
         record=estimate.data.record,
         model=joint.model,

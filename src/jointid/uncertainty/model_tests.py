@@ -39,7 +39,6 @@ _SINGULAR = 1e-10  # of its length: what remains of a direction that the rigid p
 _MATTERS = 0.1  # deviations of least squares: a smaller shift is none
 _SAME = 1e-9  # of a column: what instruments leave of it is then rounding
 _RANK = 1e-3  # of the largest: directions of V that are less are not counted
-_LEVEL = 0.05  # of the test of endogeneity
 _NOISE = 2.0  # deviations: a solution that is further away is so by what the model lacks
 _BELIEVED = 0.01  # a smaller p-value of a rigid joint says that it is flexible
 
@@ -131,34 +130,8 @@ def _draw_statistics(
     return np.asarray(gains / np.maximum((remaining - gains) / degrees, 1e-300))
 
 
-@dataclass(frozen=True, slots=True)
-class EndogeneityTest:
-    """Test of Durbin, Wu and Hausman.
-
-    Attributes:
-        p_value: how likely so large a difference from instruments is if nothing is wrong with least squares.
-    """
-
-    in_json = "rejected"
-    p_value: float
-
-    @property
-    def rejected(self) -> bool:
-        """True if columns are correlated with the error, at 5 %."""
-        return self.p_value < _LEVEL
-
-    def __str__(self) -> str:
-        """Return the verdict in a sentence."""
-        if self.rejected:
-            return (
-                f"IDIM's regressors are correlated with its errors (p = {self.p_value:.2g}): its least-squares values "
-                "are biased; use IV or DIDIM"
-            )
-        return f"nothing speaks against least squares (p = {self.p_value:.2g}): its values agree with instruments"
-
-
-def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: int = 1) -> EndogeneityTest:
-    """Test whether columns are correlated with the error (see the module).
+def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: int = 1) -> float:
+    """Return how likely so large a difference from instruments is if least squares is right (see the module).
 
     Args:
         W: (rows, parameters) the columns.
@@ -172,11 +145,11 @@ def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: in
     sizes = np.linalg.svd(W - Z @ np.linalg.lstsq(Z, W, rcond=None)[0], compute_uv=False)
     degrees = int(np.sum(sizes > max(_RANK * sizes[0], _SAME)))
     if degrees == 0:
-        return EndogeneityTest(1.0)
+        return 1.0
     least = Influence(W, Y - W @ np.linalg.lstsq(W, Y, rcond=None)[0], equations=equations)
     shift, noise = second_solution(Z, least)
     spread = noise.matrix + _MATTERS**2 * least.by_time().matrix
-    return EndogeneityTest(float(chdtrc(degrees, shift @ np.linalg.pinv(spread, hermitian=True) @ shift)))
+    return float(chdtrc(degrees, shift @ np.linalg.pinv(spread, hermitian=True) @ shift))
 
 
 def second_solution(Z: FloatArray, least: Influence) -> tuple[FloatArray, Covariance]:

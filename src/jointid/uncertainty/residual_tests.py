@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.uncertainty.position_dependent_error import Repeatable
 
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
@@ -47,19 +46,6 @@ class Whiteness:
         verdict = "is white as far as this record tells" if self.white else "is not white"
         how = f"Q = {self.statistic:.1f} of {self.lags} lags, p = {self.p_value:.2g}"
         return f"within the pass band the residual {verdict} ({how})"
-
-
-@dataclass(frozen=True, slots=True)
-class ResidualReport:
-    """Tests of the residual torque.
-
-    Attributes:
-        whiteness: within the pass band; None where the record is too short.
-        repeatable: the part of it that repeats with the motion; None where the motion was not given.
-    """
-
-    whiteness: Whiteness | None
-    repeatable: Repeatable | None
 
 
 def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness | None:

@@ -11,7 +11,7 @@ from jointid.diagnostics.diagnose import Diagnosis, diagnose_robot
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.result.verdict import Status, Subject
+from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop
@@ -88,12 +88,12 @@ def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_othe
 ) -> None:
     records = logged_torque(records_of(arm(count), 2, noise=0.05), joint, LOGS[fault])
     found = identify(records, arm(count), IDIM())
-    diagnosis = found.checks.diagnosis
+    diagnosis = found.diagnosis
     cause = diagnosis.cause
     assert [*named(diagnosis), *([] if cause is None else [(*cause.joints, cause.name)])] == [
         (f"joint{joint + 1}", fault)
     ]
-    assert any(one.status is Status.FAILED for one in found.checks.verdicts)
+    assert any(one.passed is False for one in found.checks)
     if fault == "log_gain":
         gain = 1.0 + diagnosis.axes[joint].faults.findings[0].test.size if cause is None else cause.value
         assert gain == pytest.approx(0.8, rel=0.1)  # by one step, beside the parameters of all joints
@@ -104,7 +104,7 @@ def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
     second, third = records[1], records[2]
     records[1], records[2] = replace(second, torque=third.torque), replace(third, torque=second.torque)
     estimate = identify(records, arm(3), IDIM())
-    found = estimate.checks.diagnosis
+    found = estimate.diagnosis
     assert found.cause is not None and named(found) == []
     assert (found.cause.name, found.cause.joints) == ("swapped_channels", ("joint2", "joint3"))
 
@@ -161,13 +161,10 @@ def test_samples_that_are_missing_are_named_with_their_place() -> None:
         for one in records
     ]
     found = identify(less, arm(3), IDIM())
-    (loop,) = (one for one in found.checks.verdicts if one.subject is Subject.LOOP)
-    assert loop.status is Status.FAILED
-    assert loop.said.startswith("samples are missing in the record: about 4 at 1.7")
-    assert not any(
-        one.subject is Subject.LOOP and one.status is Status.FAILED
-        for one in identify(records, arm(3), IDIM()).checks.verdicts
-    )
+    loop = found.about(Subject.LOOP)[0]
+    assert loop.passed is False
+    assert loop.words.startswith("samples are missing in the record: about 4 at 1.7")
+    assert not any(one.name is Subject.LOOP and one.passed is False for one in identify(records, arm(3), IDIM()).checks)
 
 
 def test_a_model_that_holds_leaves_noise() -> None:

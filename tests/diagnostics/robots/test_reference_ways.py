@@ -21,7 +21,7 @@ def identified(ways):
     for one in made:
         values = one.torque.values + 0.01 * np.std(one.torque.values) * draw.standard_normal(one.torque.values.size)
         logs.append(replace(one, torque=replace(one.torque, values=values), motor_position=None))
-    return ji.identify(logs, ji.robots.RobotLoop(twin.robot, tuple(declared)), ji.DIDIM()).checks.diagnosis
+    return ji.identify(logs, ji.robots.RobotLoop(twin.robot, tuple(declared)), ji.DIDIM()).diagnosis
 
 
 @pytest.mark.slow

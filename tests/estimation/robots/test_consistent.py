@@ -7,7 +7,6 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
-from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
 from jointid.models.robots.inertial import (
     from_log_cholesky,
@@ -20,7 +19,7 @@ from jointid.output.export import export
 from jointid.records.signals.filtering import Filtering
 from tests.estimates import errors_of_bodies
 from tests.estimation.robots.test_rigid_robots import recorded
-from tests.estimation.robots.twin import COULOMB, ROTORS, arm, identified, records_of
+from tests.estimation.robots.twin import COULOMB, ROTORS, arm, hide_spring, identified, records_of
 from tests.models.robots.trees import random_body
 from tests.robots_plants import Twin, six, two
 
@@ -53,7 +52,7 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     assert found.misfit < 1.0
     part = estimate.require_robot()
     values, true = (part.parameters_of(robot) for robot in (found.robot, ARM))
-    assert np.abs((values - true) / part.covariance.std)[part.parameters.inertial].max() < 5
+    assert np.abs((values - true) / estimate.covariance_of(part.names).std)[part.parameters.inertial].max() < 5
     # The rotors of joints 1 and 2 are told only with their links.
     assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
@@ -96,8 +95,7 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     for mine, truth in zip(found.robot.joints, twin.robot.joints, strict=True):
         if mine.spring is not None and truth.spring is not None:
             assert mine.spring.stiffness == pytest.approx(truth.spring.stiffness, rel=0.05)
-    part = replace(estimate.require_robot(), springs=(SpringVerdict("joint2", False, None, None, 10.0),))
-    hidden = replace(estimate, robot=part)
+    hidden = hide_spring(estimate, "joint2")
     with pytest.raises(MethodError, match="does not show the spring of joint2, so it does not part motor from link"):
         consistent_robot(hidden)
 
@@ -116,7 +114,8 @@ def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() 
     robot = arm(3)
     estimate = identified(robot, records_of(robot, 4, noise=15.0))
     part = estimate.require_robot()
-    spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * part.covariance.std))
+    spread = estimate.covariance_of(part.names).std
+    spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * spread))
     found = consistent_robot(spoilt)
     poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, len(robot)))
     assert min(np.linalg.eigvalsh(mass_matrix_at(found.robot, q))[0] for q in poses) > 0.0

@@ -34,7 +34,7 @@ def twin_logged() -> tuple[RobotLoop, tuple[Record, ...]]:
 
 def assert_found(estimate: ji.Estimate, *joints: int) -> None:
     for j in joints:
-        found = estimate.params[f"joint{j + 1}.delay"]
+        found = estimate[f"joint{j + 1}.delay"]
         assert (found.unit, found.of_joint, found.axis) == ("s", False, f"joint{j + 1}")
         assert abs(found.value - LATE[j]) < min(3e-4, 3 * found.stderr)
         assert found.stderr < 1.5e-4
@@ -44,8 +44,7 @@ def test_delays_are_found_from_what_is_declared() -> None:
     loop, records = twin_logged()
     estimate = ji.identify(records, with_delays(loop, {0: 2e-3, 1: 2e-3}), DIDIM(free=("delay",)), checks=False)
     assert_found(estimate, 0, 1)
-    part = estimate.require_robot()
-    assert part.nominal[part.names.index("joint1.delay")] == 2e-3
+    assert estimate["joint1.delay"].nominal == 2e-3
 
 
 @pytest.mark.slow
@@ -53,10 +52,10 @@ def test_delays_are_found_where_none_is_declared() -> None:
     loop, records = twin_logged()
     estimate = ji.identify(records, loop, DIDIM(free=("delay",)))
     assert_found(estimate, 0, 1)
-    viscous = estimate.params["joint1.viscous"]
+    viscous = estimate["joint1.viscous"]
     assert viscous.value == pytest.approx(3.0, abs=3 * (viscous.stderr or 0.0))
     assert [law.delay for law in estimate.require_robot().setup.controllers] == [  # type: ignore[union-attr]
-        estimate.params[f"joint{j}.delay"].value for j in (1, 2)
+        estimate[f"joint{j}.delay"].value for j in (1, 2)
     ]
     wrong = ji.identify(records, loop, checks=False)
     assert max(wrong.fit.axis_errors.values()) > 1.2 * max(estimate.fit.axis_errors.values())
@@ -75,7 +74,7 @@ def test_delays_from_positions_alone() -> None:
     loop, records = twin_logged()
     found = ji.identify(records, loop, DIDIM(free=("delay",), outputs=("motor_position",)))
     for j, late in LATE.items():
-        one = found.params[f"joint{j + 1}.delay"]
+        one = found[f"joint{j + 1}.delay"]
         assert abs((one.value or 0.0) - late) < min(3e-4, 3 * (one.stderr or 0.0))
 
 
@@ -85,7 +84,7 @@ def test_delays_of_flexible_joints() -> None:
     estimate = ji.identify(logged(twin, 0.02, multisine=0.004), twin.loop(), DIDIM(free=("delay",)), checks=False)
     assert_found(estimate, 0, 1)
     for joint in twin.robot.joints:
-        found = estimate.params[f"{joint.name}.stiffness"]
+        found = estimate[f"{joint.name}.stiffness"]
         assert found.value == pytest.approx(joint.spring.stiffness, abs=3 * (found.stderr or 0.0))
 
 

@@ -17,7 +17,6 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import simulate_robot
 from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -32,7 +31,7 @@ from tests.robots_plants import two
 ARM = arm()
 
 
-def truth(part: IdentifiedRobot, robot: Robot = ARM) -> np.ndarray:
+def truth(part: Any, robot: Robot = ARM) -> np.ndarray:
     values = part.parameters_of(robot)
     assert values is not None
     return values
@@ -40,7 +39,7 @@ def truth(part: IdentifiedRobot, robot: Robot = ARM) -> np.ndarray:
 
 def known(estimate: Estimate) -> set[str]:
     """Return the names of the parameters that are known to a tenth."""
-    rows = estimate.params.rows
+    rows = estimate.rows
     return {row.name for row in rows if row.value and row.stderr and row.stderr < 0.1 * abs(row.value)}
 
 
@@ -49,8 +48,8 @@ def test_without_noise_all_parameters_come_back() -> None:
     found = estimate.robot
     assert np.abs(found.values - truth(found)).max() < 2e-2  # of numbers up to 10: reversals are filtered
     assert np.all(axis_errors(estimate) < 2e-3)
-    assert [estimate.params[f"joint{k}.viscous"].value for k in range(1, 7)] == pytest.approx(VISCOUS, rel=5e-3)
-    assert [estimate.params[f"joint{k}.viscous"].axis for k in range(1, 7)] == list(ARM.names)
+    assert [estimate[f"joint{k}.viscous"].value for k in range(1, 7)] == pytest.approx(VISCOUS, rel=5e-3)
+    assert [estimate[f"joint{k}.viscous"].axis for k in range(1, 7)] == list(ARM.names)
     assert estimate.fit.predicted.shape == estimate.fit.measured.shape == estimate.residual.shape
     assert estimate.fit.relative_error < 0.05  # with the samples at rest and about reversals
 
@@ -88,7 +87,7 @@ def test_friction_by_direction_and_towards_standstill_comes_back() -> None:
         "joint2.coulomb",
         "joint2.stribeck_force",
     }
-    off = (found.values - truth(found, declared)) / found.covariance.std
+    off = (found.values - truth(found, declared)) / estimate.covariance_of(found.names).std
     assert np.max(np.abs(off)) < 4.0 and np.mean(np.abs(off) < 2.0) > 0.8
     assert {"joint1.viscous_forwards", "joint1.viscous_backwards", "joint1.coulomb", "joint2.stribeck_force"} <= known(
         estimate
@@ -111,7 +110,7 @@ def test_a_rise_of_friction_that_the_record_does_not_reach_is_not_known() -> Non
     assert "joint2.stribeck_force" not in known(identified(declared, records))
     rise = Parameter("stribeck_force", "Fs", Quantity.FORCE).fix(0.5)
     found = identified(declared, records, parameters={"joint2.stribeck_force": rise})
-    assert found.params["joint2.stribeck_force"].value == 0.5 and not found.params["joint2.stribeck_force"].free
+    assert found["joint2.stribeck_force"].value == 0.5 and not found["joint2.stribeck_force"].free
 
 
 @pytest.mark.slow
@@ -148,11 +147,11 @@ def test_a_parameter_that_is_known_is_kept_and_helps_the_others(estimator: Liter
     free = by_idim(ARM, records, IDIM(estimator))
     viscous = Parameter("viscous", "Fv", Quantity.VISCOUS).fix(VISCOUS[3])
     estimate = identified(ARM, records, IDIM(estimator), parameters={"joint4.viscous": viscous})
-    kept = estimate.require_robot()
+    kept, spread = estimate.require_robot(), estimate.covariance_of([*estimate.parameters]).std
     at, beside = free.names.index("joint4.viscous"), free.names.index("joint4.coulomb")
     assert kept.values[at] == VISCOUS[3] != free.values[at]
-    assert kept.covariance.std[at] == 0
-    assert kept.covariance.std[beside] < 0.8 * free.covariance.std[beside]
+    assert spread[at] == 0
+    assert spread[beside] < 0.8 * free.covariance.std[beside]
     assert consistent_robot(estimate).robot.joints[3].viscous == pytest.approx(VISCOUS[3], rel=1e-3)
 
 
@@ -195,7 +194,7 @@ def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
             part = estimate.require_robot()
             truths = truth(part, loop.robot)
             errors.append(part.values - truths)
-            assert np.mean(np.abs(errors[-1]) < 2 * part.covariance.std) > 0.85
+            assert np.mean(np.abs(errors[-1]) < 2 * estimate.covariance_of(part.names).std) > 0.85
     there = np.abs(truths) > 0.0
     bias = {name: np.abs(np.mean(errors, axis=0)[there] / truths[there]).max() for name, errors in found.items()}
     assert bias["weighted"] > 0.05
@@ -220,8 +219,8 @@ def test_the_inverse_model_of_a_long_record_is_made_part_by_part(monkeypatch: py
     for (one, model), before in zip(cases, whole, strict=True):
         found = ji.identify(one, model, IDIM(), checks=False)
         assert found.fit.rows < before.fit.rows
-        for name, part in found.params.items():
-            assert abs((part.value or 0.0) - (before.params[name].value or 0.0)) <= 0.5 * (part.stderr or 0.0), name
-            assert part.stderr == pytest.approx(before.params[name].stderr, rel=0.5), name
+        for name, part in found.parameters.items():
+            assert abs((part.value or 0.0) - (before[name].value or 0.0)) <= 0.5 * (part.stderr or 0.0), name
+            assert part.stderr == pytest.approx(before[name].stderr, rel=0.5), name
     with pytest.raises(MethodError):
         ji.identify(record, LOOP.joint, IDIM(), windows=5.0)

@@ -150,6 +150,6 @@ def test_idim_takes_an_axis_with_any_spring_for_rigid() -> None:
     records = noisy(RobotLoop(robot, (LAW,)), (moved(multisine=0.0),), 0.001)
     found = identify(records, robot, IDIM(), checks=False)
     values = values_of(FlexibleJoint("revolute", FRICTIONS["asymmetric"]))
-    rows = {row.symbol: row.value for row in found.params.rows}
+    rows = {row.symbol: row.value for row in found.rows}
     for symbol, side in (("Fv1+", "viscous_forwards"), ("Fv1-", "viscous_backwards")):
         assert rows[symbol] == pytest.approx(values[f"motor_{side}"] + values[f"load_{side}"], rel=0.1)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
@@ -16,7 +15,7 @@ from jointid.records.record import Record
 from jointid.simulation.drive_side import RobotDriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.test_robot_drive_side import logged
-from tests.estimation.robots.twin import arm, identified, records_of, with_payload
+from tests.estimation.robots.twin import arm, hide_spring, identified, records_of, with_payload
 from tests.robots_plants import six, two
 
 ARM = arm()
@@ -101,10 +100,9 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     with pytest.raises(MethodError, match="my, "):
         identify_payload(twin.loop(), one, other)
     estimate = identified(twin.loop(), one)
-    part = replace(estimate.require_robot(), springs=(SpringVerdict("elbow", False, None, None, 10.0),))
     for other in (
         estimate,
-        replace(estimate, robot=part),
+        hide_spring(estimate, "elbow"),
         replace(estimate, fit=replace(estimate.fit, converged=False)),
     ):
         with pytest.raises(MethodError):

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,6 @@ from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
@@ -122,9 +123,21 @@ def by_idim(
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
-) -> IdentifiedRobot:
-    """Return the robot-only content of an estimate by IDIM."""
-    return identified(model, records, method or IDIM(), filtering=filtering).require_robot()
+) -> Any:
+    """Return names, values and covariance of an estimate by IDIM, and the parameters of any robot in their order."""
+    estimate = identified(model, records, method or IDIM(), filtering=filtering)
+    part = estimate.require_robot()
+    covariance = estimate.covariance_of(part.names)
+    return SimpleNamespace(
+        names=part.names, values=part.values, covariance=covariance, parameters_of=part.parameters_of
+    )  # fmt: skip
+
+
+def hide_spring(estimate: Estimate, joint: str) -> Estimate:
+    """Return an estimate whose record does not show the spring of a joint."""
+    name = f"{joint}.stiffness"
+    refused = replace(estimate.rows[0], name=name, axis=joint, value=None, stderr=None, lower_bound=10.0)
+    return replace(estimate, rows=(*(row for row in estimate.rows if row.name != name), refused))
 
 
 def axis_errors(estimate: Estimate) -> np.ndarray:

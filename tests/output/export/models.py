@@ -8,7 +8,7 @@ import numpy as np
 
 import jointid as ji
 from jointid.common.parameters import POSITION_UNIT
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
+from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
 from jointid.models.joints import Joint
 from jointid.paper.twin import TABLE_2
 from jointid.simulation.loop_input import prepare
@@ -23,21 +23,20 @@ def model(joint: Joint, values: Mapping[str, float | None], record: str = "run 7
     """An estimate of these values, and with these settings."""
     rows = tuple(EstimatedParameter(p.name, p.symbol, joint.unit(p), values[p.name], 0.01, True)
                  for p in joint.parameters)  # fmt: skip
-    names = tuple(row.name for row in rows)
     return ji.Estimate(
-        Params(rows, names, np.eye(len(rows))),
-        Fit(np.zeros(0), np.zeros(0), (0, 0), 0.01, 0.01, 100, 1, "it settled", True),
-        Checks(),
-        Data(record, ("torque",), 1e-3, joint.force_unit, "5f1c"),
+        rows,
+        np.eye(len(rows)),
+        Fit(np.zeros(0), np.zeros(0), 0.01, 0.01, 100, 1, "it settled", True),
+        Data(record, ("torque",), 1e-3, joint.force_unit, ("5f1c",)),
         Settings("didim", "didim", joint, None, ji.Filtering(cutoff=60.0, decimation=1, borders=(0, 0)), **settings),
     )
 
 
 def with_parameter(estimate: ji.Estimate, name: str, **changes: Any) -> ji.Estimate:
     """The estimate with another number of a parameter, or with one more, like its offset."""
-    rows = {row.name: row for row in estimate.params.rows}
+    rows = {row.name: row for row in estimate.rows}
     rows[name] = replace(rows.get(name, rows["offset"]), name=name, **changes)
-    return replace(estimate, params=replace(estimate.params, rows=tuple(rows.values())))
+    return replace(estimate, rows=tuple(rows.values()))
 
 
 def servo(

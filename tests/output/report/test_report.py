@@ -16,7 +16,6 @@ from jointid.common.charts import mark, panels, styled, svg
 from jointid.diagnostics.report_data import compute_response, estimate_spectra
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.parts import show_value
-from jointid.estimation.result.verdict import SpringVerdict
 from jointid.output.figures.axis_drawing import axis_figure
 from jointid.output.figures.charts import response_figure
 from jointid.output.report import Report, repetition
@@ -177,13 +176,12 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     logged = ji.simulate(loop, driven).records(driven)
     records = tuple(ji.Record(torque=one.torque, reference=one.reference) for one in logged)
     found = identified(loop, records, ji.DIDIM(evaluations=3))
-    part = replace(found.require_robot(), springs=(SpringVerdict("joint1", False, None, None, 1234.0),))
     bounds = {"joint1.stiffness": 1234.0, "joint1.damping": None}
     rows = tuple(
         replace(row, value=None, stderr=None, lower_bound=bounds[row.name]) if row.name in bounds else row
-        for row in found.params.rows
+        for row in found.rows
     )
-    estimate = replace(found, robot=part, params=replace(found.params, rows=rows))
+    estimate = replace(found, rows=rows)
     told = Report.of(estimate, records)
     text = reports.marked(told)
     assert "| joint1, stiffness | > 1234 |" in text
@@ -209,7 +207,7 @@ def texts(estimate: ji.Estimate) -> list[str]:
 @pytest.mark.parametrize("kind", ["rigid", "flexible"])
 def test_every_value_is_in_the_drawing_and_none_is_cut(kind: str) -> None:
     estimate = getattr(reports, kind)().estimate
-    shown = [row for row in estimate.params.rows if row.name not in INITIAL]
+    shown = [row for row in estimate.rows if row.name not in INITIAL]
     assert shown
     for row in shown:
         assert show_value(row) in texts(estimate), row.name

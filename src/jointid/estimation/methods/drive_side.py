@@ -39,9 +39,9 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
-from jointid.estimation.result.build_result import build_estimate, build_params, find_active_bounds
+from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Checks, Settings
+from jointid.estimation.result.parts import Settings
 from jointid.estimation.starts.flexible_joint import FASTEST, SpringSearch, rigid_cutoff, row_of_frequencies
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.records.record import Record
@@ -236,7 +236,8 @@ class DriveSideFit(Method):
         late = -problem.values(x)[LOG_DELAY.name]
         return build_estimate(
             [record],
-            build_params(problem, x, covariance, find_active_bounds(problem.free, x, error, J)),
+            rows_of_problem(problem, x, covariance, find_active_bounds(problem.free, x, error, J)),
+            covariance.correlation,
             (problem.measured, problem.predict(x)),
             problem.filtered_error(error),
             error.size,
@@ -244,7 +245,7 @@ class DriveSideFit(Method):
             history.tally.evaluations,
             Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, late),
             ("torque", "motor_position"),
-            Checks(warnings=tuple(warnings)),
+            warnings=tuple(warnings),
         )
 
 

@@ -48,7 +48,8 @@ from jointid.estimation.problems.inverse_model import (
 )
 from jointid.estimation.result.build_result import build_estimate, build_rows
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Checks, Params, Settings
+from jointid.estimation.result.parts import Settings
+from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record, Timing
@@ -59,7 +60,7 @@ from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
 from jointid.solvers.regression import conditioning, least_squares
 from jointid.uncertainty.covariance import Covariance, Influence, white
-from jointid.uncertainty.model_tests import EndogeneityTest, durbin_wu_hausman
+from jointid.uncertainty.model_tests import durbin_wu_hausman
 
 VARIANTS = {
     "ols": "IDIM by ordinary least squares",
@@ -68,6 +69,7 @@ VARIANTS = {
 }
 """How IDIM was run, by its estimator."""
 
+_LEVEL = 0.05  # of the test whether least squares would have done
 _SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
 _SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as filters leave as much
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
@@ -148,11 +150,8 @@ class IDIM(Method):
         measured, predicted = found.torques
         made = build_estimate(
             records,
-            Params(
-                build_rows(parameters, values, std, joint.unit, [p.name for p in task.parameters], held=solved.held),
-                tuple(std),
-                solved.covariance.correlation[np.ix_(free, free)],
-            ),
+            build_rows(parameters, values, std, joint.unit, [p.name for p in task.parameters], held=solved.held),
+            solved.covariance.correlation[np.ix_(free, free)],
             (measured[:, 0], predicted[:, 0]),
             float(np.linalg.norm(solved.residual) / np.linalg.norm(rows.Y)),
             solved.residual.size,
@@ -160,9 +159,17 @@ class IDIM(Method):
             solved.simulations,
             Settings("idim", VARIANTS[estimator], joint, None, filtering, delay, timing=found.timing),
             read,
-            Checks(warnings=(*found.said, *noise), tests=() if solved.test is None else (solved.test,)),
+            checks=() if solved.test is None else (_compare_instruments(solved.test),),
+            warnings=(*found.said, *noise),
         )
         return replace(made, fit=replace(made.fit, conditioning=conditioning(rows.W[:, free], solved.values[free])))
+
+
+def _compare_instruments(p_value: float) -> Check:
+    rejected = p_value < _LEVEL
+    said = "columns are correlated with errors" if rejected else "nothing speaks against least squares"
+    said = f"{said} (p = {p_value:.2g}): its values {'are biased' if rejected else 'agree with these'}"
+    return check_of(Subject.INSTRUMENTS, not rejected, Reason.MOTION_MEASURED, said, {"p_value": p_value})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,7 +372,7 @@ class Solution:
         return Covariance(np.hypot(std, self.further), correlation)
 
     @property
-    def test(self) -> EndogeneityTest | None:
+    def test(self) -> float | None:
         """Whether least squares would have done in the place of instruments."""
         if self.instruments is None:
             return None

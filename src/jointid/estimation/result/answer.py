@@ -8,7 +8,7 @@ repeats is in the interval already, and a fault of the loop that moves a frictio
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -16,15 +16,7 @@ from typing import TYPE_CHECKING
 from jointid.common.messages import Message
 from jointid.common.text import in_words, join, number
 from jointid.estimation.result.parts import EstimatedParameter, show_value
-from jointid.estimation.result.verdict import (
-    AGAINST_EVERY_VALUE,
-    POOR_FIT,
-    Reason,
-    Status,
-    StiffnessBound,
-    Subject,
-    Verdict,
-)
+from jointid.estimation.result.verdict import AGAINST_EVERY_VALUE, POOR_FIT, Check, Reason, StiffnessBound, Subject
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
@@ -86,10 +78,10 @@ def answer_of(estimate: Estimate) -> Answer:
     """Return the first line of an estimate."""
     if estimate.robot is not None:
         return Answer(_count_known(estimate), _judge(estimate, None))
-    rows = estimate.params
+    rows = estimate.parameters
     asked = [rows[name] for name in _ASKED if name in rows]
     found = [row for row in asked if row.free or row.value is None or row.at_bound is not None]
-    first = next(iter([*found, *(row for row in rows.rows if row.free), *rows.rows]))
+    first = next(iter([*found, *(row for row in estimate.rows if row.free), *estimate.rows]))
     return Answer(_tell(estimate, first), _judge(estimate, first))
 
 
@@ -118,14 +110,13 @@ def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
 
 def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
     """Return the bounds of a refused stiffness; none where loop or model are not those of the torque they come from."""
-    loop = loop_verdict(estimate)
-    wrong = estimate.fit.filtered_error > POOR_FIT or (loop is not None and loop.status is Status.FAILED)
-    return () if wrong else estimate.checks.bounds
+    wrong = estimate.fit.filtered_error > POOR_FIT or _failed(estimate, Subject.LOOP)
+    return () if wrong else estimate.bounds
 
 
 def _count_known(estimate: Estimate) -> Message:
     """Return the number of known parameters of a robot, and its largest error."""
-    asked = [row for row in estimate.params.rows if row.free and row.of_joint]
+    asked = [row for row in estimate.rows if row.free and row.of_joint]
     known = [row for row in asked if row.value and row.stderr is not None and row.stderr < _KNOWN * abs(row.value)]
     left = estimate.fit.axis_errors
     worst = max(left, key=lambda axis: left[axis])
@@ -140,85 +131,81 @@ def _count_known(estimate: Estimate) -> Message:
 
 def _judge(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     """Return the trust in a value; in all values of a robot where none is asked for."""
-    loop, verdicts = loop_verdict(estimate), estimate.checks.verdicts
-    refused = asked is not None and asked.value is None
+    refused, loop = asked is not None and asked.value is None, estimate.about(Subject.LOOP)
     against = [*_of_loop(estimate, asked), *([] if refused else _of_others(estimate, asked))]
-    rows = [row.name for row in estimate.params.rows if row.name in _moved_out(estimate)]
-    springs = [v.reasons[0] for v in verdicts if v.subject is Subject.STIFFNESS and v.status is Status.FAILED]
-    unchecked = _name_unchecked(estimate, loop) if asked is None or asked.free else "It was declared, not identified"
+    rows, springs = _moved_out(estimate), _failed(estimate, Subject.STIFFNESS)
+    unchecked = _name_unchecked(estimate) if asked is None or asked.free else "It was declared, not identified"
     code, moved = Trust.NOT_CHECKED, list[str]()
     if against:
         code, words = Trust.NOT_YET, f"Do not rely on it yet: {'; '.join(one.brief for one in against[:2])}"
     elif asked is not None and refused:
         remedy = "Identify the joint as rigid, or record" if asked.name == "stiffness" else "Record"
         code, words = Trust.REFUSED, f"{remedy} a motion that shows it"
-    elif rows and loop is not None and asked is not None:
-        code, moved, against = Trust.PARTLY, rows, [loop.reasons[0]]
-        words = f"You can rely on it, but not on {join([*map(in_words, rows)])}: {against[0].brief}"
+    elif rows and asked is not None:
+        code, moved, against = Trust.PARTLY, rows, [*loop[:1]]
+        words = f"You can rely on it, but not on {join([*map(in_words, rows)])}: {loop[0].brief}"
     elif springs:
-        code, against, moved = Trust.PARTLY, springs, [row.name for row in estimate.params.rows if row.value is None]
+        code, against, moved = Trust.PARTLY, springs[:1], [row.name for row in estimate.rows if row.value is None]
         words = "You can rely on it, but not on joints whose spring the record does not show"
     elif unchecked:
         words = unchecked
         if estimate.motion_measured and (asked is None or asked.free):
             against = [Message(Reason.MOTION_MEASURED, words)]
     else:
-        faulty = loop is not None and loop.status is Status.FAILED
-        within = ": what is wrong with loop or log moves it by less than its interval" if faulty else ""
-        code, words = Trust.RELIABLE, f"You can rely on it{within}"
+        within = ": what is wrong with loop or log moves it by less than its interval"
+        code, words = Trust.RELIABLE, f"You can rely on it{within if _failed(estimate, Subject.LOOP) else ''}"
     return Message(code, words, {"reasons": [str(one.code) for one in against], "parameters": moved})
 
 
-def _name_unchecked(estimate: Estimate, loop: Verdict | None) -> str:
+def _failed(estimate: Estimate, name: Subject) -> list[Message]:
+    """Return the statements that failed of a question."""
+    return [one for one in estimate.about(name) if one.passed is False]
+
+
+def _name_unchecked(estimate: Estimate) -> str:
     """Return the conditions of an answer that were not checked; "" if nothing."""
-    if estimate.motion_measured or loop is None:  # another record has the same bias where the motion was measured
+    loop = estimate.about(Subject.LOOP)
+    if estimate.motion_measured or not loop:  # another record has the same bias where the motion was measured
         remedy = "validate it on another record"
         if estimate.motion_measured:
             remedy = "the motion was measured under control: what disturbs it biases these values; identify by DIDIM"
         left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
         return f"Checked by its fit only ({left}): {remedy}"
-    if loop.status is Status.UNKNOWN:
-        axes = loop.reasons[0].values.get("axes", ())
+    if loop[0].passed is None:
+        axes = loop[0].values.get("axes", ())
         which = f"controller of {join(axes)}" if axes else "controller"
         return f"You can rely on it if the {which} is as declared, which was not checked"
-    if any(v.subject is Subject.SCALE and v.status is Status.UNKNOWN for v in estimate.checks.verdicts):
+    if any(one.passed is None for one in estimate.about(Subject.SCALE)):
         return "You can rely on it if the scale of the controller's gains is right, which positions do not show"
     return ""
 
 
-def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield the faults of loop and log that move the value; all that is wrong where no value is asked for.
+def _of_loop(estimate: Estimate, asked: EstimatedParameter | None) -> list[Message]:
+    """Return the faults of loop and log that move the value; all that is wrong where no value is asked for.
 
     Where a parameter is held at a bound, or the torque is not explained, others make up for what is wrong: how far it
     moves a value alone says little then.
     """
-    loop = loop_verdict(estimate)
-    if loop is None or loop.status is not Status.FAILED:
-        return
-    first = loop.reasons[0]
-    if asked is not None and asked.value is None:
-        yield first
-        return
-    held = any(row.of_joint and row.at_bound is not None for row in estimate.params.rows)
-    gross = held or not any("changes" in reason.values for reason in loop.reasons)
+    loop = _failed(estimate, Subject.LOOP)
+    if not loop or (asked is not None and asked.value is None):
+        return loop[:1]
+    held = any(row.of_joint and row.at_bound is not None for row in estimate.rows)
+    gross = held or not any("changes" in one.values for one in loop)
     unexplained = not estimate.fit.filtered_error <= POOR_FIT
     if asked is None or gross or unexplained or asked.name in _moved_out(estimate):
         # A second fault was found beside the first one, corrected.
-        yield from [first, *(one for one in loop.reasons[1:2] if "suspect" in one.values)]
-    elif asked.name in _OF_SPRING:
-        # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
-        yield from (one for one in loop.reasons if one.code in _OF_MECHANICS)
+        return [loop[0], *(one for one in loop[1:2] if "suspect" in one.values)]
+    # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
+    return [one for one in loop if asked.name in _OF_SPRING and one.code in _OF_MECHANICS]
 
 
 def _of_others(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield the reasons of other failed checks against a value, and its interval if that is wide."""
-    for verdict in estimate.checks.verdicts:
-        if verdict.status is not Status.FAILED or verdict.subject is Subject.LOOP:
-            continue
-        name = asked.name if asked is not None and verdict.subject in _OF_VALUES else ""
-        for reason in verdict.reasons:
-            if reason.code in AGAINST_EVERY_VALUE or name in reason.values.get("parameters", ()):
-                yield reason
+    """Yield the statements of other failed checks against a value, and its interval if that is wide."""
+    for one in estimate.checks:
+        if one.passed is False and one.name != Subject.LOOP:
+            named = asked is not None and one.name in _OF_VALUES and asked.name in one.values.get("parameters", ())
+            if named or one.code in AGAINST_EVERY_VALUE:
+                yield one
     if asked is None or not asked.free or asked.at_bound is not None:
         return
     value, deviation = asked.value or 0.0, asked.deviation
@@ -229,33 +216,28 @@ def _of_others(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator
         yield Message(Reason.WIDE_INTERVAL, f"it is known {share}")
 
 
-# The verdict on controller and log
+# By how much faults of loop and log move the parameters
 
 
-def loop_verdict(estimate: Estimate) -> Verdict | None:
-    """Return the verdict on controller and log; None without one."""
-    return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
-
-
-def moved_by_loop(estimate: Estimate) -> Mapping[str, float]:
+def moved_by_loop(estimate: Estimate) -> dict[str, float]:
     """Return by how much the parameters change when the faults of loop and log that were found are corrected."""
-    loop, total = loop_verdict(estimate), dict[str, float]()
-    reasons = () if loop is None else loop.reasons
-    for reason in reasons:
-        for name, by in reason.values.get("changes", {}).items():
-            total[name] = total.get(name, 0.0) + by
+    total = dict[str, float]()
+    for name, by in _changes(estimate.about(Subject.LOOP)):
+        total[name] = total.get(name, 0.0) + by
     return total
 
 
-def _moved_out(estimate: Estimate) -> frozenset[str]:
-    """Return the parameters that one fault of loop or log, or all of them together, moves out of their intervals."""
-    loop, rows = loop_verdict(estimate), {row.name: row for row in estimate.params.rows}
-    found = () if loop is None else loop.reasons
-    each = [moved_by_loop(estimate), *(one.values.get("changes", {}) for one in found)]
-    moved = [(name, by) for changes in each for name, by in changes.items()]
-    return frozenset(name for name, by in moved if name not in rows or _leaves(rows[name], by))
+def _changes(found: tuple[Check, ...]) -> list[tuple[str, float]]:
+    return [change for one in found for change in one.values.get("changes", {}).items()]
 
 
-def _leaves(row: EstimatedParameter, by: float) -> bool:
-    """Test whether a change leaves the interval of a parameter, two standard errors, and is not slight."""
-    return abs(by) > max(2.0 * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0))
+def _moved_out(estimate: Estimate) -> list[str]:
+    """Return the parameters that a fault of loop or log, or all of them together, moves out of their intervals.
+
+    They leave two standard errors, and by no slight change.
+    """
+    moved = dict[str, float]()
+    for name, by in (*moved_by_loop(estimate).items(), *_changes(estimate.about(Subject.LOOP))):
+        moved[name] = max(moved.get(name, 0.0), abs(by))
+    within = {row.name: max(2.0 * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0)) for row in estimate.rows}
+    return [name for name in within if moved.get(name, 0.0) > within[name]]

@@ -1,10 +1,10 @@
-"""The builder of a fit: what every problem's solution says alike, with the differences as arguments."""
+"""The builder of an estimate: what every problem's solution says alike, with the differences as arguments."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,16 +14,15 @@ from jointid.common.text import join
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings
-from jointid.estimation.result.verdict import negative_friction
+from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
+from jointid.estimation.result.verdict import residual_checks
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.simulate import Simulation
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
-from jointid.uncertainty.residual_tests import ResidualReport, whiteness
+from jointid.uncertainty.residual_tests import whiteness
 
 if TYPE_CHECKING:
     from jointid.estimation.robots.simulated import IdentifiedRobot
@@ -32,15 +31,16 @@ _AT_LIMIT = 0.01  # of the periods: more is said
 _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
-def build_params(problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Mapping[str, float]) -> Params:
+def rows_of_problem(
+    problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Mapping[str, float]
+) -> tuple[EstimatedParameter, ...]:
     """Return the parameters of a problem's solution x, (free,), those of the joint and of what surrounds it.
 
     A deviation that is no number is not known; `held` has the bounds that are reached, by name.
     """
     own, units = {p.name for p in problem.joint.parameters}, problem.units
     std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
-    rows = build_rows(problem.parameters, problem.values(x), std, lambda p: units[p.name], own, held)
-    return Params(rows, tuple(p.name for p in problem.free), covariance.correlation)
+    return build_rows(problem.parameters, problem.values(x), std, lambda p: units[p.name], own, held)
 
 
 def build_rows(
@@ -51,7 +51,7 @@ def build_rows(
     of_joint: Collection[str],
     held: Mapping[str, float] | None = None,
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the table of an estimate.
+    """Return the rows of an estimate.
 
     Args:
         parameters: in its order.
@@ -72,47 +72,63 @@ def build_rows(
 
 def build_estimate(
     records: Sequence[Record],
-    params: Params,
+    rows: tuple[EstimatedParameter, ...],
+    correlation: FloatArray,
     torques: tuple[FloatArray, FloatArray],
-    error: float | Mapping[str, float],
-    rows: int,
+    error: float | FloatArray,
+    fitted: int,
     end: tuple[str, bool],
     simulations: int,
     settings: Settings,
-    channels: Iterable[str],
-    checks: Checks | None = None,
+    channels: Iterable[str] = (),
+    *,
+    robot: IdentifiedRobot | None = None,
+    nominal: FloatArray | None = None,
+    warnings: Sequence[str] = (),
+    **found: Any,
 ) -> Estimate:
     """Return the estimate that a method ends with: of a joint or a robot, from one record or several.
 
     Args:
         records: that were read; of a robot those of its joints, one log after the other.
-        params: the parameters.
+        rows: the parameters.
+        correlation: of the errors of the free ones, in their order.
         torques: (samples,) each, measured and predicted; of a robot (samples, n).
-        error: share of the filtered torque that the model leaves; of a robot by joint.
-        rows: of the filtered torque that were fitted.
+        error: share of the filtered torque that the model leaves; of a robot (n,).
+        fitted: rows of the filtered torque.
         end: why the search ended, and whether that is a good end.
         simulations: that were run.
         settings: model and method.
-        channels: that were read.
-        checks: what the method has tested.
+        channels: that were read; all of the records' where none are given.
+        robot: that was identified; None for a joint.
+        nominal: (n,) share of each joint's filtered torque that the nominal robot leaves.
+        warnings: of the method.
+        found: further parts of the estimate.
     """
     (measured, predicted), borders = torques, settings.filtering.borders
     read = [record.torque for record in records if record.torque is not None]
-    axes = error if isinstance(error, Mapping) else {}
+    errors, names = np.atleast_1d(error), () if robot is None else robot.model.names
+    logs = [read[at : at + errors.size] for at in range(0, len(read), errors.size)]
+    by_axis = dict(zip(names, map(float, errors), strict=False))
     fit = Fit(
-        measured, predicted, borders, relative_error(measured, predicted, borders),
-        error if not isinstance(error, Mapping) else float(np.sqrt(np.mean(np.square([*axes.values()])))),
-        rows, simulations, *end, axis_errors=axes,
+        measured, predicted, relative_error(measured, predicted, borders),
+        float(np.sqrt(np.mean(errors**2))) if by_axis else float(errors[0]), fitted, simulations, *end,
+        axis_errors=by_axis,
     )  # fmt: skip
+    if robot is not None:
+        warnings = (*robot.model.remarks, *warnings)
+        if robot.model.has_masses and nominal is not None:
+            fit = replace(fit, nominal_errors=dict(zip(names, map(float, nominal), strict=True)))
     data = Data(
         record=join(list(dict.fromkeys(record.name for record in records))),
-        channels=tuple(dict.fromkeys(channels)),
+        channels=tuple(dict.fromkeys(channels or (name for record in records for name in record.channels))),
         sample_time=read[0].sample_time,
         torque_unit=join(list(dict.fromkeys(torque.unit for torque in read))),
-        fingerprint=fingerprint(np.concatenate([torque.values for torque in read])),
+        fingerprints=tuple(fingerprint(np.concatenate([torque.values for torque in log])) for log in logs),
         resampled=records[0].resampled if len(records) == 1 else None,
     )
-    return Estimate(params, fit, checks or Checks(), data, settings)
+    kept: dict[str, Any] = {"warnings": tuple(warnings), "records": () if robot is None else tuple(records)}
+    return Estimate(rows, correlation, fit, data, settings, robot=robot, **kept, **found)
 
 
 def build_closed_loop_result(
@@ -139,69 +155,26 @@ def build_closed_loop_result(
     """
     (error,), f = problem.filter_error(run.torque, run), problem.filtering
     assert f.cutoff is not None
-    checks = Checks(
-        warnings=warn_of_limit(run.at_limit),
-        notes=tuple(map(str, known.warnings)),
-        known=identifiability(problem.free, problem.units, x, J, known.covariance),
-    )
     delay = problem.values(x).get("delay", problem.axis.law.delay)
-    settings = Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), f, delay)
-    params = build_params(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J))
-    found = build_estimate(
-        [record], params, (problem.measured, run.torque), problem.filtered_error(error), error.size, end, simulations,
-        settings, list_loop_channels(problem.loop, record), checks,
-    )  # fmt: skip
-    white = whiteness(error, problem.sample_time * (f.decimation or 1), f.cutoff)
-    fit = replace(found.fit, residuals=ResidualReport(white, known.repeatable))
-    return replace(found, fit=fit, problem=problem, x=x, shifts=known.shifts)
-
-
-def build_robot_result(
-    records: Sequence[Record],
-    part: IdentifiedRobot,
-    rows: tuple[EstimatedParameter, ...],
-    errors: FloatArray,
-    torques: tuple[FloatArray, FloatArray],
-    method: tuple[str, str],
-    filtering: Filtering,
-    count: int,
-    end: tuple[str, bool],
-    simulations: int,
-    *,
-    warnings: tuple[str, ...] = (),
-) -> Estimate:
-    """Return the fit of a robot, see `build_estimate`.
-
-    Args:
-        records: of its joints, those of one log after those of another.
-        part: what only a robot has; its arrays are in the order of the rows.
-        rows: the parameters.
-        errors: (n,) the share of each joint's filtered torque that the model leaves.
-        torques: (samples, n) each, measured and predicted.
-        method: its name, and how it was run.
-        filtering: resolved.
-        count: of the filtered samples that were fitted.
-        end: why the search ended, and whether that is a good end.
-        simulations: that were run.
-        warnings: of the method.
-    """
-    model, free = part.model, [i for i, row in enumerate(rows) if row.free]
-    read = [record.torque.values for record in records if record.torque is not None]
-    logs = [np.concatenate(read[at : at + len(model)]) for at in range(0, len(read), len(model))]
-    found = build_estimate(
-        records,
-        Params(rows, tuple(rows[i].name for i in free), part.covariance.correlation[np.ix_(free, free)]),
-        torques,
-        dict(zip(model.names, map(float, errors), strict=True)),
-        count,
+    return build_estimate(
+        [record],
+        rows_of_problem(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J)),
+        known.covariance.correlation,
+        (problem.measured, run.torque),
+        problem.filtered_error(error),
+        error.size,
         end,
         simulations,
-        Settings(*method, system=model, loop=None, filtering=filtering),
-        [name for record in records for name in record.channels],
-        Checks(negative_friction(part.driving), warnings=(*model.remarks, *warnings)),
+        Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), f, delay),
+        list_loop_channels(problem.loop, record),
+        checks=residual_checks(whiteness(error, problem.sample_time * (f.decimation or 1), f.cutoff), known.repeatable),
+        known=identifiability(problem.free, problem.units, x, J, known.covariance),
+        warnings=warn_of_limit(run.at_limit),
+        notes=tuple(map(str, known.warnings)),
+        problem=problem,
+        x=x,
+        shifts=known.shifts,
     )
-    data = replace(found.data, logs=tuple(map(fingerprint, logs)))
-    return replace(found, data=data, robot=part, records=tuple(records))
 
 
 def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The estimate: what `identify` returns, complete and frozen, in five named parts (`parts`)."""
+"""The estimate: what `identify` returns, complete and frozen, of a joint as of a robot."""
 
 from __future__ import annotations
 
@@ -15,19 +15,15 @@ from numpy.typing import ArrayLike
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.result.agreement import Agreement
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.fields import write
-from jointid.estimation.result.parts import (
-    Checks,
-    Data,
-    EstimatedParameter,
-    Fit,
-    Params,
-    Settings,
-)
-from jointid.estimation.result.verdict import Subject
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
+from jointid.estimation.result.verdict import Check, StiffnessBound, Subject
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.position_forces import Motion
+from jointid.uncertainty.covariance import Covariance
+from jointid.uncertainty.identifiability import Identifiability
 
 if TYPE_CHECKING:
     import jointid
@@ -47,15 +43,22 @@ class Estimate(Documented):
     What follows `robot` is kept for the checks alone: `identify` returns an estimate without it.
 
     Attributes:
-        params: the parameters with their standard errors and correlation.
-        fit: measured and predicted torque, errors, residual, and how the search went.
-        checks: verdicts, identifiable combinations, tests, bounds, warnings.
+        rows: the parameters, in the order of the model, then of what surrounds it; ``name@2`` is the second record's.
+        correlation: of the errors of the free parameters, all of them, or the joint's, which come first; empty where it
+            is not known.
+        fit: measured and predicted torque, errors, and how the search went.
         data: the record or records.
         settings: the model and the method, defaults filled in.
-        robot: what only a robot has; None for a joint.
+        checks: answers to the questions that were asked of it, one or more statements each.
+        known: which parameters and combinations the record determines, and how well; None where it was not asked.
+        bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
+        agreement: whether several records, each by itself, agree, or the segments of a long log.
+        warnings: one sentence each.
+        notes: on how the intervals were obtained, one sentence each.
+        diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None where it was not made.
+        robot: of a robot what was identified as it is simulated; None for a joint.
         problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
-        record: the one record; None for several, for a log in windows or for a robot.
-        records: of the joints of a robot.
+        records: the one record of a joint, or those of a robot's joints; else none.
         solved: of a robot that was simulated along one log; None elsewhere.
         undetermined: names of parameters that lose their values once all is checked.
         shifts: (free,) each, by which the deviations of a joint's simulation were widened.
@@ -68,20 +71,29 @@ class Estimate(Documented):
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop)
-        >>> round(estimate.params["inertia"].value, 6), estimate.fit.converged
+        >>> round(estimate["inertia"].value, 6), estimate.fit.converged
         (30.0, True)
     """
 
-    in_json = "answer parameters controller_sha256 -problem -record -records -solved -undetermined -window"
-    params: Params
+    in_json = (
+        "answer parameters correlation controller_sha256 "
+        "-rows -diagnosis -robot -problem -records -solved -undetermined -window"
+    )
+    rows: tuple[EstimatedParameter, ...]
+    correlation: FloatArray
     fit: Fit
-    checks: Checks
     data: Data
     settings: Settings
+    checks: tuple[Check, ...] = ()
+    known: Identifiability | None = None
+    bounds: tuple[StiffnessBound, ...] = ()
+    agreement: Agreement | None = None
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    diagnosis: Documented | None = None
     robot: IdentifiedRobot | None = None
     problem: ClosedLoopProblem | None = None
     x: FloatArray | None = None
-    record: Record | None = None
     records: tuple[Record, ...] = ()
     solved: RobotFit | None = None
     undetermined: tuple[str, ...] = ()
@@ -101,7 +113,39 @@ class Estimate(Documented):
     @property
     def parameters(self) -> dict[str, EstimatedParameter]:
         """Every parameter by name, ``name@2`` the second record's own."""
-        return dict(self.params)
+        return {row.name: row for row in self.rows}
+
+    def __getitem__(self, name: str) -> EstimatedParameter:
+        """Return a parameter by its name or symbol; ``name@2`` is the second record's own.
+
+        Raises:
+            MethodError: there is none of this name.
+        """
+        named = {row.symbol: row for row in self.rows} | self.parameters
+        if name not in named:
+            there = ", ".join(self.parameters)
+            raise MethodError(f'"{name}" is no parameter of this estimate; it has {there}: name one of them.')
+        return named[name]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that were identified, in the order of `correlation`."""
+        return tuple(row.name for row in self.rows if row.free)
+
+    def covariance_of(self, names: Sequence[str]) -> Covariance:
+        """Return the covariance of the errors of some parameters, (names, names), as far as it is known.
+
+        A parameter that is fixed or refused has no deviation, and one of unknown correlation none with others.
+        """
+        rows, free, correlation = self.parameters, self.free[: len(self.correlation)], np.eye(len(names))
+        known = [i for i, name in enumerate(names) if name in free]
+        at = [free.index(names[i]) for i in known]
+        correlation[np.ix_(known, known)] = self.correlation[np.ix_(at, at)]
+        return Covariance(np.array([rows[name].stderr or 0.0 for name in names]), correlation)
+
+    def about(self, name: Subject) -> tuple[Check, ...]:
+        """Return the statements that answer a question, the foremost first; none where it was not asked."""
+        return tuple(check for check in self.checks if check.name == name)
 
     @property
     def controller_sha256(self) -> str:
@@ -117,8 +161,7 @@ class Estimate(Documented):
     @property
     def signal(self) -> str:
         """The name of the signal that the fit compares, such as a torque computed from the position."""
-        computed = any(verdict.subject is Subject.SCALE for verdict in self.checks.verdicts)
-        return f"torque{' computed from the position' if computed else ''}"
+        return f"torque{' computed from the position' if self.about(Subject.SCALE) else ''}"
 
     @property
     def motion_measured(self) -> bool:
@@ -126,19 +169,15 @@ class Estimate(Documented):
         method = self.settings.method
         return method == "drive_side" or (method == "idim" and self.fit.simulations == 0)
 
-    def __getitem__(self, name: str) -> EstimatedParameter:
-        """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
-        return self.params[name]
-
     @property
     def values(self) -> dict[str, float]:
         """The parameters of the joint by name, fixed ones included; a refused one is missing."""
-        return {p.name: p.value for p in self.params.rows if p.of_joint and p.value is not None}
+        return {p.name: p.value for p in self.rows if p.of_joint and p.value is not None}
 
     @property
     def frequencies(self) -> dict[str, float]:
         """Frequencies of a flexible joint, Hz, as `FlexibleJoint.frequencies` names them; none at a bound."""
-        found = [p for p in self.params.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
+        found = [p for p in self.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
         known = len(found) == 3 and all((p.value or 0.0) > 0 and p.at_bound is None for p in found)
         return FlexibleJoint.frequencies(self.values) if known else {}
 
@@ -147,16 +186,8 @@ class Estimate(Documented):
         of = "robot" if self.robot is not None else f"{self.settings.joint.model} joint"
         return f"<Estimate of a {of} by {self.settings.method}: {self.answer}>"
 
-    def require_joint(self) -> Joint:
-        """Return the model of the joint.
-
-        Raises:
-            MethodError: the estimate is of a robot.
-        """
-        return self.settings.joint
-
     def require_robot(self) -> IdentifiedRobot:
-        """Return the robot-only content.
+        """Return the robot that was identified.
 
         Raises:
             MethodError: the estimate is of a joint.
@@ -167,7 +198,7 @@ class Estimate(Documented):
 
     def warn(self, *said: str) -> Estimate:
         """Return the estimate with further warnings."""
-        return replace(self, checks=replace(self.checks, warnings=(*self.checks.warnings, *said)))
+        return replace(self, warnings=(*self.warnings, *said))
 
     def require_values(self) -> dict[str, float]:
         """Return every parameter of the joint by name.
@@ -175,11 +206,11 @@ class Estimate(Documented):
         Raises:
             MethodError: a value is refused, or records have their own, so that no torque can be predicted.
         """
-        if refused := [p.name for p in self.params.rows if p.of_joint and p.value is None]:
+        if refused := [p.name for p in self.rows if p.of_joint and p.value is None]:
             remedy = "identify the joint as rigid" if "stiffness" in refused else "fix one of them"
             said = f"{', '.join(refused)} cannot be determined from this record, so this estimate predicts no torque"
             raise MethodError(f"{said}; {remedy}.")
-        if own := [p.name for p in self.params.rows if p.of_joint and p.name.partition("@")[0] not in self.values]:
+        if own := [p.name for p in self.rows if p.of_joint and p.name.partition("@")[0] not in self.values]:
             raise MethodError(f"An estimate with {', '.join(own)} predicts no single record; identify one alone.")
         return self.values
 
@@ -262,20 +293,6 @@ class Estimate(Documented):
         import jointid
 
         return jointid.figures.Plots(self)
-
-    def report(
-        self, record: Record | Sequence[Record], *, name: str = "", profiles: Sequence[str] | None = None
-    ) -> jointid.Report:
-        """Return the report: one page with figures, see `jointid.Report.of`.
-
-        Args:
-            record: that it was identified from; of a robot the record of each joint.
-            name: of the joint, for the title.
-            profiles: quantities whose criterion is followed; all free parameters when None, none when empty.
-        """
-        import jointid
-
-        return jointid.Report.of(self, record, name=name, profiles=profiles)
 
 
 def fingerprint(torque: FloatArray) -> str:

@@ -34,15 +34,7 @@ from jointid.estimation.descent import History, descend, with_linear_spring
 from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import (
-    Reason,
-    Status,
-    StiffnessBound,
-    Subject,
-    Verdict,
-    springs_verdict,
-    verdict_of,
-)
+from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
@@ -93,13 +85,13 @@ class Visibility:
     """Identifiability of a joint's spring.
 
     Attributes:
-        verdict: whether its stiffness is reported, and why not.
+        checks: whether its stiffness is reported, and why not.
         rigid: values of the rigid joint on the same band; std: standard deviations of those that it determines.
         bounds: where the stiffness is refused.
         notes: on the deviations of the rigid joint, where the stiffness is refused.
     """
 
-    verdict: Verdict
+    checks: tuple[Check, ...]
     rigid: Mapping[str, float]
     std: Mapping[str, float]
     bounds: tuple[StiffnessBound, ...]
@@ -108,37 +100,33 @@ class Visibility:
     @property
     def shown(self) -> bool:
         """Whether the stiffness is reported."""
-        return self.verdict.status is Status.PASSED
+        return all(check.passed for check in self.checks)
 
     def state(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the verdict; of a refused spring with the sums of both sides in its place."""
-        checks, joint, rows = estimate.checks, estimate.settings.joint, []
+        joint, rows = estimate.settings.joint, []
         if self.shown:
-            return replace(estimate, checks=replace(checks, verdicts=(*checks.verdicts, self.verdict)))
-        assert isinstance(joint, FlexibleJoint) and checks.known is not None
+            return replace(estimate, checks=(*estimate.checks, *self.checks))
+        assert isinstance(joint, FlexibleJoint) and estimate.known is not None
         parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
-        for p in estimate.params.rows:
+        for p in estimate.rows:
             own = p
             if p.free and p.name in self.std:  # of both joints: a spring that is not shown narrows no interval
                 own = replace(p, value=self.rigid[p.name], stderr=self.std[p.name])
             elif p.free and (p.name.startswith(parted) or (p.of_joint and p.name in self.rigid)):
                 own = replace(p, value=None, stderr=None)
             rows.append(own)
-        both = sums_of([p for p in joint.parameters if p.name in estimate.params.names], {p.name: p.unit for p in rows})
+        both = sums_of([p for p in joint.parameters if p.name in estimate.free], {p.name: p.unit for p in rows})
         sums = [Known(s, self.rigid[s.quantity], self.std[s.quantity]) for s in both if s.quantity in self.std]
         said = "only the sums of both sides are determined, not their division"
-        checks = replace(
-            checks,
-            verdicts=(
-                *checks.verdicts,
-                verdict_of(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said),
-                self.verdict,
-            ),
+        return replace(
+            estimate,
+            rows=tuple(rows),
+            checks=(*estimate.checks, check_of(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said), *self.checks),
             known=Identifiability(tuple(sums), ()),
             bounds=self.bounds,
-            notes=(*checks.notes, *map(str, self.notes)),
+            notes=(*estimate.notes, *map(str, self.notes)),
         )
-        return replace(estimate, params=replace(estimate.params, rows=tuple(rows)), checks=checks)
 
 
 def visible(
@@ -192,7 +180,7 @@ def visible(
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
     stated = zip(rigid.free, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
     std = {p.name: float(one) for p, one, told in stated if told}
-    return Visibility(springs_verdict(reasons, said), values, std, tuple(bounds), judged.warnings)
+    return Visibility(springs_checks(reasons, said), values, std, tuple(bounds), judged.warnings)
 
 
 def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:

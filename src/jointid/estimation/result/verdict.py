@@ -1,22 +1,28 @@
-"""Verdicts: one question each about an estimate, with status and coded reasons; and the estimate with its verdicts."""
+"""Checks: answers to questions about an estimate, as coded statements; and the estimate with them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
 
 from jointid.common.document import Documented
 from jointid.common.messages import Message
 from jointid.common.text import join, number
-from jointid.uncertainty.residual_tests import ResidualReport
+from jointid.uncertainty.position_dependent_error import Repeatable
+from jointid.uncertainty.residual_tests import Whiteness
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate
 
 POOR_FIT = 0.15
 """Share of the filtered torque that a right model leaves at most: the EMPS axis leaves 0.045, the paper's 0.08."""
+
+_TWO = 2.0  # standard deviations
+_DRIVING = ("viscous",), ("viscous_forwards",), ("viscous_backwards",), ("coulomb",), ("coulomb", "stribeck_force")
 
 
 class Subject(StrEnum):
@@ -27,6 +33,7 @@ class Subject(StrEnum):
     WHITENESS = "whiteness"
     REPEATABLE = "repeatable residual"
     IDENTIFIABILITY = "identifiability"
+    INSTRUMENTS = "instruments"
     BOUNDS = "bounds"
     AGREEMENT = "agreement"
     DRIFT = "drift"
@@ -36,16 +43,8 @@ class Subject(StrEnum):
     SCALE = "scale"
 
 
-class Status(StrEnum):
-    """The answer to a question; passed is always the good side."""
-
-    PASSED = "passed"
-    FAILED = "failed"
-    UNKNOWN = "unknown"
-
-
 class Reason(StrEnum):
-    """Reasons for a verdict, as codes."""
+    """Reasons for an answer, as codes."""
 
     PASSED = "passed"
     SEARCH_ENDED = "search_ended"
@@ -90,46 +89,35 @@ AGAINST_EVERY_VALUE = (
 """Reasons of a failed check, but that of the loop, that speak against every value of the estimate."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """The answer to one question.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check(Message):
+    """A statement that answers a question about an estimate; a question may have several.
 
     Attributes:
-        reasons: why, at least one; a limitation of the record is a reason, too, with a code of its own.
+        name: the question.
+        passed: True on the good side, False where it failed, None where nothing could be tested.
     """
 
-    in_json = "good said"
-    subject: Subject
-    status: Status
-    reasons: tuple[Message, ...]
-
-    @classmethod
-    def of(cls, subject: Subject, good: bool | None, *reasons: Message) -> Verdict:
-        """Return the verdict of a test that passed, failed, or (None) was impossible."""
-        status = Status.UNKNOWN if good is None else Status.PASSED if good else Status.FAILED
-        return cls(subject, status, reasons)
-
-    @property
-    def good(self) -> bool | None:
-        """True if passed, False if failed, None if undecided."""
-        return None if self.status is Status.UNKNOWN else self.status is Status.PASSED
-
-    @property
-    def said(self) -> str:
-        """The reasons as one sentence."""
-        return "; ".join(reason.words for reason in self.reasons)
+    name: Subject
+    passed: bool | None
 
 
-def verdict_of(
-    subject: Subject, good: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
-) -> Verdict:
-    """Return a verdict with one reason: the code, or that it passed; `good` is None where nothing could be tested."""
-    return Verdict.of(subject, good, Message(Reason.PASSED if good else code, said, values or {}))
+def check_of(
+    name: Subject, passed: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
+) -> Check:
+    """Return a check of one statement: the code, or that it passed, or None that nothing could be tested."""
+    codes = {True: Reason.PASSED, False: code, None: Reason.NOT_TESTED}
+    return Check(codes[passed], said, values or {}, name=name, passed=passed)
 
 
-def skip_test(subject: Subject, why: str, axes: Sequence[str] = ()) -> Verdict:
-    """Verdict for a question that was not tested, or not for some axes, with the reason."""
-    return verdict_of(subject, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
+def checks_of(name: Subject, passed: bool | None, *said: Message) -> tuple[Check, ...]:
+    """Return the statements that answer a question, the first of which is told where there is room for one."""
+    return tuple(Check(one.code, one.words, one.values, one.clause, name=name, passed=passed) for one in said)
+
+
+def skip_test(name: Subject, why: str, axes: Sequence[str] = ()) -> Check:
+    """Return the check of a question that was not tested, or not for some axes, with the reason."""
+    return check_of(name, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,164 +135,134 @@ class StiffnessBound:
     frequency: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class SpringVerdict:
-    """Whether the records show the spring of a robot's joint.
-
-    Attributes:
-        joint: its name.
-        shown: whether they do.
-        stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
-        at_least: the stiffness that it has at least, two standard deviations of its compliance away.
-        unit: of these, N m/rad or N/m.
-    """
-
-    joint: str
-    shown: bool
-    stiffness: float | None
-    deviation: float | None
-    at_least: float
-    unit: str = "N m/rad"
+Widening: TypeAlias = tuple[Mapping[str, float], str]
+"""By how much something may move each parameter, by name, as one deviation; and a warning, or nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Widening:
-    """A reason for wider intervals.
-
-    Attributes:
-        by: how much it may move each parameter, by name, as one deviation.
-        warning: of the estimate; none where it is empty.
-    """
-
-    by: Mapping[str, float]
-    warning: str = ""
+Checked: TypeAlias = tuple[tuple[Check, ...], Sequence[Widening], Documented | None]
+"""The results of checks: which replace those of the method on the same questions, what widens, and the diagnosis."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CheckResults:
-    """The results of the checks of a fit.
-
-    Attributes:
-        verdicts: which replace those of the method on the same subjects.
-        widenings: of the intervals.
-        diagnosis: of loop, log and residual, axis by axis; None where it could not be made.
-    """
-
-    verdicts: tuple[Verdict, ...] = ()
-    widenings: tuple[Widening, ...] = ()
-    diagnosis: Documented | None = None
-
-
-def assemble(fit: Estimate, checked: CheckResults | None = None) -> Estimate:
+def assemble(
+    fit: Estimate,
+    checks: tuple[Check, ...] = (),
+    widenings: Sequence[Widening] = (),
+    diagnosis: Documented | None = None,
+) -> Estimate:
     """Return an estimate as it is given back: with its checks, without the values that no record determines.
 
     Args:
         fit: the result of the method.
-        checked: the results of the checks, see `jointid.diagnostics.identify.run_checks`.
+        checks: which replace those of the method on the same questions.
+        widenings: of the intervals.
+        diagnosis: of loop, log and residual, axis by axis; None where it was not made.
     """
-    checked, known = checked or CheckResults(), fit.checks.known
-    undetermined, rows = {*fit.undetermined, *(() if known is None else known.undetermined)}, []
-    for p in fit.params.rows:
-        wide = max((w.by.get(p.name, 0.0) for w in checked.widenings), default=0.0) if p.stderr else 0.0
+    undetermined, rows = {*fit.undetermined, *(() if fit.known is None else fit.known.undetermined)}, []
+    for p in fit.rows:
+        wide = max((by.get(p.name, 0.0) for by, _ in widenings), default=0.0) if p.stderr else 0.0
         lost = p.name in undetermined
         rows.append(replace(p, value=None, stderr=None) if lost else replace(p, lack_of_fit=max(p.lack_of_fit, wide)))
-    every = {verdict.subject: verdict for verdict in (*fit.checks.verdicts, *checked.verdicts)}
-    warnings = (widening.warning for widening in checked.widenings if widening.warning)
-    checks = replace(
-        fit.checks,
-        verdicts=tuple(every.values()),
-        warnings=(*fit.checks.warnings, *warnings),
-        diagnosis=checked.diagnosis,
-    )
-    params = replace(fit.params, rows=tuple(rows))
-    return judged(type(fit)(params, fit.fit, checks, fit.data, fit.settings, fit.robot))
+    return judged(
+        replace(
+            fit,
+            rows=tuple(rows),
+            checks=_replace(fit.checks, checks),
+            warnings=(*fit.warnings, *(warning for _, warning in widenings if warning)),
+            diagnosis=diagnosis,
+            problem=None, x=None, records=(), solved=None, undetermined=(), shifts=(), window=None,
+        )
+    )  # fmt: skip
 
 
 def judged(estimate: Estimate) -> Estimate:
-    """Return an estimate with its verdicts; one that it has already stands, but those on solver and fit."""
-    found = {verdict.subject: verdict for verdict in _judge(estimate)}
-    given = {v.subject: v for v in estimate.checks.verdicts if v.subject not in (Subject.SOLVER, Subject.FIT)}
-    return replace(estimate, checks=replace(estimate.checks, verdicts=tuple((found | given).values())))
+    """Return an estimate with what its own numbers answer; an answer that it has stands, but on solver and fit."""
+    given = [one for one in estimate.checks if one.name not in (Subject.SOLVER, Subject.FIT)]
+    return replace(estimate, checks=_replace([*_judge(estimate)], given))
 
 
-def _judge(estimate: Estimate) -> Iterator[Verdict]:
-    fit, checks = estimate.fit, estimate.checks
-    yield verdict_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop)
+def _replace(checks: Sequence[Check], by: Sequence[Check]) -> tuple[Check, ...]:
+    """Return checks, those on the questions of others replaced by these."""
+    asked = {one.name for one in by}
+    return (*(one for one in checks if one.name not in asked), *by)
+
+
+def _judge(estimate: Estimate) -> Iterator[Check]:
+    fit, known, agreement = estimate.fit, estimate.known, estimate.agreement
+    yield check_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop)
     errors = fit.axis_errors or {"": fit.filtered_error}
     worst = max(errors, key=lambda axis: errors[axis])
     said = f"{number(100 * errors[worst], 2)} % of the {estimate.signal}{' of ' * bool(worst)}{worst} is not explained"
     explained = errors[worst] <= POOR_FIT  # an error that is no number is not
-    yield verdict_of(Subject.FIT, explained, Reason.TORQUE_UNEXPLAINED, said, {"remaining": errors[worst]})
-    if fit.residuals is not None:
-        yield from _judge_residual(fit.residuals)
-    if checks.known is not None and checks.known.limitations:
-        yield Verdict.of(Subject.IDENTIFIABILITY, False, *checks.known.limitations)
-    elif checks.known is not None:
+    yield check_of(Subject.FIT, explained, Reason.TORQUE_UNEXPLAINED, said, {"remaining": errors[worst]})
+    if known is not None and known.limitations:
+        yield from checks_of(Subject.IDENTIFIABILITY, False, *known.limitations)
+    elif known is not None:
         said = "every parameter is distinguished from 0 and from the others"
-        yield verdict_of(Subject.IDENTIFIABILITY, True, Reason.ONLY_SUMS, said)
-    touched = [p.name for p in estimate.params.rows if p.at_bound is not None]
+        yield check_of(Subject.IDENTIFIABILITY, True, Reason.ONLY_SUMS, said)
+    yield _judge_bounds(estimate)
+    if agreement is not None and agreement.p_value is not None:
+        name, code = Subject.AGREEMENT, Reason.RECORDS_DISAGREE
+        if agreement.segments:
+            name, code = Subject.DRIFT, Reason.DRIFTS
+        yield check_of(name, not agreement.differs, code, str(agreement), {"parameters": [*agreement.names]})
+    springs = [row for row in estimate.rows if row.axis and row.name.endswith(".stiffness") and row.free]
+    if springs:
+        said = "{0.axis}: the records do not show a spring; its stiffness is at least {0.lower_bound:.3g} {0.unit}"
+        yield from springs_checks([said.format(row) for row in springs if row.value is None])
+
+
+def _judge_bounds(estimate: Estimate) -> Check:
+    """Return the check on parameters at a bound, and on axes that their friction would drive."""
+    rows = {row.name: row for row in estimate.rows if row.value is not None}
+    driving = []
+    for axis in dict.fromkeys(row.axis for row in estimate.rows if row.axis):
+        for sums in _DRIVING:
+            names = [name for name in (f"{axis}.{part}" for part in sums) if name in rows]
+            spread = estimate.covariance_of(names).std_of(np.ones(len(names))) if names else 0.0
+            if sum(rows[name].value or 0.0 for name in names) < -_TWO * spread:
+                driving.append(axis)
+    if driving:
+        axes = [*dict.fromkeys(driving)]
+        said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
+        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": axes})
+    touched = [row.name for row in estimate.rows if row.at_bound is not None]
     said = f"{join(touched or ['no parameter'])} at a bound, where the record is not followed"
-    yield verdict_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, {"parameters": touched} if touched else None)
-    for subject, compared, code in (
-        (Subject.AGREEMENT, checks.agreement, Reason.RECORDS_DISAGREE),
-        (Subject.DRIFT, checks.drift, Reason.DRIFTS),
-    ):
-        if compared is not None and compared.p_value is not None:
-            yield verdict_of(subject, not compared.differs, code, str(compared), {"parameters": [*compared.names]})
-    if checks.encoder_lag is not None:
-        lag = checks.encoder_lag.lag
-        said = f"{checks.encoder_lag.late} seems {number(1e3 * lag, 2)} ms late, which hides the spring"
-        hidden = {"parameters": ["stiffness", "damping"], "lag": lag}
-        yield verdict_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, said, hidden)
-    if estimate.robot is not None and estimate.robot.springs:
-        refused = [one for one in estimate.robot.springs if not one.shown]
-        said = "{0.joint}: the records do not show a spring; its stiffness is at least {0.at_least:.3g} {0.unit}"
-        yield springs_verdict([said.format(one) for one in refused])
+    values = {"parameters": touched} if touched else None
+    return check_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, values)
 
 
-def _judge_residual(report: ResidualReport) -> Iterator[Verdict]:
-    """Yield the verdicts on whiteness and on the repeatable part of the residual."""
-    white, repeats = report.whiteness, report.repeatable
-    if white is None:
-        yield skip_test(Subject.WHITENESS, "too few rows to say")
-    else:
-        values = {"statistic": white.statistic, "lags": white.lags, "p_value": white.p_value}
-        yield verdict_of(Subject.WHITENESS, white.white, Reason.RESIDUAL_COLOURED, str(white), values)
-    if repeats is None or repeats.p_value is None:
-        yield skip_test(Subject.REPEATABLE, "not examined" if repeats is None else str(repeats))
-    else:
-        sizes = {"rms": repeats.rms, "share": repeats.share, "p_value": repeats.p_value}
-        yield verdict_of(Subject.REPEATABLE, not repeats.significant, Reason.RESIDUAL_REPEATS, str(repeats), sizes)
+def residual_checks(white: Whiteness | None, repeats: Repeatable) -> tuple[Check, Check]:
+    """Return the checks on whiteness, None with too few rows, and on the repeatable part of the residual."""
+    coloured = skip_test(Subject.WHITENESS, "too few rows to say")
+    if white is not None:
+        coloured = check_of(Subject.WHITENESS, white.white, Reason.RESIDUAL_COLOURED, str(white), asdict(white))
+    once = None if repeats.p_value is None else not repeats.significant
+    return coloured, check_of(Subject.REPEATABLE, once, Reason.RESIDUAL_REPEATS, str(repeats), asdict(repeats))
 
 
-def negative_friction(axes: Sequence[str]) -> tuple[Verdict, ...]:
-    """Return the verdict on axes whose friction is negative by more than its interval; none without any."""
-    if not axes:
-        return ()
-    said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
-    return (verdict_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*axes]}),)
+def springs_checks(refused: Sequence[str], shown: str = "the record shows every spring") -> tuple[Check, ...]:
+    """Return the checks on springs; `refused` has a sentence for each reason or spring that is not shown."""
+    if not refused:
+        return (check_of(Subject.STIFFNESS, True, Reason.PASSED, shown),)
+    return checks_of(Subject.STIFFNESS, False, *(Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in refused))
 
 
-def springs_verdict(refused: Sequence[str], shown: str = "the record shows every spring") -> Verdict:
-    """Return the verdict on springs; `refused` has a sentence for each reason or spring that is not shown."""
-    reasons = [Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in refused] or [Message(Reason.PASSED, shown)]
-    return Verdict.of(Subject.STIFFNESS, not refused, *reasons)
-
-
-def scale_verdict(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Verdict:
-    """Verdict on the scale of a torque that is computed from the controller.
+def scale_check(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Check:
+    """Return the check on the scale of a torque that is computed from the controller.
 
     Args:
         known: fixed parameters other than 0, which tell it.
         lost: parameters that the unknown content of an integral leaves without an interval.
         identified: whether the gain is free.
     """
-    code = Reason.SCALE_KNOWN if known else Reason.SCALE_DECLARED
     said = "so a common factor of its gains is invisible: gains 10 % too large make every parameter 10 % too large"
     if known:
         said = f"and {join(known)} tells its scale{', which the free gain takes up' if identified else ': free gain'}"
     said = f"the torque is computed from the declared controller and the motor position, {said}"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
-    values = {"parameters": [*known], "undetermined": [*lost]}
-    return Verdict.of(Subject.SCALE, True if known else None, Message(code, said, values))
+    values, code = (
+        {"parameters": [*known], "undetermined": [*lost]},
+        Reason.SCALE_KNOWN if known else Reason.SCALE_DECLARED,
+    )
+    return Check(code, said, values, name=Subject.SCALE, passed=True if known else None)

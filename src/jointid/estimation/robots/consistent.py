@@ -12,19 +12,25 @@ decides; where it says nothing, the model stays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.text import join
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.numbers import standard_index
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
+from jointid.simulation.plant import LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
 from jointid.uncertainty.covariance import Covariance
 
 _SPREAD = 0.3
 """How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
+
+_SIGNED = ("offset", "stribeck_force", "viscous_drift", "coulomb_drift", "cubic_stiffness", LOG_DELAY, *LOAD_STATE)
+"""Names, without the side, of numbers that a robot may have below 0."""
 
 MISFIT = 2.0
 """Standard deviations of an estimate, rms, up to which bodies fit it."""
@@ -64,22 +70,34 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     from scipy.optimize import least_squares
 
     part = estimate.require_robot()
-    prior = part.model
-    n, stated = len(prior), part.sums(prior)
+    require_shown(estimate)
+    prior, parameters, numbers = part.model, part.parameters, part.numbers()
+    n, size = len(prior), len(parameters.places)
+    names, values, covariance = part.names[:size], part.values[:size], estimate.covariance_of(part.names[:size])
+    known = [parameters.base[place] for place in parameters.kept]
+    base = Numbers.of(prior).with_record(parameters.base).with_values(parameters.kept, known)
+    # The parameters are sums of what stands alone, as friction, offsets and springs, and of the bodies.
+    both = np.hstack([np.eye(size), parameters.grouping])
+    every = [*enumerate(parameters.places), *enumerate(parameters.dropped, start=size)]
+    apart = [(column, place) for column, place in every if standard_index(place, n) is None]
+    own = tuple(place for _, place in apart)
+    others = np.array([(numbers if column < size else base)[place] for column, place in apart])
+    least = np.array([-np.inf if place.own in _SIGNED else 0.0 for place in own])
+    motors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(base.joints)]
+    of_standard, of_others = parameters.of_standard, both[:, [column for column, _ in apart]]
     bodies, scales = _prior_bodies(prior)
     rotors, links = prior.of_joints("rotor_inertia"), np.diag(mass_matrix_at(prior, np.zeros(n)))
     # A URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there.
     unknown = rotors <= 0.0
     near = np.concatenate([bodies, rotors])
     spread = _SPREAD * np.concatenate([scales, np.where(unknown, np.inf, np.maximum(rotors, 0.1 * links))])
-    whiten = whitening(stated.covariance)
+    whiten = whitening(covariance)
 
     def away(x: FloatArray) -> FloatArray:
         """Return how far the parameters of bodies, rotors and others are from those stated, (parameters,)."""
-        own = np.concatenate(
-            [*(from_log_cholesky(theta)[0] for theta in x[: 10 * n].reshape(n, 10)), x[10 * n : 11 * n]]
-        )
-        return np.asarray(stated.of_standard @ own + stated.of_others @ x[11 * n :] - stated.values)
+        links = [from_log_cholesky(theta)[0] for theta in x[: 10 * n].reshape(n, 10)]
+        standard = np.concatenate([*links, x[10 * n : 11 * n]])
+        return np.asarray(of_standard @ standard + of_others @ x[11 * n :] - values)
 
     def residual(x: FloatArray, larger: float = 1.0) -> FloatArray:
         return np.concatenate([whiten @ away(x) / larger, (x[: 11 * n] - near) / spread])
@@ -89,15 +107,15 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
         for k, theta in enumerate(x[: 10 * n].reshape(n, 10)):
             slopes[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = from_log_cholesky(theta)[1]
         found = np.zeros((len(whiten) + 11 * n, x.size))
-        found[: len(whiten)] = whiten @ np.hstack([stated.of_standard @ slopes, stated.of_others]) / larger
+        found[: len(whiten)] = whiten @ np.hstack([of_standard @ slopes, of_others]) / larger
         found[len(whiten) :, : 11 * n] = np.diag(1.0 / spread)
         return found
 
     def misfit_of(x: FloatArray) -> float:
         return float(np.sqrt(np.mean((whiten @ away(x)) ** 2)))
 
-    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), stated.least])
-    others = np.where(np.isfinite(stated.least), np.abs(stated.others), stated.others)
+    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), least])
+    others = np.where(np.isfinite(least), np.abs(others), others)
     # From its bound a search does not move a rotor.
     x = np.concatenate([bodies, np.where(unknown, 0.1 * links.max(), rotors), others])
     x = np.maximum(x, np.where(np.isfinite(lower), 1e-9, -np.inf))
@@ -111,9 +129,23 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
             max_nfev=1000,
         ).x  # fmt: skip
     inertials = np.array([from_log_cholesky(theta)[0] for theta in x[: 10 * n].reshape(n, 10)])
-    off = np.abs(away(x)) / _positive(stated.covariance.std)
-    worst = tuple(part.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
-    return ConsistentRobot(stated.robot(inertials, x[10 * n : 11 * n], x[11 * n :]), misfit_of(x), worst)
+    off = np.abs(away(x)) / _positive(covariance.std)
+    worst = tuple(names[k] for k in np.argsort(-off) if off[k] > MISFIT)
+    there = replace(base, inertials=inertials).with_values([*own, *motors], [*x[11 * n :], *x[10 * n : 11 * n]])
+    return ConsistentRobot(robot_with(prior, there), misfit_of(x), worst)
+
+
+def require_shown(estimate: Estimate) -> None:
+    """Refuse an estimate of a robot with a spring that the record does not show.
+
+    Raises:
+        MethodError: there is one.
+    """
+    if hidden := [row.axis for row in estimate.rows if row.name.endswith(".stiffness") and row.value is None]:
+        raise MethodError(
+            f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
+            "leave this spring out of the robot file, or excite its mode."
+        )
 
 
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:

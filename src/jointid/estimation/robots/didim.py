@@ -54,7 +54,6 @@ from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.problems.base import DELAY, DELAYS
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
-from jointid.estimation.result.verdict import SpringVerdict
 from jointid.estimation.robots.numbers import (
     RobotParameters,
     apply_constraints,
@@ -94,6 +93,24 @@ _ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to 
 _FINE = 3e-5  # tolerance at last
 _LAST = 0.1  # of the sum of squares in units of the noise, a step's worth there: all parameters move by 0.3 deviations
 _TURNS, _STEADY = 4, 0.4  # descents with new sizes of the joints' errors, and their change that asks for no other
+
+
+@dataclass(frozen=True, slots=True)
+class SpringVerdict:
+    """Whether the records show the spring of a robot's joint.
+
+    Attributes:
+        joint: its name.
+        shown: whether they do.
+        stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
+        at_least: the stiffness that it has at least, two standard deviations of its compliance away.
+    """
+
+    joint: str
+    shown: bool
+    stiffness: float | None
+    deviation: float | None
+    at_least: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -520,15 +537,14 @@ def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time
 def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
     """Return whether the records show the spring of each flexible joint."""
     found = []
-    for joint, link in zip(robot.joints, robot.links, strict=True):
+    for joint in robot.joints:
         if joint.spring is None:
             continue
         stiffness, deviation = fit.value(f"{joint.name}.stiffness")
         compliance, spread = 1.0 / stiffness, deviation / stiffness**2
         bound = fit.parameters.parameters[fit.names.index(f"{joint.name}.stiffness")].upper
         shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - _OFF
-        at_least, unit = 1.0 / (compliance + _UNSEEN * spread), "N/m" if link.kind == "prismatic" else "N m/rad"
-        judged = SpringVerdict(joint.name, True, stiffness, deviation, at_least, unit)
+        judged = SpringVerdict(joint.name, True, stiffness, deviation, 1.0 / (compliance + _UNSEEN * spread))
         found.append(judged if shown else _refuse(judged))
     return tuple(found)
 

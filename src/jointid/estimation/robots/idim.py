@@ -19,10 +19,11 @@ from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM, VARIANTS, SimulatedMotion, regress, require_simulated
 from jointid.estimation.problems.inverse_model import Records, Rows, each_log, inverse_of_robot
-from jointid.estimation.result.build_result import build_robot_result
+from jointid.estimation.result.build_result import build_estimate
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import Settings
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.simulated import IdentifiedRobot, table_of_robot
+from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
@@ -82,16 +83,7 @@ def identify_robot(
     stated = zip(parameters.parameters, map(float, values), strict=True)
     parameters = replace(parameters, parameters=tuple(p.fix(x) if p.name in fixed else p for p, x in stated))
     nominal = _nominal(robot, parameters, rows)
-    part = IdentifiedRobot(
-        setup=setup,
-        parameters=parameters,
-        names=parameters.names,
-        values=values,
-        covariance=solution.covariance,
-        nominal=nominal,
-        nominal_errors=rows.relative_errors(nominal),
-        formulas=parameters.formulas(robot),
-    )
+    part = IdentifiedRobot(setup, parameters, values)
     warnings = [*found.said]
     warnings += describe_noise_limit(common, min(one.limit for one in motions), motions[0].sample_time, "rigid")
     if soft:
@@ -99,20 +91,23 @@ def identify_robot(
             f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a "
             "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side."
         )
-    made = build_robot_result(
+    variant = VARIANTS[estimator].replace("IDIM", "IDIM of a robot")
+    table = rows_of_robot(part, solution.covariance.std, nominal, solution.held)
+    free = [i for i, row in enumerate(table) if row.free]
+    return build_estimate(
         [record for log in logs for record in log],
-        part,
-        table_of_robot(part, parameters, solution.held),
-        rows.relative_errors(values),
+        table,
+        solution.covariance.correlation[np.ix_(free, free)],
         found.torques,
-        ("idim", VARIANTS[estimator].replace("IDIM", "IDIM of a robot")),
-        common,
+        rows.relative_errors(values),
         solution.residual.size,
         (solution.stop, solution.converged),
         solution.simulations,
-        warnings=tuple(warnings),
+        Settings("idim", variant, robot, None, common, timing=found.timing),
+        robot=part,
+        nominal=rows.relative_errors(nominal),
+        warnings=warnings,
     )
-    return replace(made, settings=replace(made.settings, timing=found.timing))
 
 
 def _nominal(robot: Robot, parameters: RobotParameters, rows: Rows) -> FloatArray:

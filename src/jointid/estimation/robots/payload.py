@@ -21,7 +21,7 @@ from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.consistent import whitening
+from jointid.estimation.robots.consistent import require_shown, whitening
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -138,7 +138,7 @@ def identify_payload(
                 "Record.payload, out."
             )
         each.append(fit(log, model, method, filtering=filtering, progress=progress))
-        warnings += each[-1].checks.warnings
+        warnings += each[-1].warnings
     return replace(payload_difference(*each), warnings=tuple(dict.fromkeys(warnings)))
 
 
@@ -156,10 +156,10 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
     each = list[tuple[list[str], FloatArray, FloatArray, FloatArray]]()
     for estimate in (empty, loaded):
         part = estimate.require_robot()
-        sums = part.sums(part.model)
-        own = np.flatnonzero(np.any(sums.of_standard, axis=1))  # a weight that is a constant torque is an offset's
-        noise = sums.covariance.matrix[np.ix_(own, own)]
-        each.append(([part.names[i] for i in own], sums.values[own], sums.of_standard[own], noise))
+        require_shown(estimate)
+        own = np.flatnonzero(np.any(part.of_standard, axis=1))  # a weight that is a constant torque is an offset's
+        named = [part.names[i] for i in own]
+        each.append((named, part.values[own], part.of_standard[own], estimate.covariance_of(named).matrix))
     (names, before, columns, noise), (others, after, standard, more) = each
     alike = names == others and np.allclose(columns, standard) and empty.settings.method == loaded.settings.method
     free = alike and np.all(np.diag(noise) * np.diag(more) > 0.0)

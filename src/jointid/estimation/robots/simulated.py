@@ -8,29 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, unit_of
-from jointid.common.text import join
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.outputs import position_rms
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import Simulated, pose_robot
-from jointid.estimation.result.build_result import build_robot_result
+from jointid.estimation.result.build_result import build_estimate, build_rows
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, Sums
-from jointid.estimation.result.verdict import SpringVerdict
-from jointid.estimation.robots.didim import RobotFit, conclude, search_robot
+from jointid.estimation.result.parts import EstimatedParameter, Settings
+from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
 from jointid.estimation.robots.numbers import (
     RobotParameters,
     begin_delays,
     robot_parameters,
-    standard_index,
     with_delays,
 )
 from jointid.models.robots.inertial import UNITS
@@ -39,13 +35,8 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.plant import DELAY, LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
-from jointid.simulation.simulate import motion_at
-from jointid.uncertainty.covariance import Covariance
+from jointid.simulation.plant import DELAY, LOG_DELAY, Numbers, robot_with
 
-_TWO = 2.0  # standard deviations
-_SIGNED = ("offset", "stribeck_force", "viscous_drift", "coulomb_drift", "cubic_stiffness", LOG_DELAY, *LOAD_STATE)
-"""Names, without the side, of numbers that a robot may have below 0."""
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
     "no joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
@@ -53,39 +44,30 @@ _WITHOUT = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedRobot:
-    """The robot-only content of an estimate: friction, rotors, springs and base parameters.
+    """A robot as it was identified: what simulates it.
 
     Attributes:
         setup: the nominal robot at the start of the identification: alone, under its controllers, or along the
             motion of its motors. To IDIM all of its joints are rigid.
-        parameters: of the search; the fixed ones follow them in `names`.
-        names: (parameters,) in the order of all arrays.
-        values: (parameters,) in SI units; that of a refused parameter is not to be used.
-        covariance: of the values; 0 for a fixed parameter.
-        nominal: (parameters,) of the nominal robot.
-        nominal_errors: (n,) share of each joint's filtered torque that the nominal robot leaves, with friction as
-            identified or fitted beside it; infinite where it cannot be simulated.
-        formulas: (parameters,) the sums of standard parameters; the symbol of a parameter that is no sum.
-        springs: a verdict for each flexible joint.
+        parameters: of the search.
+        values: (parameters,) in the order of `names`, in SI units; that of a refused parameter is not to be used.
     """
 
-    in_json = "nominal nominal_errors log_delay -setup -covariance -parameters"
     setup: Robot | RobotLoop | RobotDriveSide
     parameters: RobotParameters
-    names: tuple[str, ...]
     values: FloatArray
-    covariance: Covariance
-    nominal: FloatArray
-    nominal_errors: FloatArray
-    formulas: tuple[str, ...]
-    springs: tuple[SpringVerdict, ...] = ()
 
     @property
     def model(self) -> Robot:
         """The nominal robot."""
         return self.setup if isinstance(self.setup, Robot) else self.setup.robot
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, the fixed ones last."""
+        return (*self.parameters.names, *(one.name for one in self.parameters.fixed))
 
     @property
     def has_controllers(self) -> bool:
@@ -95,25 +77,6 @@ class IdentifiedRobot:
     def numbers(self) -> Numbers:
         """Return the robot that was identified, as it is simulated."""
         return self.parameters.numbers(self.values[: len(self.parameters.places)])
-
-    @property
-    def log_delay(self) -> float | None:
-        """Seconds by which the log shows torques late; None where the method does not say."""
-        return self.numbers().values[0].get(LOG_DELAY)
-
-    @property
-    def driving(self) -> tuple[str, ...]:
-        """Joints whose friction is negative by more than two deviations, far from standstill or close to it."""
-        found = []
-        for joint in self.model.names:
-            sums = [("viscous",), ("viscous_forwards",), ("viscous_backwards",), ("coulomb",)]
-            weights = [
-                np.isin(self.names, [f"{joint}.{number}" for number in numbers]).astype(np.float64)
-                for numbers in (*sums, ("coulomb", "stribeck_force"))
-            ]
-            if any(float(one @ self.values) < -_TWO * self.covariance.std_of(one) for one in weights):
-                found.append(joint)
-        return tuple(found)
 
     @property
     def of_standard(self) -> FloatArray:
@@ -144,39 +107,6 @@ class IdentifiedRobot:
             MethodError: a rotor's inertia, with what is grouped with it, was found negative.
         """
         return robot_with(self.model, self.numbers())
-
-    def sums(self, prior: Robot) -> Sums:
-        """Return the parameters as sums of the numbers of a robot of this tree, with springs at the same joints.
-
-        Raises:
-            MethodError: the record does not show a spring.
-        """
-        if hidden := [one.joint for one in self.springs if not one.shown]:
-            raise MethodError(
-                f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
-                "leave this spring out of the robot file, or excite its mode."
-            )
-        parameters, numbers = self.parameters, Numbers.of(prior)
-        size = len(parameters.places)
-        base = parameters.base
-        numbers = numbers.with_record(base).with_values(parameters.kept, [base[place] for place in parameters.kept])
-        places = (*parameters.places, *parameters.dropped)
-        both = np.hstack([np.eye(size), parameters.grouping])
-        apart = [column for column, place in enumerate(places) if standard_index(place, len(prior)) is None]
-        own = tuple(places[column] for column in apart)
-        mine = self.numbers()
-        about = np.array([(mine if c < len(both) else numbers)[place] for c, place in zip(apart, own, strict=True)])
-        least = np.array([-np.inf if place.own in _SIGNED else 0.0 for place in own])
-        motors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(numbers.joints)]
-
-        def build_robot(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
-            there = replace(numbers, inertials=inertials).with_values([*own, *motors], [*others, *rotors])
-            return robot_with(prior, there)
-
-        covariance = replace(
-            self.covariance, std=self.covariance.std[:size], correlation=self.covariance.correlation[:size, :size]
-        )
-        return Sums(self.values[:size], covariance, self.of_standard[:size], both[:, apart], about, least, build_robot)
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
         """Return the same parameters of a known robot; None where it has others."""
@@ -218,44 +148,33 @@ def identify_simulated_robot(
         method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
     robot, logs = model.robot, each_log(records)
     problem = pose_robot(model, records, robot_parameters(robot), filtering)
-    nominal = nominal_numbers(robot, parameters.numbers(fit.values))
-    part = IdentifiedRobot(
-        setup=model,
-        names=(*fit.names, *(one.name for one in parameters.fixed)),
-        values=np.array([*fit.values, *(one.start for one in parameters.fixed)], dtype=np.float64),
-        covariance=fit.covariance.append_constants(len(parameters.fixed)),
-        nominal=parameters.group_all(Numbers.of(robot)),
-        nominal_errors=errors_of(problem, nominal),
-        formulas=(*parameters.formulas(robot), *(one.symbol for one in parameters.fixed)),
-        springs=fit.springs,
-        parameters=parameters,
-    )
+    fixed = [float(one.start or 0.0) for one in parameters.fixed]
+    part = IdentifiedRobot(model, parameters, np.append(fit.values, fixed))
+    numbers = part.numbers()
     steps = f"after {fit.iterations} simulations"
     stop = f"settled {steps}"
     if not fit.converged:
         stop = f"did not settle {steps}: allow more by method.evaluations, or record longer and livelier motions"
     kind = "of springs, rotors and links" if fit.springs else "of rigid joints"
-    result = build_robot_result(
+    nominal, late = parameters.group_all(Numbers.of(robot)), numbers.values[0].get(LOG_DELAY)
+    hidden = [one for one in fit.springs if not one.shown]
+    result = build_estimate(
         [record for log in logs for record in log],
-        part,
-        table_of_robot(part, parameters, _held_by_bounds(fit)),
-        fit.relative_error,
+        rows_of_robot(part, np.append(fit.covariance.std, np.zeros(len(fixed))), nominal, _held_by_bounds(fit), hidden),
+        fit.covariance.correlation,
         (problem.measured, problem.predict(fit.runs)),
-        (method[0], f"{method[1]}, {kind}"),
-        problem.filtering,
+        fit.relative_error,
         problem.filtered_torque.size,
         (stop, fit.converged),
         fit.iterations,
-        warnings=(_WITHOUT,) if fit.springs and not any(one.shown for one in fit.springs) else (),
+        Settings(method[0], f"{method[1]}, {kind}", robot, None, problem.filtering, log_delay=late),
+        robot=part,
+        nominal=errors_of(problem, nominal_numbers(robot, numbers)),
+        warnings=(_WITHOUT,) if fit.springs and len(hidden) == len(fit.springs) else (),
     )
     if len(logs) > 1:
         return result
-    (run,) = fit.runs
-    result = replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
-    if method[0] != "didim":
-        return result
-    simulated = motion_at(run, problem.log.experiment.clock.log_index).position[:, run.numbers.motors]
-    return replace(result, fit=replace(result.fit, position_rms=position_rms(robot.names, logs[0], simulated)))
+    return replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
 
 
 def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray) -> RobotLoop:
@@ -273,31 +192,41 @@ def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
     return {p.name: min(p.lower, p.upper, key=lambda b: abs(value - b)) for p, value, at in pairs if at}
 
 
-def table_of_robot(
-    part: IdentifiedRobot, parameters: RobotParameters, held: Mapping[str, float]
+def rows_of_robot(
+    part: IdentifiedRobot,
+    std: FloatArray,
+    nominal: FloatArray,
+    held: Mapping[str, float],
+    hidden: Sequence[SpringVerdict] = (),
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the table of the parameters; of a spring that is not shown, a bound at most."""
-    hidden, rows = [one for one in part.springs if not one.shown], list[EstimatedParameter]()
-    refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
-    refused |= {f"{one.joint}.damping": None for one in hidden}
-    described = describe_parameters(part.model, parameters)
-    for (one, unit, axis, of_record), value, std in zip(described, part.values, part.covariance.std, strict=True):
-        told = one.name not in refused
-        rows.append(
-            EstimatedParameter(
-                one.name,
-                one.symbol,
-                unit,
-                float(value) if told else None,
-                float(std) if told and one.free else None,
-                one.free,
-                lower_bound=refused.get(one.name),
-                of_joint=not of_record,
-                at_bound=held.get(one.name),
-                axis=axis,
-            )
-        )
-    return tuple(rows)
+    """Return the rows of the parameters; of a spring that is not shown, a bound at most.
+
+    Args:
+        part: the robot that was identified.
+        std: (parameters,) standard deviations.
+        nominal: (parameters,) values of the nominal robot.
+        held: bounds of those at one, by name.
+        hidden: springs that are not shown.
+    """
+    refused: dict[str, dict[str, Any]] = {f"{one.joint}.damping": {"value": None, "stderr": None} for one in hidden}
+    for one in hidden:
+        refused[f"{one.joint}.stiffness"] = {"value": None, "stderr": None, "lower_bound": float(one.at_least)}
+    described = [*describe_parameters(part.model, part.parameters)]
+    units, named = {p.name: unit for p, unit, *_ in described}, [p for p, *_ in described]
+    rows = build_rows(
+        named,
+        dict(zip(part.names, map(float, part.values), strict=True)),
+        {p.name: float(one) for p, one in zip(named, std, strict=True) if p.free},
+        lambda p: units[p.name],
+        [p.name for p, *_, of_record in described if not of_record],
+        held,
+    )
+    formulas = (*part.parameters.formulas(part.model), *(p.symbol for p in part.parameters.fixed))
+    axes = [axis for *_, axis, _ in described]
+    return tuple(
+        replace(row, axis=axis, formula=formula, nominal=float(given), **refused.get(row.name, {}))
+        for row, axis, formula, given in zip(rows, axes, formulas, nominal, strict=True)
+    )
 
 
 def describe_parameters(robot: Robot, parameters: RobotParameters) -> Iterator[tuple[Parameter, str, str, bool]]:

@@ -6,18 +6,18 @@ Nothing in the comments of an export depends on the day or on the machine: the s
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from jointid import __version__
 from jointid.common import text
 from jointid.common.errors import MethodError
-from jointid.common.parameters import TORQUE_UNIT
-from jointid.common.transmission import Side
+from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
+from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, on_other_side, show_value
+from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
@@ -25,6 +25,12 @@ from jointid.output.export.pd_law import PDLaw, pd_law
 from jointid.output.json import ESTIMATE_SCHEMA
 
 _LONGEST = 300  # characters of a comment
+_TURNED = (
+    "offset", "force_drift", "cosine", "_position", "_velocity", "initial_torque", "gravity_constant", "gravity_cos",
+    "gravity_sin", "counterbalance_constant", "counterbalance_cos", "counterbalance_sin",
+)  # fmt: skip
+"""Ends of the names of what changes its sign with the direction; all else is odd in the motion, or a size."""
+_EXCHANGED = {"forwards": "backwards", "backwards": "forwards"}
 
 
 class Mass(NamedTuple):
@@ -73,7 +79,7 @@ class JointModel:
         Raises:
             MethodError: each of several records has parameters of its own.
         """
-        joint, rows = estimate.require_joint(), {row.name: row for row in estimate.params.rows}
+        joint, rows = estimate.settings.joint, {row.name: row for row in estimate.rows}
         if own := [p.name for p in joint.parameters if p.name not in rows]:
             raise MethodError(f"Each record has {', '.join(own)} of its own; identify these records without own.")
         side = None if joint.transmission is None else joint.transmission.side
@@ -228,6 +234,49 @@ class JointModel:
             lines.append(f"transmission: {ratio}; all numbers here are of the {self.side} side")
         lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {show_value(p)} {p.unit}" for p in self.parameters]
         return comments(lines, lost)
+
+
+def on_other_side(
+    parameters: Sequence[EstimatedParameter], gear: Transmission, torque_unit: str
+) -> tuple[EstimatedParameter, ...]:
+    """Return parameters, in a unit of torque, as they are on the other side of a transmission, in the same order."""
+    here, found = {p.name: p for p in parameters}, list[EstimatedParameter]()
+    for p in parameters:
+        name, unit, factor = cross(gear, p.name, p.unit, torque_unit)
+        same = here.get(name, p)  # but for the direction
+        value, bound = (None if one is None else factor * one + 0.0 for one in (same.value, same.lower_bound))  # no -0
+        stderr = None if same.stderr is None else abs(factor) * same.stderr
+        own = replace(same, name=p.name, symbol=p.symbol, unit=unit, value=value, stderr=stderr, lower_bound=bound)
+        found.append(replace(own, lack_of_fit=abs(factor) * same.lack_of_fit))
+    return tuple(found)
+
+
+def cross(gear: Transmission, name: str, unit: str, torque_unit: str) -> tuple[str, str, float]:
+    """Return name, unit and factor of a parameter on the other side, from those on the identified one.
+
+    The motor's ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load, with its ratio r::
+
+        tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
+
+    Stiffness and damping scale with r^2, a compliance with its inverse. A negative r exchanges the directions.
+
+    Args:
+        gear: a negative ratio exchanges the direction of a parameter.
+        name: of the parameter.
+        unit: of its value.
+        torque_unit: in which the joint's parameters are: N, N m, A or V.
+    """
+    other: Side = "motor" if gear.side == "load" else "load"
+    ratio, kind, factor = gear.position(other), gear.kind_of(other), 1.0
+    quantity = next((q for q in Quantity if unit_of(q, gear.kind, torque_unit) == unit), None)
+    if quantity is not None:  # quantities of one unit scale alike
+        factor = abs(ratio) ** quantity.power
+        unit = unit_of(quantity, kind, TORQUE_UNIT[kind] if torque_unit in TORQUE_UNIT.values() else torque_unit)
+    if ratio < 0:
+        factor = -factor if name.endswith(_TURNED) else factor
+        stem, separator, way = name.rpartition("_")
+        name = f"{stem}{separator}{_EXCHANGED.get(way, way)}"
+    return name, unit, factor
 
 
 def comments(lines: Iterable[str], lost: Iterable[str]) -> list[str]:

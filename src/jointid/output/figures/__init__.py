@@ -31,8 +31,8 @@ def torque(answer: Estimate | Validation) -> Figure:
     """Return the measured and the predicted torque over time, and their difference; of a checked robot all joints'."""
     if isinstance(answer, Validation):
         title, axes = f"{answer.record}: {answer.test} test", AxisSignals.of_validation(answer)
-    elif answer.robot is not None and isinstance(answer.checks.diagnosis, Diagnosis):
-        title, axes = "", AxisSignals.of_robot(answer.checks.diagnosis)
+    elif answer.robot is not None and isinstance(answer.diagnosis, Diagnosis):
+        title, axes = "", AxisSignals.of_robot(answer.diagnosis)
     else:
         title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
         axes = [AxisSignals.of(answer)]
@@ -63,7 +63,6 @@ class Plots:
         Raises:
             RecordError: the record is too short.
         """
-        self.estimate.require_joint()
         cutoff = self.estimate.settings.filtering.cutoff
         return charts.spectra_figure([AxisSignals.of(self.estimate)], cutoff, self.estimate.frequencies)
 

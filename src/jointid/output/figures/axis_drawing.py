@@ -42,8 +42,8 @@ def axis_figure(estimate: Estimate) -> Figure:
     Raises:
         MethodError: the estimate is of a robot.
     """
-    joint = estimate.require_joint()
-    rows = [row for row in estimate.params.rows if row.of_joint and row.name not in INITIAL]
+    joint = estimate.settings.joint
+    rows = [row for row in estimate.rows if row.of_joint and row.name not in INITIAL]
     columns = [("mass" if joint.kind == "prismatic" else "inertia", rows)]
     if isinstance(joint, FlexibleJoint):
         spring = {"damping", *(one.name for one in joint.spring.parameters)}

@@ -83,7 +83,7 @@ class AxisSignals:
         if not size:
             raise MethodError("The estimate does not keep its torque; plot `ji.validate(estimate, record)`.")
         compared = np.zeros(size, dtype=np.bool_)
-        compared[fit.borders[0] : size - fit.borders[1]] = True
+        compared[settings.filtering.borders[0] : size - settings.filtering.borders[1]] = True
         return cls(
             "", estimate.data.torque_unit, POSITION_UNIT[settings.joint.kind], settings.method,
             settings.joint.transmission, instants(size, estimate.data.sample_time), fit.measured, fit.predicted,
@@ -303,11 +303,11 @@ def response_figure(estimate: Estimate, found: FrequencyResponse) -> Figure:
 @styled
 def correlation_figure(estimate: Estimate) -> Figure:
     """Draw the correlations of the estimate's errors."""
-    free = [p for p in estimate.params.rows if p.free][: len(estimate.params.correlation)]
+    free = [p for p in estimate.rows if p.free][: len(estimate.correlation)]
     own = [i for i, p in enumerate(free) if p.of_joint]
     if len(own) < 2 or any(free[i].value is None for i in own):
         raise RecordError("Fewer than two correlations are known; identify more parameters.")
-    values, names = estimate.params.correlation[np.ix_(own, own)], [free[i].symbol for i in own]
+    values, names = estimate.correlation[np.ix_(own, own)], [free[i].symbol for i in own]
     figure, (axes,) = panels((min(140 + 42 * len(names), 560),), width=5.5)
     axes.grid(visible=False)
     axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
@@ -330,7 +330,7 @@ def profiles_figure(estimate: Estimate, found: Sequence[ProfileInterval]) -> Fig
     for axes, one in zip(drawn, shown, strict=True):
         risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
         axes.plot(one.points, risen, color=MEASURED, linewidth=1.2, marker="o")
-        std = next((p.stderr for p in estimate.params.rows if p.symbol == one.formula), None)
+        std = next((p.stderr for p in estimate.rows if p.symbol == one.formula), None)
         if one.name == "compliance" and (stderr := estimate["stiffness"].stderr):
             std = stderr * one.estimate**2
         if std:

@@ -95,7 +95,6 @@ class Report:
                 raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
             found = diagnose(record, estimate, controllers=controllers)
             return cls(ReportData(estimate, found, checks=tuple(checks)), name, again)
-        estimate.require_joint()
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
 

@@ -288,7 +288,7 @@ def _settings(given: ReportData, repetition: Repetition) -> Iterator[Block]:
     facts = (
         ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
         ("Rows fitted", str(fit.rows)),
-        ("Left out of the raw error", f"{fit.borders[0]} samples at the start, {fit.borders[1]} at the end"),
+        ("Left out of the raw error", f"{f.borders[0]} samples at the start, {f.borders[1]} at the end"),
         ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
         *(("Torque, SHA-256 of its samples", one) for one in estimate.data.fingerprints if one),
     )
