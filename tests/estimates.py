@@ -10,9 +10,9 @@ from jointid.diagnostics.diagnose import diagnose_joint
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import MOST
 from jointid.diagnostics.suspects import AxisFaults
+from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.simulated import errors_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

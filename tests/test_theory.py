@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.base import INITIAL_STATE
+from jointid.estimation.parameters import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import POSITION
 from jointid.paper.twin import CONTROLLERS, twin

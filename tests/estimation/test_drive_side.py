@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.methods.drive_side import DriveSideProblem, motion_problem
-from jointid.estimation.problems.base import log_delay
+from jointid.estimation.methods.drive_side import motion_problem
+from jointid.estimation.parameters import log_delay
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.simulation.drive_side import DriveSide
@@ -19,7 +20,7 @@ PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
 FILTERING = ji.Filtering(cutoff=60.0)
 
 
-def problem_of(record: Record, delay: float | None = None) -> DriveSideProblem:
+def problem_of(record: Record, delay: float | None = None) -> ClosedLoopProblem:
     return motion_problem(record, DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
 
 

@@ -9,7 +9,7 @@ import jointid as ji
 from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History
 from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
-from jointid.estimation.problems.base import INITIAL
+from jointid.estimation.parameters import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
 from jointid.models.controllers import Cascade

@@ -87,7 +87,7 @@ def test_a_right_model_leaves_a_step_of_the_size_that_noise_makes(kind: str) -> 
         problem = torque_problem(record, loop, Filtering(), loop.joint.parameters)
         start = problem.vector(truth | {"initial_position": 0.0, "initial_velocity": 10.0, "initial_torque": 0.0})
         end = solve(problem, LevenbergMarquardt(1e-8), start)
-        J, W = -end.jacobian, problem.filter(problem.regressor(problem.simulate(end.x)))
+        J, W = -end.jacobian, problem.filter(loop.joint.regressor(problem.simulate(end.x).motor)[0])
         step, deviation = second_solution(np.hstack([W, J[:, 4:]]), Influence(J, end.residual))
         steps.append((step / deviation.std)[:4])
     size = np.sqrt(np.mean(np.square(steps), axis=0))

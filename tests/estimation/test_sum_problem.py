@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.problems.base import INITIAL_STATE
+from jointid.estimation.parameters import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.several import RecordLayout, share_parameters
 from jointid.paper.twin import Twin, twin

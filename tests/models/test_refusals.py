@@ -9,7 +9,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import adjust_parameters
+from jointid.estimation.parameters import adjust_parameters
 from jointid.models.controllers import PD, Cascade, FirstOrder, Notch, SecondOrder, invert
 from jointid.models.controllers.filters import DigitalFilter, MovingAverage
 from jointid.models.controllers.laws import StateSpaceController

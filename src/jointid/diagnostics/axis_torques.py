@@ -191,8 +191,9 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
     the joint's own inertia is its rotor is not known where both are one base parameter: several are tried.
     """
     n = len(part.model)
-    of_links = np.any(part.of_standard[:, : len(SYMBOLS) * n], axis=1)  # a rotor may begin a sum with its link
-    values = np.where(of_links & part.parameters.inertial, part.values, 0.0)
+    sums = part.parameters  # a rotor may begin a sum with its link
+    of_links = sums.inertial & np.any(sums.of_standard[:, : len(SYMBOLS) * n], axis=1)
+    values = np.where(of_links, part.values, 0.0)
 
     def through(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         return np.asarray(part.regressor(q, v, a) @ values)

@@ -38,7 +38,7 @@ from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.base import DELAY, DELAYS, DRIVE_AND_LOG, INITIAL
+from jointid.estimation.parameters import DELAYS, DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
@@ -49,6 +49,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.plant import DELAY
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 

@@ -29,7 +29,7 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.problems.base import INITIAL, adjust_parameters
+from jointid.estimation.parameters import INITIAL, adjust_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.springs import fit_rigid
 from jointid.models.friction import FRICTIONS, Friction

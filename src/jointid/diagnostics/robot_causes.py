@@ -20,8 +20,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.text import join, number
 from jointid.diagnostics.changes import Cause
+from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.inverse_model import motion_of_robot
-from jointid.estimation.robots.numbers import robot_parameters
 from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

@@ -166,12 +166,12 @@ def _correct(found: Tested, test: FaultTest) -> Tested:
     held = replace(found, corrected=(*found.corrected, signature), named=named, beside={})
     if signature.raw is not None and fault is not LIMIT:
         change, values = _search_law(found, signature) or (test.size * signature.raw, {})
-        problem = replace(problem, measured=problem.measured - change)
+        problem = problem.with_log(measured=problem.log.measured - change[:, np.newaxis])
         return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x, beside=values)
     start = test.declared + test.size
     if fault is LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
-        problem = problem.declared(with_numbers(problem.loop.controller, {test.name: start}))
+        problem = problem.under(with_numbers(problem.loop.controller, {test.name: start}))
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
     try:

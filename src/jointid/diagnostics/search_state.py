@@ -27,7 +27,7 @@ from jointid.diagnostics.suspects import (
     number_fault,
 )
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
-from jointid.estimation.problems.base import surrounding
+from jointid.estimation.parameters import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
@@ -164,7 +164,7 @@ def compute_signatures(
     numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
     apart = {fault.name for fault in FAULTS.values() if fault.columns and fault is not LOG_DELAY}
     wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in apart)]
-    of_log = () if problem.seen is not None else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
+    of_log = () if any(problem.log.seen) else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
     names = [name for name in (*wanted, *of_log) if name not in taken]
     wider = problem.freeing(*names)
     residual, slopes = wider.linearise(wider.vector(problem.values(x)))

@@ -111,14 +111,11 @@ class Seen:
         """
         assert self.loop is not None
         problem = self.loop[0]
-        given = {p.name: p for p in problem.parameters}
         changed = {name for name, value in values.items() if value != self.values.get(name)}
         if any(p.name in changed for p in problem.parameters if not p.free):
             return None
         joint: Any = replace(problem.joint, **laws)  # type: ignore[arg-type]
-        own = tuple(given.get(p.name, p) for p in joint.parameters)
-        beside = problem.parameters[len(problem.joint.parameters) :]
-        other = replace(problem, loop=replace(problem.loop, joint=joint), parameters=(*own, *beside))
+        other = problem.with_joint(joint)
         start = other.vector({**self.values, **values})
         try:
             faulty = require_success(other.simulate(start))

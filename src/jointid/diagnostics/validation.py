@@ -29,7 +29,7 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.methods.drive_side import motion_problem
-from jointid.estimation.problems.base import LOG_DELAY
+from jointid.estimation.parameters import LOG_DELAY
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
@@ -39,6 +39,7 @@ from jointid.estimation.problems.inverse_model import (
     require_one_log,
     through_window,
 )
+from jointid.estimation.problems.simulated import outcome_of
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_check
 from jointid.estimation.starts.rigid_joint import fit_initial_state
@@ -372,9 +373,9 @@ def _simulate_joint(estimate: Estimate, record: Record) -> _Predicted:
         free = motion_problem(record, DriveSide(joint), settings.filtering, joint.parameters, delay)
         problem, moved = free.keeping(values), free.log.motion
         x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
-        if problem.run(x).outcome is not Outcome.FINISHED:
+        if outcome_of(problem.run(x)) is not Outcome.FINISHED:
             raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-        predicted, q, v, compared = problem.predict(x), moved.q[:, 0], moved.v[:, 0], moved.moving
+        predicted, q, v, compared = problem.torque(x), moved.q[:, 0], moved.v[:, 0], moved.moving
     error, whole = problem.filter(np.column_stack([problem.measured - predicted, problem.measured])).T
 
     def fit_anew() -> FloatArray | None:
@@ -396,8 +397,8 @@ def _search(problem: Any, start: FloatArray) -> Solution | None:
 
 
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
+    from jointid.estimation.parameters import robot_parameters
     from jointid.estimation.problems.simulated import pose_robot
-    from jointid.estimation.robots.numbers import robot_parameters
     from jointid.estimation.robots.simulated import errors_of, nominal_numbers
     from jointid.simulation.simulate import motion_at
 

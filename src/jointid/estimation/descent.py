@@ -25,7 +25,7 @@ from jointid.common.text import join, number, pluralise
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
 from jointid.simulation.simulate import Simulation
 from jointid.simulation.start import wound_up
@@ -259,7 +259,7 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem of the same joint with a linear spring; itself where it has one."""
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
-    return problem if joint.spring.linear else _with_joint(problem, replace(joint, spring=Spring()))
+    return problem if joint.spring.linear else problem.with_joint(replace(joint, spring=Spring()))
 
 
 def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
@@ -270,7 +270,7 @@ def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """
     if problem.joint.linear == problem.joint:
         return problem
-    found = _with_joint(problem, problem.joint.linear)
+    found = problem.with_joint(problem.joint.linear)
     if not found.free_joint:
         names = join([p.name for p in problem.free_joint])
         raise MethodError(
@@ -280,20 +280,11 @@ def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     return found
 
 
-def _with_joint(problem: ClosedLoopProblem, joint: Joint) -> ClosedLoopProblem:
-    """Return the problem of a joint whose parameters are among those of its own."""
-    given = {p.name: p for p in problem.parameters}
-    own = tuple(replace(given[p.name], symbol=p.symbol) for p in joint.parameters)
-    beside = problem.parameters[len(problem.joint.parameters) :]
-    return replace(problem, loop=ClosedLoop(joint, problem.loop.controller), parameters=(*own, *beside))
-
-
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:
     """Search for a joint with nonlinear laws from the end with linear ones, or with a linear spring."""
     joint, linear = problem.joint, found.problem
-    surroundings = linear.parameters[len(linear.joint.parameters) :]  # the search may have let the motor begin moving
-    own = problem.parameters[: len(joint.parameters)]
-    problem = replace(problem, filtering=linear.filtering, parameters=(*own, *surroundings))
+    own, around = problem.parameters[: len(joint.parameters)], linear.around  # the motor may begin moving there
+    problem = replace(problem.with_log(filtering=linear.filtering), parameters=(*own, *around))
     values, run = found.values, linear.simulate(found.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}

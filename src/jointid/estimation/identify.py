@@ -18,12 +18,11 @@ from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method, Task, default_method
 from jointid.estimation.outputs import state_scale, state_timing, torques_of
-from jointid.estimation.problems.base import adjust_parameters
+from jointid.estimation.parameters import adjust_parameters, require_friction
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.verdict import Reason, Subject, check_of
 from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.numbers import require_friction
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.several import RecordLayout, identify_records
 from jointid.estimation.windows import identify_windows, travel

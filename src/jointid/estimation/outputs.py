@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.text import join
-from jointid.estimation.problems.base import LOG_DELAY
+from jointid.estimation.parameters import LOG_DELAY
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import scale_check
 from jointid.models.joints import ClosedLoop

@@ -16,14 +16,20 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
-from jointid.estimation.problems.base import DELAY, LOG_DELAY, log_delay
+from jointid.estimation.parameters import (
+    LOG_DELAY,
+    RobotParameters,
+    add_delays,
+    apply_constraints,
+    log_delay,
+    robot_parameters,
+)
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import finite, read
 from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
 from jointid.estimation.result.verdict import Check, judged
-from jointid.estimation.robots.numbers import RobotParameters, add_delays, apply_constraints, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
@@ -31,6 +37,7 @@ from jointid.models.robots.names import name_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
+from jointid.simulation.plant import DELAY
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide
 System = Joint | ClosedLoop | DriveSide | RobotSystem
@@ -123,7 +130,7 @@ def _restore_robot(
         late = [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in rows]
         parameters = add_delays(parameters, system, late)
     part = IdentifiedRobot(setup, parameters, np.zeros(0))
-    formulas = (*parameters.formulas(robot), *(one.symbol for one in parameters.fixed))
+    formulas = parameters.formulas(robot)
     if [*rows] != [*part.names]:
         other = ", ".join(sorted(rows.keys() ^ {*part.names})) or "their order"
         raise RecordError(f"its parameters are not those of this robot, which differ in {other}; identify again")

@@ -27,7 +27,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, Quantity, unit_of
-from jointid.estimation.problems.base import INITIAL, adjust_parameters, of_law
+from jointid.estimation.parameters import INITIAL, adjust_parameters, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.agreement import Alone, compare_records
 from jointid.estimation.result.build_result import (
@@ -315,7 +315,7 @@ def identify_records(
         fits.append(fit(loop, record, layout.changes(known, k, acting=False)))
         problem, joint = _solved(fits[k])[0], loop.joint.parameters
         shared = adjust_parameters(joint, layout.changes(known, k, acting=True))
-        moved = replace(problem, parameters=(*shared, *problem.parameters[len(joint) :]))
+        moved = replace(problem, parameters=(*shared, *problem.around))
         acting.append(moved.freeing(*layout.free))
     starts = fill_starts([_told(one) for one in fits], [p.name for p in _solved(fits[0])[0].parameters])
     gain, together = _gain(layout, starts), share_parameters(acting, layout)

@@ -109,18 +109,19 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     """
     assert record.torque is not None
     experiment = prepare(like.loop, record)
-    problem = replace(like, measured=record.torque.values[: experiment.clock.samples], experiment=experiment, seen=None)
+    measured = record.torque.values[: experiment.clock.samples]
+    problem = like.with_log(measured=measured[:, np.newaxis], experiment=experiment, seen=(None,))
     # What an integral holds is one constant along the log, and no window's own.
     seen = None if experiment.axis.law.integrates else seen_position(record, like.loop)
-    torque = float(problem.filter(problem.measured)[0])  # a single sample has all of the noise
+    torque = float(problem.filter(measured)[0])  # a single sample has all of the noise
     inputs, period = experiment.axis.inputs, experiment.axis.law.period
     velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
-    torque += disturbed * float(np.std(problem.measured))
+    torque += disturbed * float(np.std(measured))
     velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
-    position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
+    position = beginning_position(problem, velocity, torque)
     if seen is not None and record.motor_position is not None:
         shown = seen.torque(record.motor_position.values)[: experiment.clock.samples]
-        problem = replace(problem, seen=seen, measured=shown)
+        problem = problem.with_log(seen=(seen,), measured=shown[:, np.newaxis])
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 
@@ -235,7 +236,7 @@ class WindowsProblem:
                     continue
                 problem = begin_window(self.like, record)
                 torque, run, slopes = problem.sensitivities(x)
-                error, columns = problem.filter_error(torque, run, slopes)
+                error, columns = problem.filter(problem.measured - torque), problem.filter(slopes)
             except RecordError:
                 if not (chunk.number and chunk.last):  # a last one may be too short for filters
                     raise
@@ -259,7 +260,7 @@ class WindowsProblem:
 
 def _commanded(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
     """Return the reference of a window and its velocity, (samples,) each."""
-    axis, clock = problem.axis, problem.experiment.clock
+    axis, clock = problem.axis, problem.log.experiment.clock
     position = axis.inputs[clock.log_index // clock.lengths.size, REFERENCE]
     return position, np.gradient(position, problem.sample_time)
 

@@ -43,7 +43,7 @@ from jointid.planning.predict import Goal, Noise, PredictedTest, find_maxima, fi
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import to_log
-from jointid.simulation.simulate import Outcome, Simulation, require_success
+from jointid.simulation.simulate import Simulation, require_success
 from jointid.uncertainty.covariance import Influence, covariance_of
 
 RUNS = 200
@@ -178,10 +178,7 @@ class JointModel:
         for seed, values in enumerate(self.joints):
             x = _place(problem, values)
             run = require_success(problem.simulate(x))
-            _, response, columns = problem.sensitivities(x)
-            if response.outcome is not Outcome.FINISHED:
-                raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
-            J = problem.filter(columns)
+            J = -problem.linearise(x)[1]
             errors = _draw_errors(problem, x, noise, runs, seed)
             matrix, left = _scatter(problem, J, errors), np.zeros(1)
             if noise.left is not None:
@@ -276,7 +273,7 @@ def _find_joint_maxima(run: Simulation, reference: Channel, noise: float) -> tup
 def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray:
     """Free parameters of a joint that starts at rest."""
     held = _holding_torque(problem.loop, values, float(problem.axis.inputs[0, REFERENCE]))
-    position = beginning_position(replace(problem, measured=np.full_like(problem.measured, held)))
+    position = beginning_position(problem, torque=held)
     around = {"initial_position": position, "initial_velocity": 0.0, "initial_torque": held}
     return problem.vector({**values, **around})
 
@@ -313,7 +310,7 @@ def _draw_errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: 
         if noise.force > 0:
             force = noise.force * rng.standard_normal(experiment.after_limit.size)
             forced = replace(experiment, after_limit=experiment.after_limit + force)
-            run = problem.driven(forced).torque(x)
+            run = problem.torque(x, lambda _: forced)
             # The log shows what the loop does about the force, and not the force itself.
             added = added + run - quiet - to_log(experiment, forced.shown - experiment.shown)
         return added

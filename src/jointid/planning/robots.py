@@ -26,11 +26,11 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
+from jointid.estimation.parameters import RobotParameters, robot_parameters
 from jointid.estimation.problems.inverse_model import motion_of_robot
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
-from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.simulated import describe_parameters, nominal_numbers
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot

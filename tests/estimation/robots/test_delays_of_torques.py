@@ -9,7 +9,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.robots.numbers import with_delays
+from jointid.estimation.parameters import with_delays
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate

@@ -12,11 +12,11 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.validation import Prediction, validate
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.inverse_model import filter_motion, inverse_of_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import simulate_robot
-from jointid.estimation.robots.numbers import robot_parameters
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering

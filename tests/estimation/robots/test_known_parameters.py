@@ -68,5 +68,5 @@ def test_friction_that_differs_by_direction_is_kept_by_its_own_names() -> None:
     ]
     backwards = {"joint1.coulomb_backwards": Parameter("coulomb", "Fc-", Quantity.FORCE).fix(1.0)}
     for model in (robot, replace(LOOP, robot=robot)):
-        with pytest.raises(MethodError, match="differs by direction is its mean"):
+        with pytest.raises(MethodError):
             ji.identify(LOGS[0], model, parameters=backwards)

@@ -8,8 +8,8 @@ import pytest
 
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.parameters import name_in_robot, robot_parameters
 from jointid.estimation.robots.didim import search_robot
-from jointid.estimation.robots.numbers import name_in_robot, robot_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.robots.didim import RobotFit, search_robot
-from jointid.estimation.robots.numbers import robot_parameters
 from jointid.records.record import Record
 from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.plant import Numbers, robot_with

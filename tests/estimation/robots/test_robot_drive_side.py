@@ -62,7 +62,7 @@ def inside(found: RobotFit, twin: Twin) -> float:
     """Return the share of the robot's parameters whose truth is within two deviations."""
     parameters = found.parameters
     truth = parameters.group(Numbers.of(twin.robot))
-    mine = ~np.array([place.is_of_record for place in parameters.places])
+    mine = ~np.array([place.of_record for place in parameters.places])
     return float(np.mean(np.abs((found.values - truth) / found.covariance.std)[mine] < 2.0))
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.parameters import robot_parameters
 from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Link, Robot, RobotJoint

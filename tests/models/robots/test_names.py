@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.parameters import robot_parameters
 from jointid.models.robots.robot import Robot
 from tests.estimation.robots.twin import arm
 from tests.public_arms import urdf_of

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
 from jointid.diagnostics.report_data import compute_response, estimate_spectra
-from jointid.estimation.problems.base import INITIAL
+from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.parts import show_value
 from jointid.output.figures.axis_drawing import axis_figure
 from jointid.output.figures.charts import response_figure

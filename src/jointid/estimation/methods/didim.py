@@ -49,7 +49,7 @@ from jointid.estimation.methods.registry import (
     Task,
 )
 from jointid.estimation.outputs import check_outputs
-from jointid.estimation.problems.base import DELAY, DELAYS, INITIAL_STATE
+from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.estimation.result.estimate import Estimate
@@ -58,6 +58,7 @@ from jointid.estimation.starts.flexible_joint import NOTHING, rough_rigid_joint,
 from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
+from jointid.simulation.plant import DELAY
 from jointid.solvers.regression import refuse_idle
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -124,7 +125,7 @@ class DIDIM(Method):
         if self.free:
             solved = free_more(solved, self.free, self.stopping_tolerance(task.joint.model), history)
             if loop is not None and solved.problem.loop.controller != loop.controller:  # a free delay stays what it is
-                solved = solved._replace(problem=solved.problem.declared(loop.controller))
+                solved = solved._replace(problem=solved.problem.under(loop.controller))
         problem, x = solved.problem, solved.x
         error, J = history.count_evaluations(problem).linearise(x)
         run, end = problem.simulate(x), (solved.solution.message, solved.solution.converged)

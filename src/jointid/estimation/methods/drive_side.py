@@ -20,18 +20,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
-from jointid.estimation.problems.base import FAILED, LOG_DELAY, RecordProblem, log_delay
-from jointid.estimation.problems.closed_loop import require_free
+from jointid.estimation.parameters import LOG_DELAY, log_delay
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, require_free
 from jointid.estimation.problems.inverse_model import (
     SAID,
     MeasuredMotion,
@@ -39,11 +37,12 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
+from jointid.estimation.problems.simulated import MotionLog
 from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
 from jointid.estimation.starts.flexible_joint import FASTEST, SpringSearch, rigid_cutoff, row_of_frequencies
-from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
@@ -56,16 +55,11 @@ from jointid.records.signals.filtering import (
 from jointid.simulation.drive_side import (
     PARTS,
     DriveSide,
-    DriveSideRun,
     prescribe,
 )
-from jointid.simulation.plant import LOAD_STATE, Numbers, Place
-from jointid.simulation.simulate import Outcome
+from jointid.simulation.plant import LOAD_STATE
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.uncertainty.covariance import Influence
-
-if TYPE_CHECKING:
-    from jointid.estimation.problems.simulated import MotionLog
 
 _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
@@ -77,63 +71,13 @@ _TOLERANCE, _ROUGHLY = 1e-8, 1e-3  # of the criterion and the parameters; and of
 _NONE = 1e-200  # kg, or kg m2: an inertia of the wrong sign ends at its bound
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveSideProblem(RecordProblem):
-    """The torque of one record along its own motor motion; the torque is through `filtering.window_torque`.
-
-    Beside the joint's parameters there are those of `LOAD_STATE`, and ``log_delay``. The filter's borders are left out
-    before it is applied.
-
-    Attributes:
-        joint: what is identified.
-        log: the motion of its motor, prescribed, and the rows that are compared.
-    """
-
-    joint: Joint
-    log: MotionLog
-
-    @property
-    def sample_time(self) -> float:
-        """Of the measured signal, seconds."""
-        return self.log.sample_time
-
-    def filter(self, columns: FloatArray) -> FloatArray:
-        """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
-        return self.log.decimate_joint(0, columns)
-
-    def run(self, x: FloatArray) -> DriveSideRun:
-        """Return the simulation itself, part by part."""
-        return self.log.run(Numbers((self.joint,), (self.values(x),)))
-
-    def predict(self, x: FloatArray) -> FloatArray:
-        """Return the prediction of `measured`, (samples,)."""
-        return self.log.predict(self.run(x))[:, 0]
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
-        return self._error(self.run(x))
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        run = self.run(x)
-        error = self._error(run)
-        if run.outcome is not Outcome.FINISHED:
-            return error, np.zeros((error.size, x.size))
-        return error, -self.log.slopes(run, [Place(0, p.name) for p in self.free])
-
-    def _error(self, run: DriveSideRun) -> FloatArray:
-        if run.outcome is not Outcome.FINISHED:
-            return FAILED * self.filter(self.measured)
-        return self.filter(self.measured - self.log.predict(run)[:, 0])
-
-
 def motion_problem(
     record: Record,
     setup: DriveSide,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     delay: Parameter,
-) -> DriveSideProblem:
+) -> ClosedLoopProblem:
     """Return the problem of reproducing a record's torque along its motor motion.
 
     Args:
@@ -170,10 +114,8 @@ def motion_problem(
     around = () if setup.joint.model == "rigid" else _LOAD_PARAMETERS
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)
-    from jointid.estimation.problems.simulated import MotionLog  # which loads kernels
-
     log = MotionLog(motion.torque, filtering, motion, prescribed, PARTS)
-    return DriveSideProblem((*parameters, *first, delay), motion.torque[:, 0], filtering, setup.joint, log)
+    return ClosedLoopProblem((log,), (*parameters, *first, delay), np.ones(1), setup)
 
 
 @add_settings_to_docstring
@@ -220,7 +162,7 @@ class DriveSideFit(Method):
             try:
                 found = _fit_rigid(problem, _TOLERANCE, history).solution
             except MethodError:  # of a light joint in noise the reversals may be all that tells of its inertia
-                problem = replace(problem, log=problem.log.with_rows(moving))
+                problem = problem.map_logs(lambda log: log.with_rows(moving))
                 found = _fit_rigid(problem, _TOLERANCE, history).solution
         x, J, error = found.x, found.jacobian, found.residual
         influence = Influence(J, error)
@@ -238,7 +180,7 @@ class DriveSideFit(Method):
             [record],
             rows_of_problem(problem, x, covariance, find_active_bounds(problem.free, x, error, J)),
             covariance.correlation,
-            (problem.measured, problem.predict(x)),
+            (problem.measured, problem.torque(x)),
             problem.filtered_error(error),
             error.size,
             (found.message, found.converged),
@@ -249,7 +191,7 @@ class DriveSideFit(Method):
         )
 
 
-def _search_spring(record: Record, joint: FlexibleJoint, problem: DriveSideProblem, history: History) -> Solved:
+def _search_spring(record: Record, joint: FlexibleJoint, problem: ClosedLoopProblem, history: History) -> Solved:
     """Return the end of the search from a rigid joint below the resonance."""
     slow, delay = Filtering(cutoff=rigid_cutoff(record)), problem.parameters[-1]
     rigid = motion_problem(record, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
@@ -259,7 +201,7 @@ def _search_spring(record: Record, joint: FlexibleJoint, problem: DriveSideProbl
     return history.finish(search.refine(search.explore([values], row)), _TOLERANCE)
 
 
-def _fit_rigid(problem: DriveSideProblem, tolerance: float, history: History) -> Solved:
+def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -> Solved:
     """Return the fit of a rigid joint.
 
     Raises:

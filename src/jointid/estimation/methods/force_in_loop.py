@@ -111,7 +111,9 @@ def uncertainty_of_least_error(
     known, _ = widen_for_force(uncertainty(Influence(J, residual), problem.cells(run)), problem, x, J, history)
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
-    held, W = find_active_bounds(problem.free, x, residual, J), problem.filter(problem.regressor(run))
+    held = find_active_bounds(problem.free, x, residual, J)
+    columns, own = problem.joint.regressor(run.motor)[0], problem.parameters[: len(problem.joint.parameters)]
+    W = problem.filter(columns[:, [p.free for p in own]])
     freely = np.array([p.name not in held for p in problem.free])
     return widened_to_second(known, np.hstack([W, J[:, W.shape[1] :]]), J, residual, freely)
 
@@ -179,7 +181,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
         return None
     values = problem.values(x)
     inertia = sum(values[name] for name in ("inertia", "motor_inertia", "load_inertia") if name in values)
-    middle = crossover(problem.law_at(x), inertia)
+    middle = crossover(problem.axis_at(x).law, inertia)
     hertz, power = _spectrum(error, moving, problem.sample_time, _MEMORY / middle)
     seen = (hertz >= _SLOWEST * middle) & (hertz <= _FASTEST / problem.sample_time)
     hertz, power = hertz[seen], power[seen]
@@ -245,7 +247,7 @@ def _response(problem: ClosedLoopProblem, x: FloatArray, hertz: FloatArray) -> F
     """Return ``|T|^2``: how much of a force on the motor the controller's torque answers to."""
     own = {p.name for p in problem.joint.parameters}
     values = {name: value for name, value in problem.values(x).items() if name in own}
-    law = problem.law_at(x)
+    law = problem.axis_at(x).law
     late = np.exp(-2j * math.pi * hertz * (law.delay + 0.5 * law.period))
     through = frequency_response(problem.joint, values, hertz, "motor_position") * law.feedback(hertz) * late
     return np.asarray(np.abs(through / (1.0 - through)) ** 2)

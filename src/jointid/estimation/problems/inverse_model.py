@@ -48,7 +48,7 @@ from jointid.records.signals.filtering import (
 )
 
 if TYPE_CHECKING:
-    from jointid.estimation.robots.numbers import RobotParameters
+    from jointid.estimation.parameters import RobotParameters
 
 ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
 """The spring's force by the difference of two encoders' zeros, which acts on the load and against the motor.
@@ -497,7 +497,7 @@ def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
     def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
         return motion_of_robot(robot, records, filtering)
 
-    return Inverse((*parameters.names, *(one.name for one in parameters.fixed)), len(robot), columns, measure)
+    return Inverse(parameters.names, len(robot), columns, measure)
 
 
 # Samples at rest or at a reversal, at which sticking friction does not follow ``Fc sign(v)``

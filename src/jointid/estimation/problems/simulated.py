@@ -1,11 +1,12 @@
-"""Simulated robots: parameters in, the filtered errors of all motors' torques and their derivatives out.
+"""Simulated joints and robots: parameters in, the filtered errors of all motors' torques and their derivatives out.
 
-What moves the motors in a simulation is a log's: controllers that follow its references (`LoopLog`), or the motion that
-its motors made (`MotionLog`). There the links are simulated on their springs, and the torques that this takes compared
-with those that were logged (`simulation.drive_side`), through one window and one filter. The positions' own filter goes
-over the torques and over the direction of friction, too: of random robots, logged at 500 Hz, it left twice the noise
-otherwise. Where a motor rests or turns round its row is left out, as in IDIM. Noise of the positions is not modelled:
-what the filter leaves of it pulls the values, as in IDIM by least squares.
+A joint is a robot of one axis without a tree. What moves the motors in a simulation is a log's: controllers that follow
+its references (`LoopLog`), or the motion that its motors made (`MotionLog`). There the links are simulated on their
+springs, and the torques that this takes compared with those that were logged (`simulation.drive_side`), through one
+window and one filter. The positions' own filter goes over the torques and over the direction of friction, too: of
+random robots, logged at 500 Hz, it left twice the noise otherwise. Where a motor rests or turns round its row is left
+out, as in IDIM. Noise of the positions is not modelled: what the filter leaves of it pulls the values, as in IDIM by
+least squares.
 
 Several logs share the parameters. The rows of a joint are those of all logs, so that each joint has one size of its
 error.
@@ -14,18 +15,19 @@ error.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from functools import lru_cache
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import FAILED, LOG_DELAY
-from jointid.estimation.problems.base import log_delay as delay_of_log
+from jointid.estimation.parameters import DRIVE_AND_LOG, LOG_DELAY, RobotParameters, add_delays, of_law
+from jointid.estimation.parameters import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import (
     MeasuredMotion,
     Records,
@@ -36,8 +38,8 @@ from jointid.estimation.problems.inverse_model import (
     require_one_log,
     require_torques,
 )
-from jointid.estimation.robots.numbers import RobotParameters, add_delays
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.controllers import number
+from jointid.models.joints import ClosedLoop
 from jointid.models.robots.names import symbol_of
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
@@ -61,13 +63,15 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
-from jointid.simulation.plant import LOAD_STATE, Bools, Numbers, Place
+from jointid.simulation.loop_input import AxisInput, LoopInput, RobotLoop, change_controller, prepare
+from jointid.simulation.plant import LOAD_STATE, Bools, Numbers, Place, names_of
 from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
+from jointid.simulation.start import INITIAL, Initial
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
+_FAILED = 1e3  # times the measured torque: the error of a candidate that cannot be simulated
 EXACT = 1e-6  # of the torques: an error that the simulation itself may have
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
 _STILL = 20  # samples in a row, from the first on: a motor that rests there
@@ -75,7 +79,8 @@ _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, an
 _BEGINNING = 4.0  # s of a record, along which the search begins
 _SHORTER = 0.7  # of a record: a beginning that saves time
 _FIRST_STATE = LevenbergMarquardt(1e-6, 6)  # of the links at the first sample, on which torques depend nearly in a line
-_DELAY = Place(0, LOG_DELAY.name)
+_LATE = Place(0, LOG_DELAY.name)
+_ROOM = Room()
 
 Runs: TypeAlias = tuple[Any, ...]
 """Runs of one candidate along several logs, each a `Run` or a `DriveSideRun`."""
@@ -107,6 +112,7 @@ class LoopLog:
     experiment: LoopInput
     stride: float = FINE
     seen: tuple[SeenPosition | None, ...] = ()
+    motion_measured: ClassVar[bool] = False
 
     @property
     def tree(self) -> Tree | None:
@@ -123,6 +129,11 @@ class LoopLog:
         """Approximate positions of the shafts, (samples, n): the references."""
         return self.experiment.references
 
+    @property
+    def integrates(self) -> bool:
+        """True if a torque is computed under an integral."""
+        return any(one is not None and one.axis.law.integrates for one in self.seen)
+
     def roughly(self) -> LoopLog:
         """Return the log simulated in steps twice as long."""
         return replace(self, stride=COARSE)
@@ -131,13 +142,38 @@ class LoopLog:
         """Return the log where it is searched again: itself."""
         return self
 
-    def run(self, numbers: Numbers, *, keep: bool = True) -> Run:
-        """Simulate a candidate."""
-        return run_loop(self.experiment, numbers, keep=keep or any(self.seen), stride=self.stride)
+    def under(self, numbers: Numbers) -> LoopInput:
+        """Return what drives a candidate: of a joint with the numbers of the controller that it has."""
+        if self.tree is not None:
+            return self.experiment
+        own, law = names_of(numbers.joints[0]), self.experiment.axis.controller
+        changed = {name: x for name, x in numbers.values[0].items() if name not in own and of_law(name)}
+        changed = {name: x for name, x in changed.items() if x != number(law, name)}
+        return _change_law(self.experiment, tuple(changed.items())) if changed else self.experiment
+
+    def run(
+        self,
+        numbers: Numbers,
+        *,
+        keep: bool = True,
+        room: Room | None = None,
+        driven: Callable[[AxisInput], AxisInput] | None = None,
+    ) -> Run:
+        """Simulate a candidate; `driven` makes of what drives a joint what might."""
+        experiment, initial = self.under(numbers), None
+        if driven is not None:
+            experiment = experiment.alone(driven(experiment.axis))
+        if self.tree is None:
+            initial = Initial(*(numbers.values[0].get(name) for name in INITIAL))
+        return run_loop(experiment, numbers, initial, keep=keep or any(self.seen), stride=self.stride, room=room)
 
     def predict(self, run: Run) -> FloatArray:
         """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
-        torque = run.torque
+        torque = self._output(run)
+        return torque if self.tree is not None else _show(torque, run.numbers.values[0], self.sample_time)
+
+    def _output(self, run: Run) -> FloatArray:
+        torque = run.torque.reshape(len(self.measured), -1)
         if any(self.seen) and run.outcome is Outcome.FINISHED:
             position = motion_at(run, run.experiment.clock.log_index).position[:, run.numbers.motors]
             for j, seen in enumerate(self.seen):
@@ -145,15 +181,68 @@ class LoopLog:
                     torque[:, j] = seen.torque(position[:, j])[: len(torque)]
         return torque
 
+    def error(self, run: Run) -> FloatArray:
+        """Return measured less predicted torques, (samples, n); of a run that failed, the larger the earlier."""
+        if run.outcome is Outcome.FINISHED:
+            return self.measured - self.predict(run)
+        size = np.sqrt(np.mean(self.measured**2, axis=0))
+        return np.tile(_FAILED * size * (2.0 - run.finished), (len(self.measured), 1))
+
+    def columns(self, run: Run, keys: Sequence[Place]) -> list[FloatArray]:
+        """Return the derivatives of each joint's predicted torque by parameters, raw, (samples, keys)."""
+        if self.tree is not None:
+            return differentiate(run, keys)[0]
+        values, seen, own = run.numbers.values[0], self.seen[0] if self.seen else None, names_of(run.numbers.joints[0])
+        names = [place.name for place in keys]
+        gain, scaled = values.get("drive_gain", 1.0), "drive_gain" in names
+        wanted = [name for name in names if name not in DRIVE_AND_LOG]
+        wanted += [name for name in own if scaled and name not in wanted]
+        (slopes,), moved = differentiate(run, [Place(0, name) for name in wanted], positions=seen is not None)
+        slopes = slopes if seen is None else seen.slopes(moved[:, 0])
+        shown = _show(slopes, values, self.sample_time)
+        if gain == 1.0 and wanted == names:
+            return [shown]
+        columns = dict(zip(wanted, shown.T, strict=True))
+        if scaled:  # all of the joint's parameters are measured in the torque that acts
+            columns["drive_gain"] = -sum(values[name] / gain * columns[name] for name in own)
+        columns |= {name: columns[name] / gain for name in own if name in columns}
+        raw = self._output(run)
+        columns["log_gain"] = _show(raw, {**values, "log_gain": 1.0}, self.sample_time)[:, 0]
+        columns["log_delay"] = _show(raw, values, self.sample_time, 1)[:, 0]
+        return [np.column_stack([columns[name] for name in names])]
+
     def slopes(self, run: Run, keys: Sequence[Place]) -> FloatArray:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
-        return _in_blocks(lambda some: decimate_each(self, differentiate(run, some)[0]), keys)
+        return _in_blocks(lambda some: decimate_each(self, self.columns(run, some)), keys)
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one joint, (samples, ...), filtered; without the ends if a torque is computed."""
         del joint
         rows = decimate_all([columns], self.filtering, self.sample_time)[0]
         return drop_ends(rows, self.filtering, len(columns)) if any(self.seen) else rows
+
+
+@lru_cache(maxsize=2)
+def _change_law(experiment: LoopInput, numbers: tuple[tuple[str, float], ...]) -> LoopInput:
+    """Return an input with other numbers of its controller, the same for many runs of a candidate."""
+    return change_controller(experiment, dict(numbers))
+
+
+def _show(torques: FloatArray, values: Mapping[str, float], sample_time: float, order: int = 0) -> FloatArray:
+    """Return torques, (samples, columns), with the gain of the log, and as much later as its stamps are wrong.
+
+    Of order 1 the derivatives of that by the log's delay: on a sample the mean of the slopes on both sides.
+    """
+    gain, late = values.get("log_gain", 1.0), values.get("log_delay", 0.0) / sample_time
+    if order == 0 and late == 0.0:
+        return torques if gain == 1.0 else gain * torques
+    first = math.floor(late) - (late == 0.0)
+    at = np.arange(len(torques))[:, np.newaxis] - [first, math.floor(late) + 1]
+    before, after = np.moveaxis(torques[np.clip(at, 0, len(torques) - 1)], 1, 0)
+    if order == 1:
+        return np.asarray(gain * (after - before) / (sample_time * (math.floor(late) + 1 - first)))
+    part = late - first
+    return np.asarray(gain * ((1 - part) * before + part * after))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,6 +264,8 @@ class MotionLog:
     prescribed: PrescribedMotion
     parts: int = PARTS_OF_ROBOT
     thorough: bool = False
+    motion_measured: ClassVar[bool] = True
+    integrates: ClassVar[bool] = False
 
     @property
     def tree(self) -> Tree | None:
@@ -217,14 +308,19 @@ class MotionLog:
         """Return the log with other samples that count, (samples, n) of 0 and 1."""
         return replace(self, motion=replace(self.motion, moving=moving))
 
-    def run(self, numbers: Numbers, *, keep: bool = True) -> DriveSideRun:
+    def run(self, numbers: Numbers, *, keep: bool = True, room: Room | None = None) -> DriveSideRun:
         """Simulate a candidate; its tape is kept anyway."""
-        del keep
+        del keep, room
         return run_drive_side(self.prescribed, numbers)
 
     def predict(self, run: DriveSideRun) -> FloatArray:
         """Return the torque of a run as the log shows it, (samples, n)."""
         return self._show(run, run.torque)
+
+    def error(self, run: DriveSideRun) -> FloatArray:
+        """Return measured less predicted torques, (samples, n); of a run that failed, something large."""
+        finished = run.outcome is Outcome.FINISHED
+        return self.measured - self.predict(run) if finished else _FAILED * self.measured
 
     def slopes(self, run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
@@ -245,9 +341,9 @@ class MotionLog:
         moving = [c for c, key in enumerate(keys) if moves_links(key, run.numbers)]
         if moving:
             found[:, moving] += _in_blocks(moved_by, [keys[c] for c in moving])
-        if _DELAY in keys:
+        if _LATE in keys:
             late = self._show(run, run.torque, 1) / self.sample_time
-            found[:, list(keys).index(_DELAY)] = decimate_each(self, list(late.T))
+            found[:, list(keys).index(_LATE)] = decimate_each(self, list(late.T))
         return found
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
@@ -322,25 +418,37 @@ class Simulated:
     @property
     def motion_measured(self) -> bool:
         """True if the motors move as measured; a force in the loop then biases least squares."""
-        return isinstance(self.logs[0], MotionLog)
+        return self.logs[0].motion_measured
 
     @property
     def integrates(self) -> bool:
         """True if torques are computed under an integral, whose content hides a constant torque."""
-        seen = (one for log in self.logs if isinstance(log, LoopLog) for one in log.seen)
-        return any(one is not None and one.axis.law.integrates for one in seen)
+        return any(log.integrates for log in self.logs)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters, with bounds of what is searched."""
-        return self.parameters.parameters
+        return self.parameters.free
 
-    def map_logs(self, change: Callable[[Any], Log]) -> Simulated:
+    @property
+    def keys(self) -> Sequence[Place]:
+        """What the derivatives of simulations are by, (free,)."""
+        return self.parameters.keys
+
+    def scales(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives of the free parameters by what is searched, (free,)."""
+        return self.parameters.scales(x)
+
+    def numbers(self, x: FloatArray) -> Numbers:
+        """Return the numbers of a candidate."""
+        return self.parameters.numbers(self.parameters.values(x))
+
+    def map_logs(self, change: Callable[[Any], Log]) -> Self:
         """Return the problem of changed logs; itself where none changes."""
         logs = tuple(map(change, self.logs))
         return replace(self, logs=logs) if any(a is not b for a, b in zip(logs, self.logs, strict=True)) else self
 
-    def roughly(self) -> Simulated:
+    def roughly(self) -> Self:
         """Return the problem in longer steps, or of the logs' beginnings, for the start of a search."""
         return self.map_logs(lambda log: log.roughly())
 
@@ -351,13 +459,13 @@ class Simulated:
         least = self.floor / math.sqrt(rows.shape[1])
         return replace(self, sigma=np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
 
-    def simulate(self, numbers: Numbers, *, keep: bool = True) -> Runs:
-        """Simulate a robot along all logs, and keep what its derivatives need."""
+    def runs_of(self, numbers: Numbers, *, keep: bool = True) -> Runs:
+        """Simulate numbers along all logs, and keep what their derivatives need."""
         return tuple(log.run(numbers, keep=keep) for log in self.logs)
 
     def run(self, x: FloatArray, *, keep: bool = True) -> Runs:
         """Simulate a candidate."""
-        return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
+        return self.runs_of(self.numbers(x), keep=keep)
 
     def run_of(self, numbers: Numbers, *, keep: bool = True) -> Runs | None:
         """Simulate a robot with these numbers; None if it cannot be simulated.
@@ -365,7 +473,7 @@ class Simulated:
         Where its links are at the first sample is of the record: it is fitted, of any robot alike.
         """
         numbers = numbers.with_record(self.parameters.base, LOAD_STATE)
-        runs, first = self.simulate(numbers, keep=keep), self.parameters.first_state(numbers)
+        runs, first = self.runs_of(numbers, keep=keep), self.parameters.first_state(numbers)
         if outcome_of(runs) is not Outcome.FINISHED:
             return None
         if not first.places:
@@ -384,13 +492,12 @@ class Simulated:
 
     def error(self, runs: Runs) -> FloatArray:
         """Return the filtered error of the runs, measured less predicted, (rows,), not weighted."""
-        return self._join([log.measured - log.predict(run) for log, run in zip(self.logs, runs, strict=True)])
+        return self._join([log.error(run) for log, run in zip(self.logs, runs, strict=True)])
 
     def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
         """Return the derivatives of the runs' filtered torques by what is searched, (rows, free), not weighted."""
-        each = [log.slopes(run, self.parameters.places) for log, run in zip(self.logs, runs, strict=True)]
-        rows = each[0] if len(each) == 1 else join_rows(each, self.sigma.size)  # a copy of one log's would cost time
-        return np.asarray(rows * self.parameters.scales(x))
+        each = [log.slopes(run, self.keys) for log, run in zip(self.logs, runs, strict=True)]
+        return np.asarray(self._rows(each) * self.scales(x))
 
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
@@ -407,8 +514,11 @@ class Simulated:
 
     def _join(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each log, (samples, n), filtered, (rows,)."""
-        filtered = [decimate_each(log, list(one.T)) for log, one in zip(self.logs, each, strict=True)]
-        return join_rows(filtered, self.sigma.size)
+        return self._rows([decimate_each(log, list(one.T)) for log, one in zip(self.logs, each, strict=True)])
+
+    def _rows(self, each: Sequence[FloatArray]) -> FloatArray:
+        """Return the rows of each log as those of one."""
+        return each[0] if len(each) == 1 else join_rows(each, self.sigma.size)  # a copy of one log's would cost time
 
     @property
     def sizes(self) -> FloatArray:
@@ -431,19 +541,25 @@ class Simulated:
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
-        runs = self.run(x, keep=False)
-        error = self.error(runs) if outcome_of(runs) is Outcome.FINISHED else FAILED * self.filtered_torque
+        error = self.error(self.run(x, keep=False))
         return np.asarray(error * self.weights(error.size))
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
-        runs = self.run(x)
-        if outcome_of(runs) is not Outcome.FINISHED:
-            error = FAILED * self.filtered_torque
-            return error * self.weights(error.size), np.zeros((error.size, x.size))
-        error = self.error(runs)
+        """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated.
+
+        What a simulation keeps is forgotten before that of the next log.
+        """
+        numbers, errors, slopes, finished = self.numbers(x), list[FloatArray](), list[FloatArray](), True
+        for log in self.logs:
+            run: Any = log.run(numbers, room=_ROOM)
+            errors.append(decimate_each(log, list(log.error(run).T)))
+            finished &= run.outcome is Outcome.FINISHED
+            slopes += [log.slopes(run, self.keys)] if finished else []
+        error = self._rows(errors)
         weights = self.weights(error.size)
-        return error * weights, -self.slopes(runs, x) * weights[:, np.newaxis]
+        if not finished:
+            return error * weights, np.zeros((error.size, x.size))
+        return error * weights, self._rows(slopes) * -self.scales(x) * weights[:, np.newaxis]
 
 
 def pose_robot(
@@ -477,10 +593,16 @@ def pose_robot(
             throughout, the delay is none, or one of several logs begins in motion.
     """
     logs = each_log(records)
-    if isinstance(setup, RobotLoop):
-        return Simulated.of([_loop_log(setup, log, filtering) for log in logs], add_delays(parameters, setup, late))
     robot = setup if isinstance(setup, Robot) else setup.robot
-    found = [_motion_log(robot, log, filtering or Filtering()) for log in logs]
+    model = "flexible" if any(robot.flexible) else "rigid"
+    if isinstance(setup, RobotLoop):
+        for log in logs:
+            require_one_log(log)
+        moved = [loop_log(setup, log, model, filtering) for log in logs]
+        for one in moved:
+            require_torques(robot, one.measured.T)
+        return Simulated.of(moved, add_delays(parameters, setup, late))
+    found = [_motion_log(robot, log, model, filtering or Filtering()) for log in logs]
     for count, (_, resting) in enumerate(found if len(found) > 1 else (), start=1):
         if moving := [robot.names[j] for j in np.flatnonzero(np.array(robot.flexible) & ~resting)]:
             raise MethodError(
@@ -498,26 +620,36 @@ def pose_robot(
     return Simulated.of([log for log, _ in found], of_record(parameters, robot, resting, known))
 
 
-def _loop_log(loop: RobotLoop, records: Sequence[Record], filtering: Filtering | None) -> LoopLog:
-    require_one_log(records)
-    for record in records:
-        record.require(("torque",), "DIDIM of a robot")
-    experiment = prepare(loop, records)
-    samples = experiment.clock.samples
+def loop_log(
+    loop: ClosedLoop | RobotLoop, records: Sequence[Record], model: str, filtering: Filtering | None
+) -> LoopLog:
+    """Return the log of controllers that follow their references.
+
+    Args:
+        loop: of the joint, or of the robot.
+        records: of each joint, with torque, or with a motor position that shows what its controller puts out.
+        model: "rigid" or "flexible", by which the filter's cut-off is chosen.
+        filtering: of the torques.
+
+    Raises:
+        RecordError: a channel is missing, or the records have not one clock.
+        MethodError: see `prepare`; or the filtering is impossible.
+    """
+    loops = [loop] if isinstance(loop, ClosedLoop) else loop.loops
+    for one, record in zip(loops, records, strict=False):
+        record.require(one.channels, "DIDIM")
+    experiment = prepare(loop, records[0] if isinstance(loop, ClosedLoop) else records)
+    samples, sample_time = experiment.clock.samples, experiment.clock.sample_time
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
-    axes = zip(records, loop.robot.links, loop.controllers, strict=True)
-    seen = tuple(seen_position(record, ClosedLoop(RigidJoint(link.kind), law)) for record, link, law in axes)
-    for j, (one, record) in enumerate(zip(seen, records, strict=True)):
-        if one is not None and record.motor_position is not None:
-            measured[:, j] = one.torque(record.motor_position.values)[:samples]
-    require_torques(loop.robot, measured.T)
-    model = "flexible" if any(loop.robot.flexible) else "rigid"
-    sample_time = experiment.clock.sample_time
+    seen = tuple(map(seen_position, records, loops))
+    for j, (law, record) in enumerate(zip(seen, records, strict=True)):
+        if law is not None and record.motor_position is not None:
+            measured[:, j] = law.torque(record.motor_position.values)[:samples]
     resolved = (filtering or Filtering()).resolve(sample_time, model, noise_limit_of_computed(records, sample_time))
     return LoopLog(measured, resolved, experiment, seen=seen)
 
 
-def _motion_log(robot: Robot, records: Sequence[Record], filtering: Filtering) -> tuple[MotionLog, Bools]:
+def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: Filtering) -> tuple[MotionLog, Bools]:
     """Return a log along the motors' motion, and which motors rest at its first sample, (n,)."""
     if records[-1].payload:
         raise MethodError(
@@ -527,7 +659,6 @@ def _motion_log(robot: Robot, records: Sequence[Record], filtering: Filtering) -
         raise MethodError(
             'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
         )
-    model = "flexible" if any(robot.flexible) else "rigid"
     motion = motion_of_robot(robot, records, filtering, "The drive side of a robot", model, _SMEAR)
     still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]
     if still:
@@ -547,11 +678,11 @@ def _motion_log(robot: Robot, records: Sequence[Record], filtering: Filtering) -
 
 def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
     """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
-    more, states = [(delay, _DELAY)] if delay.free else [], list[Place]()
+    more, states = [(delay, _LATE)] if delay.free else [], list[Place]()
     for j in np.flatnonzero(np.array(robot.flexible) & ~resting).tolist():
         for name, quantity in zip(LOAD_STATE, (Quantity.POSITION, Quantity.VELOCITY), strict=True):
             own = name.replace("load", "link")
             states.append(Place(j, name))
             more.append((Parameter(f"{robot.joints[j].name}.{own}", symbol_of(own, j), quantity), states[-1]))
-    base = parameters.base.with_values([_DELAY, *states], [delay.start or 0.0, *np.zeros(len(states))])
+    base = parameters.base.with_values([_LATE, *states], [delay.start or 0.0, *np.zeros(len(states))])
     return replace(parameters.add(*more), base=base)

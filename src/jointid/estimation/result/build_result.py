@@ -11,7 +11,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
-from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
@@ -32,7 +31,7 @@ _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
 def rows_of_problem(
-    problem: RecordProblem, x: FloatArray, covariance: Covariance, held: Mapping[str, float]
+    problem: ClosedLoopProblem, x: FloatArray, covariance: Covariance, held: Mapping[str, float]
 ) -> tuple[EstimatedParameter, ...]:
     """Return the parameters of a problem's solution x, (free,), those of the joint and of what surrounds it.
 
@@ -153,7 +152,7 @@ def build_closed_loop_result(
         J: (rows, free) sensitivities, filtered.
         simulations: that were run.
     """
-    (error,), f = problem.filter_error(run.torque, run), problem.filtering
+    error, f = problem.filter(problem.measured - run.torque), problem.filtering
     assert f.cutoff is not None
     delay = problem.values(x).get("delay", problem.axis.law.delay)
     return build_estimate(

@@ -36,7 +36,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
-from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
+from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, Tally, solve
@@ -174,7 +174,7 @@ def visible(
         judged, moved = widen_for_force(judged, rigid, at.x, -slopes, history)
         if moved is not None:
             change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
-            forced = with_linear_spring(replace(problem, measured=problem.measured - change))
+            forced = with_linear_spring(problem.with_log(measured=problem.log.measured - change[:, np.newaxis]))
             beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found, tally), shares)
             bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
@@ -187,10 +187,9 @@ def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[
     """Return the problem of a rigid joint on the same band, and its solution."""
     flexible = problem.joint
     assert isinstance(flexible, FlexibleJoint)
-    joint, surroundings = flexible.rigid, problem.parameters[len(flexible.parameters) :]
-    loop = ClosedLoop(joint, problem.loop.controller)
-    rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
-    start = {p.name: values[p.name] for p in surroundings}
+    joint = flexible.rigid
+    rigid = problem.with_joint(joint, joint.parameters)
+    start = {p.name: values[p.name] for p in problem.around}
     start |= {p.name: of_whole(p, values) for p in joint.parameters}
     return rigid, descend(rigid, rigid.vector(start), 1e-8)
 
@@ -401,7 +400,7 @@ def profile_modes(
     names = tuple(p.name for p in problem.free if p.name not in _SPRING)
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
-    made = ModeProfile(replace(problem, filtering=band).all_free(), names, (low, high), tally=tally)
+    made = ModeProfile(problem.with_log(filtering=band).all_free(), names, (low, high), tally=tally)
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:

@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts, common_facts
 from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.text import in_words, interval, number
-from jointid.estimation.problems.base import INITIAL
+from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.answer import moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, format_signed, show_value
 from jointid.models.robots.robot import Robot

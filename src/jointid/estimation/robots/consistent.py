@@ -19,8 +19,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import join
+from jointid.estimation.parameters import standard_index
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.numbers import standard_index
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 from jointid.simulation.plant import LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
@@ -73,9 +73,8 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     require_shown(estimate)
     prior, parameters, numbers = part.model, part.parameters, part.numbers()
     n, size = len(prior), len(parameters.places)
-    names, values, covariance = part.names[:size], part.values[:size], estimate.covariance_of(part.names[:size])
-    known = [parameters.base[place] for place in parameters.kept]
-    base = Numbers.of(prior).with_record(parameters.base).with_values(parameters.kept, known)
+    values, covariance = part.values, estimate.covariance_of(part.names)
+    base = Numbers.of(prior).with_record(parameters.base)
     # The parameters are sums of what stands alone, as friction, offsets and springs, and of the bodies.
     both = np.hstack([np.eye(size), parameters.grouping])
     every = [*enumerate(parameters.places), *enumerate(parameters.dropped, start=size)]
@@ -130,7 +129,7 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
         ).x  # fmt: skip
     inertials = np.array([from_log_cholesky(theta)[0] for theta in x[: 10 * n].reshape(n, 10)])
     off = np.abs(away(x)) / _positive(covariance.std)
-    worst = tuple(names[k] for k in np.argsort(-off) if off[k] > MISFIT)
+    worst = tuple(part.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
     there = replace(base, inertials=inertials).with_values([*own, *motors], [*x[11 * n :], *x[10 * n : 11 * n]])
     return ConsistentRobot(robot_with(prior, there), misfit_of(x), worst)
 

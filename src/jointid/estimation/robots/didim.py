@@ -51,10 +51,8 @@ from jointid.estimation.descent import ROUGH, History, JointMotion, law_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import CONSTANT
-from jointid.estimation.problems.base import DELAY, DELAYS
-from jointid.estimation.problems.inverse_model import Records, each_log
-from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
-from jointid.estimation.robots.numbers import (
+from jointid.estimation.parameters import (
+    DELAYS,
     RobotParameters,
     apply_constraints,
     find_free_delays,
@@ -62,6 +60,8 @@ from jointid.estimation.robots.numbers import (
     robot_parameters,
     with_delays,
 )
+from jointid.estimation.problems.inverse_model import Records, each_log
+from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
 from jointid.estimation.starts.rigid_joint import start_rigid_robot
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs
 from jointid.models.controllers import numbers_of
@@ -69,7 +69,7 @@ from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.plant import Numbers, values_of_joint
+from jointid.simulation.plant import DELAY, Numbers, values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import Solution, Status
@@ -185,7 +185,7 @@ def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made:
             f"The search ended at a robot that leaves {100 * float(np.min(left)):.3g} % or more of the torque of every "
             "joint, more than one without any torque: check units and signs, or record a livelier motion."
         )
-    names, scales = problem.parameters.names, problem.parameters.scales(x)
+    names, scales = [p.name for p in problem.free], problem.parameters.scales(x)
     together = [name for name, separable in zip(names, find_separable(J), strict=True) if not separable]
     if any(name.endswith("friction_per_torque") for name in together):
         raise MethodError(
@@ -403,7 +403,7 @@ class _Search(History):
         hertz = self.how.frequencies or start.search(self.progress)
         problem = bound_springs(problem, start)
         rough, before = problem.roughly(), self.tally.evaluations
-        error = rough.error(rough.simulate(rigid.numbers))
+        error = rough.error(rough.runs_of(rigid.numbers))
         without = float(np.linalg.norm(error * rough.weights(error.size)))
         starts = [start.values(hertz), *(start.all_at(f) for f in _COMMON if f < start.stiff)]
         end = self._begin(rough, starts[0])
@@ -480,7 +480,7 @@ class _Search(History):
         Marquardt would end there.
         """
         problem, parameters = problem.roughly(), problem.parameters
-        values = np.array([start[name] for name in parameters.names])
+        values = np.array([start[p.name] if p.free else p.start for p in parameters.parameters])
         found = self.solve(problem, ROUGH, parameters.to_search_variables(values))
         return End(problem, found.solution, parameters.reach(values))
 

@@ -18,11 +18,11 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM, VARIANTS, SimulatedMotion, regress, require_simulated
+from jointid.estimation.parameters import RobotParameters, robot_parameters
 from jointid.estimation.problems.inverse_model import Records, Rows, each_log, inverse_of_robot
 from jointid.estimation.result.build_result import build_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
-from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

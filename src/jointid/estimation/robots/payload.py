@@ -157,9 +157,10 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
     for estimate in (empty, loaded):
         part = estimate.require_robot()
         require_shown(estimate)
-        own = np.flatnonzero(np.any(part.of_standard, axis=1))  # a weight that is a constant torque is an offset's
+        sums = part.parameters.of_standard
+        own = np.flatnonzero(np.any(sums, axis=1))  # a weight that is a constant torque is an offset's
         named = [part.names[i] for i in own]
-        each.append((named, part.values[own], part.of_standard[own], estimate.covariance_of(named).matrix))
+        each.append((named, part.values[own], sums[own], estimate.covariance_of(named).matrix))
     (names, before, columns, noise), (others, after, standard, more) = each
     alike = names == others and np.allclose(columns, standard) and empty.settings.method == loaded.settings.method
     free = alike and np.all(np.diag(noise) * np.diag(more) > 0.0)

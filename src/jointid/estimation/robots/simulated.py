@@ -17,18 +17,18 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, unit_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.parameters import (
+    RobotParameters,
+    begin_delays,
+    robot_parameters,
+    with_delays,
+)
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import Simulated, pose_robot
 from jointid.estimation.result.build_result import build_estimate, build_rows
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, Settings
 from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
-from jointid.estimation.robots.numbers import (
-    RobotParameters,
-    begin_delays,
-    robot_parameters,
-    with_delays,
-)
 from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -67,7 +67,7 @@ class IdentifiedRobot:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, the fixed ones last."""
-        return (*self.parameters.names, *(one.name for one in self.parameters.fixed))
+        return self.parameters.names
 
     @property
     def has_controllers(self) -> bool:
@@ -76,13 +76,7 @@ class IdentifiedRobot:
 
     def numbers(self) -> Numbers:
         """Return the robot that was identified, as it is simulated."""
-        return self.parameters.numbers(self.values[: len(self.parameters.places)])
-
-    @property
-    def of_standard(self) -> FloatArray:
-        """Weights in each parameter of the links' inertial parameters, then of the rotors, (parameters, 11 n)."""
-        found = self.parameters.of_standard
-        return np.pad(found, ((0, len(self.names) - len(found)), (0, 0)))
+        return self.parameters.numbers(self.values)
 
     def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
@@ -112,7 +106,7 @@ class IdentifiedRobot:
         """Return the same parameters of a known robot; None where it has others."""
         if robot.flexible != self.model.flexible:
             return None
-        return self.parameters.group_all(Numbers.of(robot))
+        return self.parameters.group(Numbers.of(robot))
 
 
 def identify_simulated_robot(
@@ -148,19 +142,24 @@ def identify_simulated_robot(
         method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
     robot, logs = model.robot, each_log(records)
     problem = pose_robot(model, records, robot_parameters(robot), filtering)
-    fixed = [float(one.start or 0.0) for one in parameters.fixed]
-    part = IdentifiedRobot(model, parameters, np.append(fit.values, fixed))
+    part, fixed = IdentifiedRobot(model, parameters, fit.values), len(fit.values) - len(fit.x)
     numbers = part.numbers()
     steps = f"after {fit.iterations} simulations"
     stop = f"settled {steps}"
     if not fit.converged:
         stop = f"did not settle {steps}: allow more by method.evaluations, or record longer and livelier motions"
     kind = "of springs, rotors and links" if fit.springs else "of rigid joints"
-    nominal, late = parameters.group_all(Numbers.of(robot)), numbers.values[0].get(LOG_DELAY)
-    hidden = [one for one in fit.springs if not one.shown]
+    nominal, late = parameters.group(Numbers.of(robot)), numbers.values[0].get(LOG_DELAY)
+    hidden, std = [one for one in fit.springs if not one.shown], fit.covariance.append_constants(fixed).std
     result = build_estimate(
         [record for log in logs for record in log],
-        rows_of_robot(part, np.append(fit.covariance.std, np.zeros(len(fixed))), nominal, _held_by_bounds(fit), hidden),
+        rows_of_robot(
+            part,
+            fit.covariance.append_constants(len(part.values) - len(fit.x)).std,
+            nominal,
+            _held_by_bounds(fit),
+            hidden,
+        ),
         fit.covariance.correlation,
         (problem.measured, problem.predict(fit.runs)),
         fit.relative_error,
@@ -179,15 +178,16 @@ def identify_simulated_robot(
 
 def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray) -> RobotLoop:
     """Return a loop with the delays of the torques that were identified."""
-    found = zip(parameters.places, values[: len(parameters.places)], strict=True)
+    found = zip(parameters.places, values, strict=True)
     return with_delays(loop, {place.axis: float(x) for place, x in found if place.name == DELAY})
 
 
 def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
     """Return the bounds of the parameters that they hold, by name; of springs there are verdicts."""
-    free, near = fit.parameters.parameters, _NEAR * np.maximum(np.abs(fit.values), fit.covariance.std)
-    bounds, x = Bounds.of(free), fit.values
-    held = ((x <= bounds.lower + near) | (x >= bounds.upper - near)) & ~fit.parameters.logarithmic
+    free = fit.parameters.free
+    bounds, x = Bounds.of(free), fit.values[: len(free)]
+    near = _NEAR * np.maximum(np.abs(x), fit.covariance.std)
+    held = ((x <= bounds.lower + near) | (x >= bounds.upper - near)) & ~fit.parameters.logarithmic[: len(free)]
     pairs = zip(free, x, held, strict=True)
     return {p.name: min(p.lower, p.upper, key=lambda b: abs(value - b)) for p, value, at in pairs if at}
 
@@ -221,8 +221,7 @@ def rows_of_robot(
         [p.name for p, *_, of_record in described if not of_record],
         held,
     )
-    formulas = (*part.parameters.formulas(part.model), *(p.symbol for p in part.parameters.fixed))
-    axes = [axis for *_, axis, _ in described]
+    formulas, axes = part.parameters.formulas(part.model), [axis for *_, axis, _ in described]
     return tuple(
         replace(row, axis=axis, formula=formula, nominal=float(given), **refused.get(row.name, {}))
         for row, axis, formula, given in zip(rows, axes, formulas, nominal, strict=True)
@@ -231,8 +230,7 @@ def rows_of_robot(
 
 def describe_parameters(robot: Robot, parameters: RobotParameters) -> Iterator[tuple[Parameter, str, str, bool]]:
     """Yield each parameter, the fixed ones last: with its unit, its joint's name, and whether it is of the record."""
-    places = (*parameters.places, *parameters.kept)
-    for one, place in zip((*parameters.parameters, *parameters.fixed), places, strict=True):
+    for one, place in zip(parameters.parameters, parameters.places, strict=True):
         of_log = place.name == LOG_DELAY
         kind = "revolute" if of_log else robot.links[place.axis].kind
         unit = UNITS[place.column] if place.of_link else unit_of(one.quantity, kind, TORQUE_UNIT[kind])
@@ -261,7 +259,7 @@ def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Fil
     require_one_log(records)
     found = pose_robot(part.setup, records, part.parameters, filtering)
     problem = replace(found, parameters=part.parameters)  # with those of the record
-    x = part.parameters.to_search_variables(part.values[: len(part.parameters.places)])
+    x = part.parameters.to_search_variables(part.values)
     runs = problem.run(x)
     return conclude(problem, x, runs, problem.slopes(runs, x), 0, True)
 

@@ -34,7 +34,7 @@ from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.common.transmission import SIDES
 from jointid.estimation.descent import ROUGH, History, Solved, is_significant, least_squares, search_rigid_joint
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.problems.base import INITIAL, INITIAL_STATE
+from jointid.estimation.parameters import INITIAL, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.starts.rigid_joint import first_state, reconstructed_position, regular_start, rigid_starts
 from jointid.models.controllers import REFERENCE, SampledLaw
@@ -254,7 +254,7 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
     default = Filtering().resolve(sample_time, "flexible").cutoff
     assert default is not None
     cutoff = min(max(default, _MODES * mode), _WIDE / sample_time)
-    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolve(sample_time, "flexible"))
+    return problem.with_log(filtering=replace(filtering, cutoff=cutoff).resolve(sample_time, "flexible"))
 
 
 # Under a controller, or along a motion

@@ -248,5 +248,7 @@ def _regress_robot(problem: Simulated, robot: Robot, torques: FloatArray, positi
     parameters = problem.parameters
     motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
     rows = inverse_of_robot(robot, parameters).rows([motion])
-    found = solve_rows(rows, "weighted", {one.name: one for one in parameters.fixed}, turns=_REWEIGHTINGS)
-    return Bounds.of(problem.free).clip(found.values[: len(parameters.places)])
+    found = solve_rows(
+        rows, "weighted", {one.name: one for one in parameters.parameters if not one.free}, turns=_REWEIGHTINGS
+    )
+    return Bounds.of(problem.free).clip(found.values[: len(problem.free)])

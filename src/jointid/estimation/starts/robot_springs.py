@@ -18,8 +18,8 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.parameters import RobotParameters
 from jointid.estimation.problems.simulated import Simulated, outcome_of
-from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.joints import spring_at
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome
@@ -83,7 +83,7 @@ class StartOfSprings:
         taken = min(float(np.linalg.eigvalsh(M * root)[0]) for M in masses)
         wanted = np.where(numbers.flexible, np.minimum(_SHARE * about, _ROOM * taken * alone), 0.0)
 
-        parameters, unit = problem.parameters, np.eye(len(problem.parameters.places))
+        parameters, unit = problem.parameters, np.eye(len(problem.free))
         zero = _stiffen(np.zeros(len(unit)), parameters, rigid)
         felt = np.column_stack([_stiffen(one, parameters, rigid) - zero for one in unit])
         # Beside the information the covariance has lost what is known of the sum of two that are not known.
@@ -92,7 +92,7 @@ class StartOfSprings:
         joints = np.array([parameters.places[c].axis for c in own], dtype=np.int64)
         least, began = np.where(numbers.flexible, _LIGHTEST * about, -math.inf), np.zeros(len(unit))
         began[own] = wanted[joints]
-        target = np.concatenate([known @ (rigid.values - zero - felt @ began), np.zeros(len(own))])
+        target = np.concatenate([known @ (rigid.values[: len(known)] - zero - felt @ began), np.zeros(len(own))])
         for spread in _SPREADS:
             rows = np.vstack([known @ felt, unit[own] / (spread * about[joints])[:, np.newaxis]])
             norms = column_norms(rows)
@@ -100,7 +100,7 @@ class StartOfSprings:
             values[own] = np.maximum(values[own], least[joints])
             rotors = wanted.copy()
             rotors[joints] = values[own]
-            start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about))
+            start = cls(problem, names, parameters.fill(values), rotors, np.maximum(about - rotors, _LIGHTEST * about))
             stiff = parameters.to_search_variables(start.all_at(start.stiff))
             if outcome_of(problem.run(stiff, keep=False)) is Outcome.FINISHED:
                 break
@@ -166,13 +166,13 @@ def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> Floa
 
 
 def _stiffen(values: FloatArray, parameters: RobotParameters, rigid: RobotFit) -> FloatArray:
-    """Return the rigid robot's parameters of a flexible one with these values, (parameters,), and stiff springs."""
-    found, base, each = parameters.numbers(values), rigid.parameters.base, list[dict[str, float]]()
+    """Return the rigid robot's parameters of a flexible one with these values, (free,), and stiff springs."""
+    found, base, each = parameters.numbers(parameters.fill(values)), rigid.parameters.base, list[dict[str, float]]()
     for own, like in zip(found.values, base.values, strict=True):
         both = {name: sum(own.get(f"{side}{name}", 0.0) for side in ("", "motor_", "load_")) for name in like}
         link = own.get("load_viscous", 0.0)  # the link's own friction is the same in both directions
         each.append(both | {name: both[name] + link for name in both if name.startswith("viscous_")})
-    return rigid.parameters.group(replace(base, values=tuple(each), inertials=found.inertials))
+    return rigid.parameters.group(replace(base, values=tuple(each), inertials=found.inertials))[: len(rigid.x)]
 
 
 def bound_springs(problem: Simulated, start: StartOfSprings) -> Simulated:
@@ -186,5 +186,6 @@ def bound_springs(problem: Simulated, start: StartOfSprings) -> Simulated:
         ends = [math.log(spring_at(hertz, inertia)["stiffness"]) for hertz in (lowest, highest)]
         return replace(parameter, lower=ends[0], upper=ends[1])
 
-    free = tuple(within(place, one) for place, one in zip(problem.parameters.places, problem.free, strict=True))
-    return replace(problem, parameters=replace(problem.parameters, parameters=free))
+    own = problem.parameters
+    bounded = tuple(within(place, one) for place, one in zip(own.places, own.parameters, strict=True))
+    return replace(problem, parameters=replace(own, parameters=bounded))

@@ -10,7 +10,7 @@ import numpy as np
 from jointid.common.charts import panels, styled
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.estimation.problems.base import INITIAL
+from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, show_value
 from jointid.models.joints import FlexibleJoint

@@ -1,16 +1,30 @@
-"""The parameters of a robot that torques can tell: friction, rotors, springs, and base parameters of the links.
+"""The parameters that a search finds: those of a robot, and those of what surrounds a joint.
 
-Of the ten numbers of a link some act on no torque, and others only together. A numerical QR decomposition of the
-equations at random motions keeps each column that the ones before it do not span [M. Gautier: Numerical calculation of
-the base inertial parameters of robots, Journal of Robotic Systems 8, 1991]; what is not kept is grouped with what is,
-and set to 0: the torques are the same. Friction, springs and rotors come first, so that these are kept. The rotor of a
-rigid joint is then grouped with its link, that of a flexible one stands alone [Spong 1987].
+What surrounds a joint may be as unknown as the joint itself: its first state, its loop, its drive, its log. A problem
+keeps these at what the record and the joint file say, unless they are made free (`surrounding`). Each is a `Parameter`
+that stands beside those of the joint:
+
+- ``initial_position``, ``initial_velocity`` of the motor at the first sample;
+- ``initial_torque`` there of a controller with an integral, which holds what friction and gravity ask for;
+- any number of the controller, by its own name: ``position_gain``, ``velocity_gain``, ``derivative_gain``,
+  ``delay``, ``limit``, and those of its filters, as ``velocity_filter.time_constant`` or
+  ``torque_filters.0.frequency``;
+- ``drive_gain``: the torque that acts, over the torque in the log. One record cannot tell it from the scale of the
+  joint; a known mass can;
+- ``log_gain``: the torque in the log, over the torque the law put out: log and law disagree;
+- ``log_delay``: how much later than its stamps the torque channel shows the torque.
+
+Of the ten numbers of a robot's link some act on no torque, and others only together. A numerical QR decomposition of
+the equations at random motions keeps each column that the ones before it do not span [M. Gautier: Numerical calculation
+of the base inertial parameters of robots, Journal of Robotic Systems 8, 1991]; what is not kept is grouped with what
+is, and set to 0: the torques are the same. Friction, springs and rotors come first, so that these are kept. The rotor
+of a rigid joint is then grouped with its link, that of a flexible one stands alone [Spong 1987].
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,44 +34,134 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.base import DELAY, surrounding
-from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers import LONGEST_DELAY, Controller, numbers_of, with_numbers
 from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
     formula_of,
     group_columns,
-    inverse_columns,
     name_sum,
     standard_symbols,
 )
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
-from jointid.simulation.derivatives import columns_of, mass_column
+from jointid.simulation.derivatives import columns_of
 from jointid.simulation.loop_input import RobotLoop
-from jointid.simulation.plant import LOAD_STATE, Numbers, Place, law_places
+from jointid.simulation.plant import DELAY, LOAD_STATE, Numbers, Place, law_places
 from jointid.simulation.simulate import MassMotion
+
+INITIAL_STATE = (
+    Parameter("initial_position", "q(0)", Quantity.POSITION),
+    Parameter("initial_velocity", "v(0)", Quantity.VELOCITY),
+)
+"""The motor's state at the first sample; an axis may already move when the log begins."""
+
+DELAYS = (0.0, 0.003, 0.006, 0.009)
+"""Seconds, of drives and their buses: where the search for a delay begins."""
+
+LOG_DELAY = Parameter("log_delay", "d log", Quantity.TIME, free=False, start=0.0)
+
+DRIVE_AND_LOG = {
+    "drive_gain": Parameter("drive_gain", "g", Quantity.RATIO, free=False, start=1.0, lower=1e-3),
+    "log_gain": Parameter("log_gain", "g log", Quantity.RATIO, free=False, start=1.0, lower=1e-3),
+    "log_delay": LOG_DELAY,
+}
+"""What lies between the joint's torque and the log's, by name."""
+
+INITIAL_TORQUE = Parameter("initial_torque", "u(0)", Quantity.FORCE)
+"""What a controller with an integral puts out at the first sample: what friction and gravity asked for until then."""
+
+INITIAL = tuple(p.name for p in (*INITIAL_STATE, INITIAL_TORQUE))
+"""Names of what belongs to a record's first sample, and to no other record."""
+
+_MOST_LATE = 20.0  # samples that the log may be late, or early
+_LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one
+_INITIAL = {p.name: p for p in INITIAL_STATE}
+_PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the law: at 0 it is not there
+_POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
+_ROOM = 1e-3  # below what a law cannot have: a derivative by differences also evaluates outside the value
+_SMALL = 1e-6  # relative: how near a search comes to what a law cannot have
+
+
+def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
+    """Replace the parameters named in `changes`."""
+    parameters = tuple(parameters)
+    names = [parameter.name for parameter in parameters]
+    for name, change in changes.items():
+        if name not in names or not isinstance(change, Parameter):
+            raise MethodError(
+                f"This model has the parameters {', '.join(names)}; received {name} = {change!r}: change its own, by "
+                "fix(value) or dataclasses.replace."
+            )
+    return tuple(changes.get(parameter.name, parameter) for parameter in parameters)
+
+
+def surrounding(name: str, controller: Controller, period: float | None = None) -> Parameter:
+    """Return the named parameter, free, from its declared value, within the law's bounds.
+
+    Args:
+        name: of a part of the first state, the drive, the log, or a number of the controller.
+        controller: whose numbers.
+        period: of the controller, s; without it frequencies and delays have no upper bound.
+
+    Raises:
+        MethodError: nothing around a joint has that name; the sentence says what has one.
+    """
+    if name in _INITIAL:
+        return _INITIAL[name]
+    if name in DRIVE_AND_LOG:
+        return replace(DRIVE_AND_LOG[name], free=True)
+    numbers = numbers_of(controller)
+    if name not in numbers:
+        known = ", ".join((*_INITIAL, *DRIVE_AND_LOG, *numbers))
+        raise MethodError(f'Nothing around this joint is called "{name}"; what can be freed is {known}.')
+    value, symbol = numbers[name], name.rpartition(".")[2]
+    if not math.isfinite(value):
+        raise MethodError(f"The {name} of this controller is {value}, where no search can begin; declare a finite one.")
+    if symbol in _PARTS and value == 0.0:
+        raise MethodError(f"The {name} of this controller is 0, so it has no such part; declare a start above 0.")
+    timed = symbol.endswith(("delay", "time_constant"))
+    lower, upper = _range(symbol, value, period)
+    quantity = Quantity.TIME if timed else Quantity.GAIN
+    return Parameter(name, symbol, quantity, start=value, lower=lower, upper=upper)
+
+
+def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -> Parameter:
+    """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples.
+
+    It counts from when the torque acts. Where the torque's timing is not stated, a known delay is free within two.
+    """
+    late, start = sample_time * (_MOST_LATE if known is None else _LEFT_OPEN), known or 0.0
+    free = replace(LOG_DELAY, free=True, start=start, lower=start - late, upper=start + late)
+    return free if known is None or not stated else free.fix(known)
+
+
+def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:
+    """Return the bounds of a number of a law."""
+    lower = {"constant_feedforward": -math.inf, "numerator_damping": -1.0 + _SMALL}.get(symbol, 0.0)
+    if symbol in _POSITIVE:
+        lower = _SMALL * value
+    upper = math.inf
+    if period is not None and symbol.endswith("frequency"):
+        upper = max((0.5 - _ROOM) / period, value)
+    elif period is not None and symbol == "reference_delay":
+        upper = max((1.0 - _ROOM) * LONGEST_DELAY * period, value)
+    return lower, upper
+
+
+def of_law(name: str) -> bool:
+    """Test whether a surrounding parameter belongs to the controller."""
+    return name not in INITIAL and name not in DRIVE_AND_LOG
+
+
+# The parameters of a robot
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
 _REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
+_SCALED = ("motor_inertia", "stiffness")  # what a search may take on a logarithmic scale
 _LATE = 2e-3  # s of a step: a delay by at most so much
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
-_INERTIAS = ("inertia", "motor_inertia")
-"""Names of a rotor's inertia."""
-_LINES = ("viscous", "viscous_forwards", "viscous_backwards", "coulomb", "stribeck_force")
-"""Names of a friction that multiplies a column of its motion, without the side."""
-_QUANTITIES = {
-    "inertia": Quantity.INERTIA,
-    "viscous": Quantity.VISCOUS,
-    "viscous_forwards": Quantity.VISCOUS,
-    "viscous_backwards": Quantity.VISCOUS,
-    "coulomb": Quantity.FORCE,
-    "offset": Quantity.FORCE,
-    "stribeck_force": Quantity.FORCE,
-    "stiffness": Quantity.STIFFNESS,
-    "damping": Quantity.VISCOUS,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,12 +169,12 @@ class RobotParameters:
     """The parameters of a robot, and their indices among its numbers.
 
     Attributes:
-        parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm.
+        parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm. Those with a
+            fixed value are the last.
         places: of them. logarithmic: (parameters,) whether a search works on the logarithm.
         base: the robot's numbers with 0 wherever one is grouped with others.
         dropped: the places of what was grouped, or acts on nothing.
         grouping: (parameters, dropped) what each of the dropped adds to each parameter.
-        kept: the places of what has a fixed value, which `base` has. fixed: these parameters.
     """
 
     parameters: tuple[Parameter, ...]
@@ -79,8 +183,6 @@ class RobotParameters:
     base: Numbers
     dropped: tuple[Place, ...]
     grouping: FloatArray
-    kept: tuple[Place, ...] = ()
-    fixed: tuple[Parameter, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,9 +190,18 @@ class RobotParameters:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
-    def of_robot(self) -> NDArray[np.bool_]:
-        """Which are of the robot, and not of the record, (parameters,)."""
-        return np.array([not place.of_record for place in self.places], dtype=np.bool_)
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are searched."""
+        return tuple(p for p in self.parameters if p.free)
+
+    @property
+    def keys(self) -> tuple[Place, ...]:
+        """Their places."""
+        return tuple(place for p, place in zip(self.parameters, self.places, strict=True) if p.free)
+
+    @property
+    def _searched(self) -> NDArray[np.bool_]:
+        return np.array([p.free for p in self.parameters], dtype=np.bool_)
 
     @property
     def inertial(self) -> NDArray[np.bool_]:
@@ -109,32 +220,31 @@ class RobotParameters:
             a: (samples, n) their accelerations.
             numbers: with the speeds below which frictions rise; those of `base` without it.
         """
-        numbers = numbers or self.base
-        motor, behind = v @ robot.coupling.T, np.linalg.inv(robot.coupling)  # what acts on a link, on the motors
-        links, places = inverse_columns(robot, q, v, a), (*self.places, *self.kept)
-        found = np.zeros((*v.shape, len(places)))
-        for k, place in enumerate(places):
-            j = place.axis
-            if place.of_link:
-                found[:, :, k] = links[:, :, len(SYMBOLS) * j + place.column]
-            elif place.own in (*_LINES, "inertia", "offset"):
-                of_motor = place.side != "load_"
-                speed = (motor if of_motor else v)[:, j]
-                turns = links[:, j, len(SYMBOLS) * len(robot) + j]
-                column = mass_column(place, numbers, q[:, j], speed, turns, np.sign(speed))
-                found[:, :, k] = column[:, np.newaxis] * (np.eye(len(robot)) if of_motor else behind)[j]
+        numbers, n = numbers or self.base, len(robot)
+        moved = np.zeros((3, len(q), numbers.count))
+        moved[:, :, :n] = moved[:, :, numbers.motors] = np.stack([q, v, a]) @ robot.coupling.T
+        motion = MassMotion(moved[0], moved[1], moved[2], np.sign(moved[1]))
+        found = np.zeros((*v.shape, len(self.places)))
+        # What acts on a link acts through its spring on the motor.
+        each = columns_of(robot.tree, numbers, self.places, motion, range(numbers.count))
+        for (axis, _), (own, columns) in zip(numbers.sides, each, strict=True):
+            found[:, axis, own] += columns
         return found
 
     def add(self, *more: tuple[Parameter, Place]) -> RobotParameters:
         """Return these and more parameters, with which nothing is grouped."""
         alone = np.zeros((len(more), len(self.dropped)))
-        return replace(
+        found = replace(
             self,
             parameters=(*self.parameters, *(one for one, _ in more)),
             places=(*self.places, *(place for _, place in more)),
             logarithmic=np.append(self.logarithmic, np.zeros(len(more), dtype=np.bool_)),
             grouping=np.vstack([self.grouping, alone]),
         )
+        return found._with_fixed_last()
+
+    def _with_fixed_last(self) -> RobotParameters:
+        return self.select([*np.flatnonzero(self._searched), *np.flatnonzero(~self._searched)])
 
     @property
     def of_standard(self) -> FloatArray:
@@ -169,24 +279,29 @@ class RobotParameters:
         kept, dropped = (np.array([numbers[p] for p in places]) for places in (self.places, self.dropped))
         return np.asarray(kept + self.grouping @ dropped)
 
-    def group_all(self, numbers: Numbers) -> FloatArray:
-        """Return `group`, then the numbers in the places of the fixed parameters."""
-        return np.concatenate([self.group(numbers), [numbers[place] for place in self.kept]])
+    def fill(self, free: FloatArray) -> FloatArray:
+        """Return the parameters, (parameters,), from those that are free, (free,)."""
+        found = np.array([p.start or 0.0 for p in self.parameters])
+        found[self._searched] = free
+        return found
 
     def values(self, x: FloatArray) -> FloatArray:
-        """Return the parameters from what is searched, (parameters,)."""
-        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, x, 0.0)), x)
+        """Return the parameters, (parameters,), from what is searched, (free,)."""
+        found, logs = self.fill(x), self.logarithmic
+        found[logs] = np.exp(found[logs])
+        return found
 
     def scales(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives of the parameters by what is searched, (parameters,)."""
-        return np.where(self.logarithmic, self.values(x), 1.0)
+        """Return the derivatives of the free parameters by what is searched, (free,)."""
+        return np.where(self.logarithmic, self.values(x), 1.0)[self._searched]
 
     def to_search_variables(self, values: FloatArray) -> FloatArray:
-        """Convert parameters, (parameters,), to search variables."""
-        return np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
+        """Convert parameters, (parameters,), to what is searched, (free,)."""
+        logs = self.logarithmic
+        return np.where(logs, np.log(np.where(logs, values, 1.0)), values)[self._searched]
 
     def reach(self, values: FloatArray) -> FloatArray:
-        """Return how far one step of a search from these values may move each parameter, (parameters,)."""
+        """Return how far one step of a search from these values may move each free parameter, (free,)."""
         reach = np.where(self.logarithmic, _REACH, np.inf)
         of_laws = {place for place, _ in law_places(self.base)}
         for c, place in enumerate(self.places):
@@ -195,7 +310,7 @@ class RobotParameters:
                 reach[c] = _LATE
             elif (place in of_laws or damping) and values[c] != 0.0:
                 reach[c] = (_DAMPED if damping else _FACTOR) * abs(values[c])
-        return reach
+        return reach[self._searched]
 
     def numbers(self, values: FloatArray) -> Numbers:
         """Return the candidate with these parameters."""
@@ -237,7 +352,7 @@ def robot_parameters(
     places = _order_parameters(numbers, offsets, rising=not whole)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
     base = numbers.with_values(places, np.zeros(len(places)))
-    logs = [logarithmic and _positive(place) for place in places]
+    logs = [logarithmic and place.name in _SCALED for place in places]
     parameters = [_name_parameter(place, robot, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
     found = RobotParameters(
@@ -261,44 +376,32 @@ def find_free_delays(loop: RobotLoop, free: Sequence[str]) -> tuple[int, ...]:
     """Return the joints whose torques have a free delay, by the names in `DIDIM.free`.
 
     Raises:
-        MethodError: a name is of something else, or a controller has no delay.
+        MethodError: a name is of something else.
     """
     names = [name_of(DELAY, joint.name) for joint in loop.robot.joints]
     for one in free:
         if one not in (DELAY, *names):
             raise MethodError(f"A name in DIDIM.free of a robot{no_choice(one, (DELAY, *names))}")
-    found = tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
-    for j in found:
-        if DELAY not in numbers_of(loop.controllers[j]):
-            raise MethodError(
-                f"The controller of {loop.robot.joints[j].name} has no delay that can be free; expected a field delay, "
-                "in s: use a controller of jointid, or name the other joints in DIDIM.free."
-            )
-    return found
+    return tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
 
 
 def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]) -> RobotParameters:
-    """Return parameters with the delays of some joints' torques, which begin at those of their controllers."""
-    if not free:
-        return parameters
-    more = [
-        (
-            replace(
-                surrounding(DELAY, loop.controllers[j]), name=name_of(DELAY, loop.robot.joints[j].name),
-                symbol=symbol_of(DELAY, j),
-            ),
-            Place(j, DELAY),
-        )
-        for j in free
-    ]  # fmt: skip
+    """Return parameters with the delays of some joints' torques, which begin at those of their controllers.
+
+    Raises:
+        MethodError: a controller has no delay.
+    """
+    more = list[tuple[Parameter, Place]]()
+    for j in free:
+        name = name_of(DELAY, loop.robot.joints[j].name)
+        own = replace(surrounding(DELAY, loop.controllers[j]), name=name, symbol=symbol_of(DELAY, j))
+        more.append((own, Place(j, DELAY)))
     return begin_delays(parameters.add(*more), loop)
 
 
 def begin_delays(parameters: RobotParameters, loop: RobotLoop) -> RobotParameters:
     """Start the free delays of parameters from those of the controllers."""
-    if not any(place.name == DELAY for place in parameters.places):
-        return parameters
-    stated = {Place(j, DELAY): numbers_of(one).get(DELAY, 0.0) for j, one in enumerate(loop.controllers)}
+    stated = {p: numbers_of(loop.controllers[p.axis])[DELAY] for p in parameters.places if p.name == DELAY}
     return replace(parameters, base=parameters.base.with_values([*stated], [*stated.values()]))
 
 
@@ -312,12 +415,8 @@ def with_delays(loop: RobotLoop, delays: Mapping[int, float]) -> RobotLoop:
 
 def name_in_robot(joint: str, name: str) -> str:
     """Return the name of a joint's parameter in a robot: of "elbow" "load_coulomb" is "elbow.link_coulomb"."""
-    return name_of(_own_name(name), joint)
-
-
-def _own_name(name: str) -> str:
     place = Place(0, name)
-    return f"link_{place.own}" if place.side == "load_" else place.own
+    return name_of(f"link_{place.own}" if place.side == "load_" else place.own, joint)
 
 
 def _of_laws(robot: Robot, numbers: Numbers) -> Iterator[tuple[Parameter, Place]]:
@@ -331,52 +430,42 @@ def standard_index(place: Place, links: int) -> int | None:
     """Return the place among a robot's standard parameters, links then rotors; None of what is no inertia."""
     if place.of_link:
         return len(SYMBOLS) * place.axis + place.column
-    return len(SYMBOLS) * links + place.axis if place.name in _INERTIAS else None
+    return len(SYMBOLS) * links + place.axis if place.own == "inertia" else None
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
-    """Set the fixed parameters apart and tighten the bounds of the others.
+    """Fix parameters, which then are the last, and tighten the bounds of the others.
 
     Args:
         parameters: of a robot.
         known: by name; the value of a fixed parameter is its start. Unknown names are ignored.
     """
-    bounded, kept, places, fixed = list[Parameter](), list[int](), list[Place](), list[Parameter]()
-    base = parameters.base
-    for i, (one, place) in enumerate(zip(parameters.parameters, parameters.places, strict=True)):
+    changed = list[Parameter]()
+    for one in parameters.parameters:
         stated = known.get(one.name, one)
         if not stated.free and stated.start is not None:
-            base = base.with_values((place,), (stated.start,))
-            places.append(place)
-            fixed.append(one.fix(stated.start))
-            continue
-        kept.append(i)
-        bounded.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
-    found = replace(parameters.select(kept), parameters=tuple(bounded), base=base)
-    return replace(found, kept=tuple(places), fixed=tuple(fixed))
+            changed.append(one.fix(stated.start))
+        else:
+            changed.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
+    searched = parameters.logarithmic & [p.free for p in changed]
+    found = replace(parameters, parameters=tuple(changed), logarithmic=searched)
+    return found._with_fixed_last()
 
 
 def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     """Refuse what is stated of another parameter than friction or a constant torque, and a start for a search."""
     if not stated:
         return
-    own = robot_parameters(robot)
-    beside = [p.name for p, _ in _of_laws(robot, Numbers.of(robot))]
-    known = [
-        one.name
-        for one, place in zip(own.parameters, own.places, strict=True)
-        if one.name in beside or place.own in (*_LINES, "offset")
-    ]
+    own, beside = robot_parameters(robot), [p.name for p, _ in _of_laws(robot, Numbers.of(robot))]
+    lines = ("viscous", "viscous_forwards", "viscous_backwards", "coulomb", "stribeck_force", "offset")
+    pairs = zip(own.names, own.places, strict=True)
+    known = [name for name, place in pairs if name in beside or place.own in lines]
     for name, one in stated.items():
-        if name in known and (name in beside or not one.free or one.start is None):
-            continue
-        one_way = name.endswith((".coulomb_forwards", ".coulomb_backwards"))
-        raise MethodError(
-            f"{name} has a value, bounds or a start to keep, and the methods of a robot keep values and bounds of "
-            f"friction and constant torques alone, {', '.join(known)}"
-            f"{'; a Coulomb friction that differs by direction is its mean and a part of offset' if one_way else ''}: "
-            "state one of them, or leave it out."
-        )
+        if name not in known or not (name in beside or not one.free or one.start is None):
+            raise MethodError(
+                f"{name} has a value, bounds or a start to keep; expected a value or bounds of friction or a constant "
+                f"torque, {', '.join(known)}: state one of them, or leave it out."
+            )
 
 
 def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Place, ...]:
@@ -417,18 +506,15 @@ def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -
     return np.where(sizes > _FELT * np.max(sizes), every, 0.0)
 
 
-def _positive(place: Place) -> bool:
-    """Return True for the rotor's inertia of a flexible joint and for a stiffness, which must be positive."""
-    return place.name in ("motor_inertia", "stiffness")
-
-
 def _name_parameter(place: Place, robot: Robot, logarithmic: bool) -> Parameter:
+    """Return the parameter of a place, with the bounds of a joint alone; of a rigid joint's rotor there is a sum."""
     if place.of_link:
         symbol = inertial_symbol(place.name, place.axis)
         return Parameter(symbol, symbol, Quantity.INERTIA if place.column >= 4 else Quantity.RATIO)
-    own = "rotor_inertia" if place.name in _INERTIAS else _own_name(place.name)
-    quantity = _QUANTITIES[place.own]
-    lower = 0.0 if place.own in ("coulomb", "stribeck_force") or quantity is Quantity.VISCOUS else -math.inf
-    if _positive(place) and not logarithmic:
-        lower = 1e-12
-    return Parameter(name_of(own, robot.joints[place.axis].name), symbol_of(own, place.axis), quantity, lower=lower)
+    joint, own = robot.joints[place.axis], place.own
+    alone = {p.name: p for p in joint.model.parameters}
+    like = alone.get(place.name) or alone[f"{place.name}_forwards"]
+    name = name_of("rotor_inertia", joint.name) if own == "inertia" else name_in_robot(joint.name, place.name)
+    lower = 0.0 if own == "stribeck_force" else like.lower
+    lower = -math.inf if logarithmic or place.name == "inertia" else lower
+    return Parameter(name, symbol_of(name.partition(".")[2], place.axis), like.quantity, lower=lower)
