@@ -153,13 +153,7 @@ def identify_simulated_robot(
     hidden, std = [one for one in fit.springs if not one.shown], fit.covariance.append_constants(fixed).std
     result = build_estimate(
         [record for log in logs for record in log],
-        rows_of_robot(
-            part,
-            fit.covariance.append_constants(len(part.values) - len(fit.x)).std,
-            nominal,
-            _held_by_bounds(fit),
-            hidden,
-        ),
+        rows_of_robot(part, std, nominal, _held_by_bounds(fit), hidden),
         fit.covariance.correlation,
         (problem.measured, problem.predict(fit.runs)),
         fit.relative_error,
