@@ -98,7 +98,7 @@ def test_each_of_several_records_has_the_interval_that_it_has_alone(emps: Record
     """What the solution by the regressor widens is one rule; the common interval counts it as each record weighs."""
     alone = [identify(record, LOOP)["inertia"].stderr or 0.0 for record in (emps, emps_pulses)]
     together = identify([emps, emps_pulses], LOOP)
-    shares = [{row.name: row.stderr for row in share.alone}["inertia"] for share in together.data.records]
+    shares = [part.std["inertia"] for part in together.agreement.parts]
     assert shares == pytest.approx(alone, rel=0.02)
     assert min(alone) < 1.2 * float(together["inertia"].stderr or 0.0) < 1.2 * max(alone)
 

@@ -31,7 +31,7 @@ def test_a_log_is_identified_and_every_key_documented(
     assert "20 of 4 s" in said.out
     assert "forgets how it began" in said.err
     answer = json.loads(out.read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.Estimate/2" and answer["data"]["records"] == []
+    assert answer["schema"] == "jointid.Estimate/2"
     assert answer["parameters"]["inertia"]["value"] == pytest.approx(30.0, abs=0.5)
     assert run("compare", out, out) == 0
     assert "None of 4 quantities changed" in capsys.readouterr().out

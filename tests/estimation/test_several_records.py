@@ -84,10 +84,10 @@ def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
     for name in FRICTION:
         assert found[f"{name}@1"].value == pytest.approx(axis.truth[name], rel=1e-4), name
         assert found[f"{name}@2"].value == pytest.approx(loaded[name], rel=1e-4), name
-    second = found.data.records[1]
-    assert second.relative_error < 1e-6
+    second = found.agreement.parts[1]
+    assert second.filtered_error < 1e-6
     # By itself each record has the same inertia on the load: the gain takes it to kilograms, what was added is off.
-    assert {p.name: p.value for p in second.alone}["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
+    assert second.values["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
 
 
 def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
@@ -162,9 +162,9 @@ def noisy() -> Estimate:
 
 def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
     """Each record by itself, and both: about the root of the sum of their informations."""
-    first, second = ({p.name: p for p in record.alone} for record in noisy.data.records)
+    parts = noisy.agreement.parts
     for p in (row for row in noisy.rows if row.of_joint):
-        alone = [float(each[p.name].stderr or 0.0) for each in (first, second)]
+        alone = [part.std[p.name] for part in parts]
         assert float(p.stderr or 0.0) <= 1.1 * np.sum(np.array(alone) ** -2.0) ** -0.5, p.name
         assert abs(float(p.value or 0.0) - twins("white").truth[p.name]) <= 3 * float(p.stderr or 0.0)
     assert not noisy.agreement.differs
@@ -178,13 +178,12 @@ def test_a_record_that_is_much_noisier_does_no_harm() -> None:
     more = 100.0 * np.random.default_rng(52).standard_normal(len(loud.torque))
     loud = replace(loud, torque=replace(loud.torque, values=loud.torque.values + more))
     found = identify([quiet, loud], axis.loop, method=QUICK)
-    assert found.data.records[1].level > 5 * found.data.records[0].level
-    for p in found.data.records[0].alone:
-        if p.of_joint:
-            assert float(found[p.name].stderr or 0.0) <= 1.02 * float(p.stderr or 0.0), p.name
-            assert abs(float(found[p.name].value or 0.0) - float(p.value or 0.0)) <= 0.5 * float(p.stderr or 0.0), (
-                p.name
-            )
+    first, second = found.agreement.parts
+    assert second.filtered_error > 3 * first.filtered_error
+    for name, std in first.std.items():
+        if found[name].of_joint:
+            assert float(found[name].stderr or 0.0) <= 1.02 * std, name
+            assert abs(float(found[name].value or 0.0) - first.values[name]) <= 0.5 * std, name
 
 
 def test_what_one_record_refuses_another_may_tell() -> None:
@@ -209,8 +208,8 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     )
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
     found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)
-    alone = [{p.name: p for p in record.alone}["inertia"] for record in found.data.records]
-    values, spreads = (np.array([getattr(p, key) for p in alone]) for key in ("value", "stderr"))
+    parts = found.agreement.parts
+    values, spreads = (np.array([getattr(one, key)["inertia"] for one in parts]) for key in ("values", "std"))
     assert values == pytest.approx([95.4, 94.1], abs=0.1)
     assert abs(values[0] - values[1]) < 2 * np.hypot(*spreads)
     inertia = found.agreement["inertia"]
@@ -220,6 +219,4 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     for name in found.values:
         if name not in ("inertia", "offset"):
             assert not found.agreement[name].differs, name
-    assert all(
-        record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
-    )
+    assert found.fit.relative_error <= (0.0479 if friction == "symmetric" else 0.0402)

@@ -131,7 +131,7 @@ def identify(
         said = f"the record is long, and is identified in windows of {streamed:.3g} s, of which one is checked"
         progress(said)
         fit, checked = fit.warn(said), fit.window or fit
-    if (fit.robot is None and (not checked.records or checked.problem is None)) or fit.data.records:
+    if fit.robot is None and (not checked.records or checked.problem is None):
         return assemble(fit)
     if not checks:
         return assemble(fit, *_left_out("not checked: the checks were left out"))

@@ -83,7 +83,7 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
             rows,
             _correlation(answer, sum(row.free for row in rows), robot is not None),
             read(Fit, fit, measured=empty, predicted=empty, conditioning=None, **shares, **of_axes),
-            read(Data, answer["data"], resampled=None, records=(), windows=None),
+            read(Data, answer["data"], resampled=None, windows=None),
             read(
                 Settings, settings, system=robot or system,
                 loop=loop if method_of(settings["method"]).needs_controller else None,

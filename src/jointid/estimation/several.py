@@ -36,8 +36,7 @@ from jointid.estimation.result.build_result import (
     find_active_bounds,
     list_loop_channels,
 )
-from jointid.estimation.result.estimate import Estimate, relative_error
-from jointid.estimation.result.parts import EstimatedParameter, RecordFit
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
@@ -422,34 +421,24 @@ def _judge(
     influence = Influence(solution.jacobian, solution.residual, series=count)
     found = uncertainty(influence, cells(*map(np.concatenate, zip(*motion, strict=True))))
     found = found.widened_by(_moved(together, layout, influence, fits, gain))
-    alone = [_describe_alone(one, together, layout, k, gain) for k, one in enumerate(fits)]
+    pairs = zip(together.problems, together.rows(x), strict=True)
+    left = [problem.filtered_error(error) for problem, (error, _) in pairs]
+    alone = [
+        replace(_describe_alone(fit, together, layout, k, gain), name=records[k].name, filtered_error=left[k])
+        for k, fit in enumerate(fits)
+    ]
     # The inertia that tells the gain is not compared.
     gained = layout.gaining if layout.scales else set()
     units = {p.name: layout.unit(p) for p in together.parameters if p.name not in gained}
-    compared = compare_records([one for one, _ in alone], units)
+    compared = compare_records(alone, units)
     covariance = compared.widen(found.covariance, names)
     std = dict(zip(names, map(float, covariance.std), strict=True))
     held = find_active_bounds(together.free, x, solution.residual, solution.jacobian)
     own = {p.name for p in layout.joint.parameters}
-    loop, shares = together.problems[0].loop_at(together.split(x)[0]), list[RecordFit]()
-    borders = together.problems[0].filtering.borders
-    for k, (record, problem, run) in enumerate(zip(records, together.problems, runs, strict=True)):
-        (error, _), torque = together.rows(x)[k], problem.measured
-        shares.append(
-            RecordFit(
-                record.name,
-                list_loop_channels(layout.loops[k], record),
-                sum(layout.added[k].values()),
-                alone[k][1],
-                error.size,
-                relative_error(torque, run.torque, borders),
-                problem.filtered_error(error),
-            )
-        )
+    loop = together.problems[0].loop_at(together.split(x)[0])
     repeats = [str(found.repeatable)] if found.repeatable.significant else []
     said = [f"record {k}: {one}" for k, fit in enumerate(fits, 1) for one in fit.warnings]
     sizes = np.array([problem.size for problem in together.problems])
-    left = np.array([share.filtered_error for share in shares]) * sizes
     delay = loop.controller.law(together.problems[0].sample_time).delay
     rows = build_rows(together.parameters, values, std, layout.unit, own, held)
     order = [names.index(row.name) for row in rows if row.free]
@@ -458,16 +447,16 @@ def _judge(
         rows,
         covariance.correlation[np.ix_(order, order)],
         (np.concatenate([p.measured for p in together.problems]), np.concatenate([run.torque for run in runs])),
-        float(np.linalg.norm(left) / np.linalg.norm(sizes)),
+        float(np.linalg.norm(left * sizes) / np.linalg.norm(sizes)),
         sum(count),
         (solution.message, solution.converged),
         sum(fit.fit.simulations for fit in fits) + made + 2 * len(runs),
         replace(fits[0].settings, loop=loop, delay=delay),
-        [name for share in shares for name in share.channels],
+        [name for one, record in zip(layout.loops, records, strict=True) for name in list_loop_channels(one, record)],
         agreement=compared,
         warnings=(*map(str, found.warnings), *repeats, *said),
     )
-    return replace(made_of, data=replace(made_of.data, records=tuple(shares), torque_unit=layout.torque_unit))
+    return replace(made_of, data=replace(made_of.data, torque_unit=layout.torque_unit))
 
 
 def _moved(
@@ -488,24 +477,20 @@ def _moved(
     return moved
 
 
-def _describe_alone(
-    fit: Estimate, together: SeveralRecords, layout: RecordLayout, number: int, gain: float
-) -> tuple[Alone, tuple[EstimatedParameter, ...]]:
-    """Return what a record, numbered from 0, says by itself, in terms of the acting torque, and its rows of a table."""
+def _describe_alone(fit: Estimate, together: SeveralRecords, layout: RecordLayout, number: int, gain: float) -> Alone:
+    """Return what a record, numbered from 0, says by itself, in terms of the acting torque."""
     (problem, x), known = _solved(fit), fit.parameters
     separable = dict(zip(fit.free, find_separable(problem.linearise(x)[1]), strict=True))
-    rows, names = list[EstimatedParameter](), list[str]()
+    names, values, std = list[str](), dict[str, float](), list[float]()
     shared = zip(together.problems[number].free, together.places[number], together.added[number], strict=True)
     for p, place, more in shared:
-        row, common = known.get(p.name), together.free[place]
+        row, scale = known.get(p.name), 1.0
         if row is None or row.value is None or not row.stderr or row.at_bound is not None or not separable[p.name]:
             continue
-        scale = gain if row.of_joint else 1.0
-        # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
-        value, stderr = scale * row.value - float(more), max(scale * row.stderr, _ROUNDING * abs(scale * row.value))
-        named = replace(row, name=common.name, symbol=common.symbol, unit=layout.unit(common))
-        rows.append(replace(named, value=value, stderr=stderr))
+        if row.of_joint:
+            scale = gain
         names.append(p.name)
-    values = {row.name: row.value for row in rows if row.value is not None}
-    std = np.array([row.stderr for row in rows], dtype=np.float64)
-    return Alone(values, Covariance(std, fit.covariance_of(names).correlation)), tuple(rows)
+        values[together.free[place].name] = scale * row.value - float(more)
+        # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
+        std.append(max(scale * row.stderr, _ROUNDING * abs(scale * row.value)))
+    return Alone(values, Covariance(np.array(std), fit.covariance_of(names).correlation))

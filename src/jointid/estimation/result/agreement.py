@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -46,11 +46,27 @@ _SINGULAR = 1e-12  # of the largest: a direction that a segment does not tell
 _TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 
 
-class Alone(NamedTuple):
-    """The estimate from one record: values of what records may share, by name, and their covariance in that order."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Alone:
+    """The estimate from one record, or from one part of a long log, by itself.
 
+    Attributes:
+        values: of the free parameters, by name, but for those that it does not tell, as friction backwards in hours
+            that only go forwards; covariance: of these, in that order.
+        name: of the record, or of which part it is.
+        filtered_error: what the joint of all leaves of its filtered torque; a ratio.
+    """
+
+    in_json = "std -covariance"
     values: Mapping[str, float]
     covariance: Covariance
+    name: str = ""
+    filtered_error: float = math.nan
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the values, by name."""
+        return dict(zip(self.values, map(float, self.covariance.std), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,26 +105,6 @@ class Window:
     at_limit: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Segment:
-    """The estimate from one part of a long log by itself.
-
-    Attributes:
-        begin, end: seconds from the first sample of the record.
-        windows: in it.
-        values: of the free parameters, by name, but for those that it does not tell, as friction backwards in hours
-            that only go forwards; std: their standard deviations.
-        filtered_error: what the joint of the whole record leaves of its filtered torque; a ratio.
-    """
-
-    begin: float
-    end: float
-    windows: int
-    values: Mapping[str, float]
-    std: Mapping[str, float]
-    filtered_error: float
-
-
 @dataclass(frozen=True, slots=True)
 class Agreement:
     """Whether records agree, or the segments of a long one.
@@ -116,13 +112,15 @@ class Agreement:
     Attributes:
         parameters: one by one.
         p_value: of all of them jointly; None where nothing was compared.
-        segments: in the order of time; empty for records.
+        parts: the records, or the segments in the order of time, each by itself.
+        of: what they are.
     """
 
     in_json = "differs"
     parameters: tuple[Scatter, ...]
     p_value: float | None
-    segments: tuple[Segment, ...] = ()
+    parts: tuple[Alone, ...] = ()
+    of: str = "records"
 
     @property
     def differs(self) -> bool:
@@ -145,26 +143,26 @@ class Agreement:
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
-        what = "segments" if self.segments else "records"
         if not self.differs or self.p_value is None:
-            return f"the {what} agree within their intervals"
+            return f"the {self.of} agree within their intervals"
         off = [f"{p.name} by {number(p.between, 2)} {p.unit} rms" for p in self.parameters if p.differs]
         said = "; ".join(off) or "only all parameters together"
-        return f"the {what} disagree by more than their intervals allow (p = {self.p_value:.2g}): {said}"
+        return f"the {self.of} disagree by more than their intervals allow (p = {self.p_value:.2g}): {said}"
 
 
-def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agreement:
+def compare_records(records: Sequence[Alone], units: Mapping[str, str], of: str = "records") -> Agreement:
     """Test whether records agree in their common parameters.
 
     Args:
         records: what each says by itself; a parameter that one could not tell is left out of it.
         units: of the parameters, by name; those that are compared.
+        of: what they are.
     """
     from scipy.special import chdtrc
 
     shared = [name for name in units if sum(name in r.values for r in records) > 1]
     if not shared:
-        return Agreement((), None)
+        return Agreement((), None, tuple(records), of)
     p_value = float(chdtrc(*_jointly(records, shared)[::-1]))
     level, found = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared), list[Scatter]()
     for name in shared:
@@ -175,13 +173,13 @@ def compare_records(records: Sequence[Alone], units: Mapping[str, str]) -> Agree
         between, own = math.sqrt(max(statistic - degrees, 0.0) / apart), float(chdtrc(degrees, statistic))
         widening = between**2 * float(weights @ weights) / total**2 if own <= level else 0.0
         found.append(Scatter(name, units[name], own, between, own <= level, widening))
-    return Agreement(tuple(found), p_value)
+    return Agreement(tuple(found), p_value, tuple(records), of)
 
 
 def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int]:
     """Return Q over several parameters, and its degrees of freedom."""
     rows, sought = [], []
-    for values, covariance in records:
+    for values, covariance in ((one.values, one.covariance) for one in records):
         own = [name for name in names if name in values]
         if not own:
             continue
@@ -220,17 +218,14 @@ def drift(
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
     scatter = _pool(fits, [len(part) for part in parts])
-    segments, alone = [], []
+    alone = list[Alone]()
     for part, fit in zip(parts, fits, strict=True):
         own = np.flatnonzero(fit.determined)
         covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)])
         values = {names[i]: float(fit.values[i]) for i in own}
-        std = dict(zip(values, map(float, covariance.std), strict=True))
-        error = total([w.sums for w in part]).relative_error
-        segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
-        alone.append(Alone(values, covariance))
-    judged = compare_records(alone, {name: units[name] for name in names})
-    return replace(judged, segments=tuple(segments))
+        when = f"{part[0].begin / 3600:.2f} to {part[-1].end / 3600:.2f} h"
+        alone.append(Alone(values, covariance, when, total([w.sums for w in part]).relative_error))
+    return compare_records(alone, {name: units[name] for name in names}, "segments")
 
 
 def _pool(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:

@@ -110,29 +110,6 @@ class Fit:
     nominal_errors: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordFit:
-    """One of several records: what it says by itself, and how well the common model reproduces it.
-
-    Attributes:
-        name: of the record; channels: that were read.
-        added_inertia: known, on the load, on top of what is shared.
-        alone: estimated from this record by itself: all that is free in it, in the units of the answer, without
-            the added inertia, so that records can be compared.
-        rows: of its filtered torque.
-        relative_error, filtered_error: norm of the error of the common model over that of the torque, raw with the
-            borders left out, and filtered.
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    added_inertia: float
-    alone: tuple[EstimatedParameter, ...]
-    rows: int
-    relative_error: float
-    filtered_error: float
-
-
 @dataclass(frozen=True, slots=True)
 class Windows:
     """The windows in which a long log was identified.
@@ -168,7 +145,6 @@ class Data:
         torque_unit: of the torque: N, N m, A or V.
         fingerprints: of the torque of each record, or of each log of a robot, see `fingerprint`; none of a long log.
         resampled: how the samples were brought to a uniform clock, None where they were logged so.
-        records: each of several records by itself; empty for one record.
         windows: how a long log was cut; None for a record.
     """
 
@@ -178,7 +154,6 @@ class Data:
     torque_unit: str
     fingerprints: tuple[str, ...] = ()
     resampled: Resampled | None = None
-    records: tuple[RecordFit, ...] = ()
     windows: Windows | None = None
 
 

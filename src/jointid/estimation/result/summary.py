@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts, common_facts
-from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.answer import moved_by_loop, told_bounds
@@ -60,7 +59,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     """Yield errors by axis, parameters, what is known together, bounds, segments, and sums."""
-    fit, rows, segments = estimate.fit, estimate.rows, () if estimate.agreement is None else estimate.agreement.segments
+    fit, rows, parts = estimate.fit, estimate.rows, () if estimate.agreement is None else estimate.agreement.parts
     if axes := [*fit.axis_errors]:
         columns = {"estimate": fit.axis_errors} | ({"nominal": fit.nominal_errors} if fit.nominal_errors else {})
         errors = [(f"{name}, %", [_percent(of[axis]) for axis in axes], False) for name, of in columns.items()]
@@ -83,14 +82,17 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             (f"stiffness at least [{estimate['stiffness'].unit}]", least, False),
             ("mode [Hz]", [f"{b.frequency:.0f}" if b.frequency else "-" for b in bounds], False),
         )
-    if segments:
-        told = [{n: interval(s.values[n], 2 * s.std[n]) for n in s.values} for s in segments]
+    if parts:
+        told = [{n: interval(one.values[n], 2 * one.std[n]) for n in one.values} for one in parts]
         yield _table(
-            "each segment by itself, ± 2 sigma without what all of them err alike",
-            ("from h", [f"{s.begin / 3600:.2f}" for s in segments], False),
-            ("to h", [f"{s.end / 3600:.2f}" for s in segments], False),
-            *((f"{p.symbol} {p.unit}", [s.get(p.name, "not excited") for s in told], False) for p in rows if p.free),
-            ("error %", [f"{100 * s.filtered_error:.2f}" for s in segments], False),
+            "each by itself, ± 2 sigma without what all of them err alike",
+            ("", [one.name for one in parts], True),
+            *(
+                (f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in told], False)
+                for p in rows
+                if p.free and p.of_joint
+            ),
+            ("error %", [f"{100 * one.filtered_error:.2f}" for one in parts], False),
         )
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     if sums := [p for p in rows if p.formula not in ("", p.symbol) and (details or p.name != p.symbol)]:
@@ -132,15 +134,8 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if isinstance(system, Robot):
         yield "method", f"{system.name}, {settings.variant}"
         return
-    source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
-    yield "method", f"{system.model} joint, {settings.variant}, {source}"
-    if not data.records:
-        yield "read", ", ".join(data.channels)
-    unit = unit_of(Quantity.INERTIA, system.kind, TORQUE_UNIT[system.kind])
-    for k, record in enumerate(data.records, 1):
-        more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
-        error = f"{100 * record.filtered_error:.4f} % filtered ({record.rows} rows)"
-        yield f"record {k}", f"{record.name}{more}; {error}; read: {', '.join(record.channels)}"
+    yield "method", f"{system.model} joint, {settings.variant}, of {data.record}"
+    yield "read", ", ".join(data.channels)
     yield from common_facts(data.resampled, system.transmission)
 
 
@@ -167,9 +162,6 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
         columns.append(("truth", [f"{truth[p.name]:.6g}" for p in rows], False))
     elif any(p.nominal is not None for p in rows):
         columns.append(("nominal", ["-" if p.nominal is None else number(p.nominal, 4) for p in rows], False))
-    for k, record in enumerate(estimate.data.records, 1):
-        alone = {p.name: show_value(p) for p in record.alone}
-        columns.append((f"{k} alone", [alone.get(p.name, "-") for p in rows], False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
     columns.append(("symbol", [p.symbol for p in rows], True))

@@ -202,7 +202,7 @@ def _judge(estimate: Estimate) -> Iterator[Check]:
     yield _judge_bounds(estimate)
     if agreement is not None and agreement.p_value is not None:
         name, code = Subject.AGREEMENT, Reason.RECORDS_DISAGREE
-        if agreement.segments:
+        if estimate.data.windows is not None:
             name, code = Subject.DRIFT, Reason.DRIFTS
         yield check_of(name, not agreement.differs, code, str(agreement), {"parameters": [*agreement.names]})
     springs = [row for row in estimate.rows if row.axis and row.name.endswith(".stiffness") and row.free]
