@@ -51,9 +51,17 @@ from jointid.estimation.methods.registry import (
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.result.build_result import build_closed_loop_result
+from jointid.estimation.result.build_result import (
+    build_estimate,
+    find_active_bounds,
+    list_loop_channels,
+    rows_of_problem,
+    warn_of_limit,
+)
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import Settings
 from jointid.estimation.result.springs import visible
+from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.starts.flexible_joint import NOTHING, rough_rigid_joint, search_flexible_joint
 from jointid.estimation.starts.rigid_joint import rigid_starts
 from jointid.models.controllers import numbers_of, with_numbers
@@ -61,7 +69,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.simulation.plant import DELAY
 from jointid.solvers.regression import refuse_idle
 from jointid.uncertainty.covariance import Influence
+from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import uncertainty
+from jointid.uncertainty.residual_tests import whiteness
 
 _ROUGH = 1e-3  # tolerance of a rigid joint that only finds a delay
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
@@ -133,16 +143,38 @@ class DIDIM(Method):
         if task.joint.model == "rigid":
             joint = problem.free_joint
             refuse_idle(J[:, : len(joint)], tuple(p.name for p in joint))
-            known = uncertainty_of_least_error(problem, x, run, error, -J, history)
-            return build_closed_loop_result(task.record, problem, x, run, end, known, -J, history.tally.evaluations)
-        if np.linalg.norm(error) > NOTHING * problem.size:
-            end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
-        known = uncertainty(Influence(J, error), problem.cells(run))
-        spring = visible(problem, x, J, known, starts, history)
-        if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
-            known, _ = widen_for_force(known, problem, x, -J, history)
-        runs = history.tally.evaluations
-        return spring.state(build_closed_loop_result(task.record, problem, x, run, end, known, J, runs))
+            known, spring = uncertainty_of_least_error(problem, x, run, error, -J, history), None
+        else:
+            if np.linalg.norm(error) > NOTHING * problem.size:
+                end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
+            known = uncertainty(Influence(J, error), problem.cells(run))
+            spring = visible(problem, x, J, known, starts, history)
+            if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
+                known, _ = widen_for_force(known, problem, x, -J, history)
+        filtering = problem.filtering
+        assert filtering.cutoff is not None
+        white = whiteness(error, problem.sample_time * (filtering.decimation or 1), filtering.cutoff)
+        delay = problem.values(x).get("delay", problem.axis.law.delay)
+        made = build_estimate(
+            [task.record],
+            rows_of_problem(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J)),
+            known.covariance.correlation,
+            (problem.measured, run.torque),
+            problem.filtered_error(error),
+            error.size,
+            end,
+            history.tally.evaluations,
+            Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), filtering, delay),
+            list_loop_channels(problem.loop, task.record),
+            checks=residual_checks(white, known.repeatable),
+            known=identifiability(problem.free, problem.units, x, J, known.covariance),
+            warnings=warn_of_limit(run.at_limit),
+            notes=tuple(map(str, known.warnings)),
+            problem=problem,
+            x=x,
+            shifts=known.shifts,
+        )
+        return made if spring is None else spring.state(made)
 
     def solve(self, task: Task, history: History) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""

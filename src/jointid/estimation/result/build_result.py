@@ -14,14 +14,9 @@ from jointid.common.text import join
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
-from jointid.estimation.result.verdict import residual_checks
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.simulation.simulate import Simulation
 from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.identifiability import identifiability
-from jointid.uncertainty.position_dependent_error import Uncertainty
-from jointid.uncertainty.residual_tests import whiteness
 
 if TYPE_CHECKING:
     from jointid.estimation.robots.simulated import IdentifiedRobot
@@ -128,52 +123,6 @@ def build_estimate(
     )
     kept: dict[str, Any] = {"warnings": tuple(warnings), "records": () if robot is None else tuple(records)}
     return Estimate(rows, correlation, fit, data, settings, robot=robot, **kept, **found)
-
-
-def build_closed_loop_result(
-    record: Record,
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    run: Simulation,
-    end: tuple[str, bool],
-    known: Uncertainty,
-    J: FloatArray,
-    simulations: int,
-) -> Estimate:
-    """Return the estimate that ends a simulation of the loop, as if its record showed a spring.
-
-    Args:
-        record: what was identified from.
-        problem: what was solved.
-        x: free parameters.
-        run: simulation with them.
-        end: why the search ended, and whether that is a good end.
-        known: of the errors of the free parameters.
-        J: (rows, free) sensitivities, filtered.
-        simulations: that were run.
-    """
-    error, f = problem.filter(problem.measured - run.torque), problem.filtering
-    assert f.cutoff is not None
-    delay = problem.values(x).get("delay", problem.axis.law.delay)
-    return build_estimate(
-        [record],
-        rows_of_problem(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J)),
-        known.covariance.correlation,
-        (problem.measured, run.torque),
-        problem.filtered_error(error),
-        error.size,
-        end,
-        simulations,
-        Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), f, delay),
-        list_loop_channels(problem.loop, record),
-        checks=residual_checks(whiteness(error, problem.sample_time * (f.decimation or 1), f.cutoff), known.repeatable),
-        known=identifiability(problem.free, problem.units, x, J, known.covariance),
-        warnings=warn_of_limit(run.at_limit),
-        notes=tuple(map(str, known.warnings)),
-        problem=problem,
-        x=x,
-        shifts=known.shifts,
-    )
 
 
 def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:

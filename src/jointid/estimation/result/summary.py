@@ -12,6 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.parameters import INITIAL
+from jointid.estimation.result.agreement import Alone
 from jointid.estimation.result.answer import moved_by_loop, told_bounds
 from jointid.estimation.result.parts import EstimatedParameter, format_signed, show_value
 from jointid.models.robots.robot import Robot
@@ -59,7 +60,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     """Yield errors by axis, parameters, what is known together, bounds, segments, and sums."""
-    fit, rows, parts = estimate.fit, estimate.rows, () if estimate.agreement is None else estimate.agreement.parts
+    fit, rows, parts = estimate.fit, estimate.rows, _parts_of(estimate, "segments")
     if axes := [*fit.axis_errors]:
         columns = {"estimate": fit.axis_errors} | ({"nominal": fit.nominal_errors} if fit.nominal_errors else {})
         errors = [(f"{name}, %", [_percent(of[axis]) for axis in axes], False) for name, of in columns.items()]
@@ -162,10 +163,17 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
         columns.append(("truth", [f"{truth[p.name]:.6g}" for p in rows], False))
     elif any(p.nominal is not None for p in rows):
         columns.append(("nominal", ["-" if p.nominal is None else number(p.nominal, 4) for p in rows], False))
+    for k, one in enumerate(_parts_of(estimate, "records"), 1):
+        alone = [interval(one.values[p.name], 2 * one.std[p.name]) if p.name in one.values else "-" for p in rows]
+        columns.append((f"{k} alone", alone, False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
     columns.append(("symbol", [p.symbol for p in rows], True))
     return _table(f"{hidden} more are not significant in this record" if hidden else "", *columns)
+
+
+def _parts_of(estimate: Estimate, of: str) -> tuple[Alone, ...]:
+    return estimate.agreement.parts if estimate.agreement is not None and estimate.agreement.of == of else ()
 
 
 def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
