@@ -9,10 +9,9 @@ from jointid.common.arrays import FloatArray
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
-from jointid.simulation.kernels import drive
-from jointid.simulation.kernels.tables import FINISHED, TAPE, TOO_STIFF, Trace
+from jointid.simulation.kernels.tables import FINISHED, TOO_STIFF
 from jointid.simulation.plant import Numbers
-from jointid.simulation.simulate import integrate, lines_of, motion_of, pass_on
+from jointid.simulation.simulate import integrate, motion_of, pass_on
 from tests.simulation.reference import simulate
 
 T = 1e-3
@@ -35,18 +34,13 @@ def free(
     place, speed, before = x0[: 2 * n : 2], x0[1 : 2 * n : 2], torque[:1]
     if way == "reference":
         return 0, *simulate(plant, None, np.zeros((0, 10)), loop, before, none, place, speed, np.sign(speed))[1:]
+    status, _, _, tape, path, counts = integrate(
+        plant, None, np.zeros((0, 10)), loop, before, np.array([math.inf]), none, place, speed, np.sign(speed),
+        keep=True, straight=way == "exact",
+    )  # fmt: skip
     if way == "steps":
-        status, _, _, tape, counts = integrate(
-            plant, None, np.zeros((0, 10)), loop, before, np.array([math.inf]), none, place, speed, np.sign(speed),
-            keep=True,
-        )  # fmt: skip
         return status, *motion_of(tape, n, torque.size)[:2], int(counts[0])
-    states, counts = np.zeros((torque.size, 4)), np.zeros(4, dtype=np.int64)
-    tape, modes = np.zeros((0, TAPE)), np.zeros(torque.size, dtype=np.int16)
-    trace = Trace(np.zeros(torque.size), np.zeros((0, 1)), states, modes, tape, counts)
-    x = np.append(x0, np.zeros(4 - x0.size))
-    status = drive.run(lines_of(plant), loop, float(before[0]), none, x, math.inf, trace)
-    return status, states[:, : 2 * n : 2], states[:, 1 : 2 * n : 2], int(counts[0])
+    return status, path.states[:, : 2 * n : 2], path.states[:, 1 : 2 * n : 2], int(counts[0])
 
 
 WAYS = pytest.mark.parametrize("way", ["exact", "steps"])

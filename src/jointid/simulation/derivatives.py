@@ -1,8 +1,8 @@
 """Derivatives of a run's torques and positions by parameters: by variation of the run, or as columns at a known motion.
 
-Those of a joint of straight lines are exact (`kernels.drive_sensitivities`), others of order 2 in the pieces of the
-tape (`kernels.variation`). Derivatives by a controller's numbers are exact, too: the law, linear in its signals, is run
-on the simulated position at two neighbouring values.
+They are of order 4 in the steps of the tape (`kernels.variation`), and exact over the parts that a joint of straight
+lines crosses by a map. Derivatives by a controller's numbers are exact, too: the law, linear in its signals, is run on
+the simulated position at two neighbouring values.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from jointid.models.joints import Joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
-from jointid.simulation.kernels.tables import LANES, IntArray, Moved
+from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds
 from jointid.simulation.kernels.tables import Slopes as Written
 from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
 from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, pack_seeds, stribeck_share
-from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, lines_of, motion_at, run_loop
+from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, motion_at, run_loop
 from jointid.simulation.start import INITIAL, Initial, Slopes, start_slopes
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
         return nothing, still
     own = [key for key in keys if key not in of_law]
     order = [*own, *of_law]  # the law's own columns come last in a block
-    wide = LANES if kept.lines is not None else max(len(keys), 1)
+    wide = LANES if kept.path.straight else max(len(keys), 1)
     commands, moved = [], []
     for first in range(0, max(len(keys), 1), wide):
         command, states = _propagate(kept, order[first : first + wide], positions)
@@ -205,7 +205,7 @@ def _follow(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
     (n, elements, _), count = experiment.sampled.w.shape, first.places.shape[1]
-    width = LANES if kept.lines is not None else count
+    width = LANES if kept.path.straight else count
     command = np.zeros((n, clock.steps, width))
     rows = clock.steps * clock.lengths.size if positions else 0
     states = _ROOM.array("moved", (rows, 4, width))
@@ -218,24 +218,17 @@ def _follow(
     moved = Moved(places, speeds, states_of_law, of_law, count - len(explicit), limits)
     written = Written(command, states, NO_LINKS)
     delays = [(c, key.axis) for c, key in enumerate(keys) if key.name == DELAY]
-    if kept.lines is not None:
-        from jointid.simulation.kernels.drive_sensitivities import follow as follow_lines
-
-        by_name, seeds, before = _seeds(numbers.joints[0]), np.zeros((14, width)), float(kept.start.before[0])
-        for c, key in enumerate(keys):
-            seeds[:, c] = by_name.get(key.name, 0.0)
-        later, rows = np.array(delays, dtype=np.int64).reshape(-1, 2), len(kept.tape)
-        moved = moved._replace(dq=np.resize(places, (2, width)), dv=np.resize(speeds, (2, width)))  # of rigid ones, too
-        follow_lines(experiment.sampled, before, kept.lines, rows, lines_of(kept.plant), seeds, later, moved, written)
+    if kept.path.straight:
+        packed = _pack_lines(numbers.joints[0], tuple(keys))
     else:
-        from jointid.simulation.kernels.variation import follow
-
         links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
         packed = pack_seeds(kept.plant, numbers.blocks(keys), links, delays)
-        follow(
-            kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
-            kept.excess, kept.tape, packed, moved, written,
-        )  # fmt: skip
+    from jointid.simulation.kernels.variation import follow
+
+    follow(
+        kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
+        kept.excess, kept.tape, kept.path, packed, moved, written,
+    )  # fmt: skip
     return command[..., :count], states[..., :count]
 
 
@@ -247,14 +240,12 @@ def _widen(slopes: FloatArray, width: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
-    """Return the constant derivatives of the affine kernels' coefficients by a joint's parameters."""
-    nothing = dict.fromkeys(names_of(joint), 0.0)
-
-    def lines(values: Mapping[str, float]) -> FloatArray:
-        return lines_of(Numbers((joint,), (values,)).plant)
-
-    return {name: lines(nothing | {name: 1.0}) - lines(nothing) for name in nothing}
+def _pack_lines(joint: Joint, keys: tuple[Place, ...]) -> Seeds:
+    """Return how the plant of a joint of straight lines depends on parameters: the same at all values."""
+    numbers = Numbers((joint,), (dict.fromkeys(names_of(joint), 1.0),))
+    return pack_seeds(
+        numbers.plant, numbers.blocks(keys), delays=[(c, 0) for c, key in enumerate(keys) if key.name == DELAY]
+    )
 
 
 def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:

@@ -26,7 +26,7 @@ from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.kernels.tables import STATE, IntArray, Moved, Slopes
+from jointid.simulation.kernels.tables import NO_PATH, STATE, IntArray, Moved, Slopes
 from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place, pack_seeds
 from jointid.simulation.simulate import (
     OUTCOMES,
@@ -200,7 +200,7 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
         accelerations = np.diff(prescribed.joined, axis=0) / prescribed.step
         # One more part follows the last one, so that its end is on the tape, too.
         torques = HEAVY * np.vstack([accelerations, accelerations[-1:]]).T[:, np.newaxis]
-        status, command, _, tape, _ = integrate(
+        status, command, _, tape, _, _ = integrate(
             plant, prescribed.tree, numbers.inertials, pass_on(torques, prescribed.step), np.zeros(n),
             np.full(n, np.inf), np.zeros((n, 0)), places, speeds, np.sign(speeds), keep=True, steps=taken,
         )  # fmt: skip
@@ -239,7 +239,7 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     seeds = pack_seeds(plant, heavy.blocks(keys), links)
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command[:, np.newaxis], prescribed.step), np.zeros(n),
-        run.command, np.zeros((n, 0, 1)), run.tape, seeds, moved,
+        run.command, np.zeros((n, 0, 1)), run.tape, NO_PATH, seeds, moved,
         Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), found),
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)

@@ -387,11 +387,9 @@ def pack_seeds(
     keys = [row * bands + band for row, band, *_ in found]
     begin = np.searchsorted(keys, bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1))
     numbers, columns = (np.array([one[i] for one in found], dtype=np.int64) for i in (2, 3))
-    of_links, of_delays, none = (
-        np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2), ((), 2))
-    )
+    of_links, of_delays = (np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2)))
     values = np.array([one[4] for one in found])
-    return Seeds(begin, numbers, columns, values, of_links, of_delays, none, np.zeros((0, 0)))
+    return Seeds(begin, numbers, columns, values, of_links, of_delays)
 
 
 # A robot and its numbers

@@ -1,6 +1,6 @@
 """Simulation of one candidate, a joint or a robot, under its controllers along the references of its records.
 
-A joint whose laws are all lines has affine maps (`kernels.drive`). All else is integrated by `kernels.engine`.
+All run in `kernels.engine`; a joint whose laws are all lines goes by affine maps where nothing happens.
 """
 
 from __future__ import annotations
@@ -21,27 +21,24 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.kernels.tables import (
     COULOMB,
-    COULOMB_BACK,
     CUBIC,
     DAMPING,
-    DIVERGED,
+    FINISHED,
     FREE,
-    HIGH,
     INERTIA,
-    OFFSET,
+    NO_PATH,
     PART,
     SLIDING,
     SLIPS,
     STATE,
     STIFFNESS,
-    TAPE,
     VISCOUS,
     VISCOUS_BACK,
     WINDING,
     IntArray,
+    Path,
     Plant,
     SampledLoop,
-    Trace,
     passing,
     tape_width,
 )
@@ -57,8 +54,7 @@ TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
 STEPS = 64
 """Of a robot per part of a period, at most that are chosen."""
 _POSES = 5  # along the reference, at which the fastest motion is searched for
-_MORE = 2  # rows of a tape per step and part, beside a thousand
-_TAPED = 1000  # rows of the tape of a joint of lines to begin with, and one for 16 periods
+_MORE, _TAPED = 2, 1000  # rows of a tape per step and part, and beside these
 
 
 class Outcome(StrEnum):
@@ -122,8 +118,8 @@ class Run:
         command: (n, clock) torques that act, the last held after a failure.
         excess: (n, periods, elements) what limits and gates take away; tape: its steps. Both are empty unless they were
             kept.
+        path: of a joint of straight lines, kept with the tape.
         counts: (4,) events, rows of the tape, steps of the clock, and those at a limit.
-        lines: what the kernel wrote of a joint of straight lines; else None.
     """
 
     experiment: LoopInput
@@ -134,8 +130,8 @@ class Run:
     command: FloatArray
     excess: FloatArray
     tape: FloatArray
+    path: Path
     counts: IntArray
-    lines: Trace | None = None
 
     @property
     def carried(self) -> Numbers:
@@ -205,73 +201,27 @@ def run_loop(
     if start is None or outcome is not Outcome.FINISHED:
         nowhere = Start(still, still, still, (None,) * n, np.zeros((n, 0)), np.zeros(n))
         none, counts = np.zeros((n, 0, elements)), np.zeros(4, np.int64)
-        nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), counts
+        nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), NO_PATH, counts
         return Run(experiment, numbers, plant, nowhere, outcome, *nothing)
     far = np.array([each.far for each in experiment.axes]) + np.abs(start.places[numbers.motors])
-    if numbers.straight:
-        return _run_lines(experiment, numbers, plant, start, far, keep, room or Room())
-    status, command, excess, tape, counts = integrate(
+    status, command, excess, tape, path, counts = integrate(
         plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
-        start.speeds, start.wound, keep=keep, steps=taken, room=room,
+        start.speeds, start.wound, keep=keep, straight=numbers.straight, steps=taken, room=room,
     )  # fmt: skip
-    return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, counts)
-
-
-def lines_of(plant: Plant) -> FloatArray:
-    """Return the coefficients of a joint of straight lines, (14,), see `kernels.drive`: a rigid one has no spring."""
-    rows, (stiffness, damping) = plant.masses[:, 0], plant.springs[0, 0, :2] if len(plant.springs) else (0.0, 0.0)
-    motor, load = rows[0], rows[1] if len(rows) > 1 else np.eye(HIGH + 1)[INERTIA]
-    both = (*motor[VISCOUS : COULOMB_BACK + 1], *load[VISCOUS : COULOMB_BACK + 1])
-    return np.array([motor[INERTIA], load[INERTIA], stiffness, damping, *both, motor[OFFSET], load[OFFSET]])
-
-
-def _run_lines(
-    experiment: LoopInput, numbers: Numbers, plant: Plant, start: Start, far: FloatArray, keep: bool, room: Room
-) -> Run:
-    """Run a joint of straight lines by its affine maps, again with a longer tape where it turns round all the time."""
-    from jointid.simulation.kernels import drive
-
-    clock, sampled = experiment.clock, experiment.sampled
-    kept, taped = (clock.steps * clock.lengths.size, _TAPED + clock.steps // 16) if keep else (0, 0)
-    elements, coefficients = sampled.w.shape[1], lines_of(plant)
-    while True:
-        trace = Trace(
-            np.zeros(clock.steps),  # never in a room: it may be an answer
-            room.array("excess", (clock.steps if keep else 0, elements)),
-            room.array("states", (kept, 4)),
-            room.array("modes", (kept,), np.int16),
-            room.array("tape", (taped, TAPE)),
-            np.zeros(4, dtype=np.int64),
-        )
-        trace.excess[:] = 0.0
-        x = np.zeros((2, 2))
-        x[: start.places.size] = np.column_stack([start.places, start.speeds])
-        before, states = float(start.before[0]), start.states.copy()
-        status = drive.run(coefficients, sampled, before, states, x.reshape(4), float(far[0]), trace)
-        if trace.counts[1] <= taped or not keep:
-            break
-        taped = int(trace.counts[1])
-    done = int(trace.counts[2])
-    trace.u[done:] = trace.u[done - 1] if done else 0.0
-    trace.excess[done:] = 0.0
-    for signal in (trace.u, trace.excess, trace.states[: done * clock.lengths.size]):
-        if status == DIVERGED:  # divergence may overflow
-            np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    command, excess, tape = trace.u[np.newaxis], trace.excess[np.newaxis], trace.tape[: int(trace.counts[1])]
-    return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, trace.counts, trace)
+    return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, path, counts)
 
 
 def integrate(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
-    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, steps: int = 0,
-    room: Room | None = None,
-) -> tuple[int, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
+    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, straight: bool = False,
+    steps: int = 0, room: Room | None = None,
+) -> tuple[int, FloatArray, FloatArray, FloatArray, Path, IntArray]:  # fmt: skip
     """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
 
-    Returns how it ended, then command, excess, tape and counts as `Run` has them.
+    Returns how it ended, then command, excess, tape, path and counts as `Run` has them.
 
-    The arguments are those of `kernels.engine.run`. Steps are those of the integrator in the longest part of a step of
-    the clock; 0 lets each choose its length.
+    The arguments are those of `kernels.engine.run`; straight is a joint whose laws are lines. Steps are those of the
+    integrator in the longest part of a step of the clock; 0 lets each choose its length.
     """
     from jointid.simulation.kernels import engine
 
@@ -279,14 +229,17 @@ def integrate(
     parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
     array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
     excess = array("excess", (axes, periods if keep else 0, elements))
-    rows = _MORE * clock * parts * max(steps, 1) + 1000 if keep else 0
+    excess[:] = 0.0
+    followed, rates = clock * parts if keep and straight else 0, np.zeros((9 if straight else 0, 2, 5))
+    path = Path(straight, array("states", (followed, 4)), array("modes", (followed,), np.int16), rates)
+    rows = (clock // 8 if straight else _MORE * clock * parts * max(steps, 1)) + _TAPED if keep else 0
     rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
     while True:
         tape = array("tape", (rows, tape_width(len(plant.masses), len(plant.pairs))))
         counts = np.zeros(4, np.int64)
         status = engine.run(
             plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
-            tape, counts,
+            tape, path, counts,
         )  # fmt: skip
         if not keep or counts[1] <= rows:  # else joints that turn round and stick all the time
             break
@@ -295,8 +248,9 @@ def integrate(
     command[:, done:] = command[:, done - 1 : done] if done else 0.0
     for j, every in enumerate(loop.every):
         excess[j, -(-done // int(every)) :] = 0.0
-    np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)  # divergence may overflow
-    return int(status), command, excess, tape[: counts[1]], counts
+    for signal in (command, excess, path.states[: done * parts]) if status != FINISHED else ():  # they may overflow
+        np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return int(status), command, excess, tape[: counts[1]], path, counts
 
 
 def pass_on(torques: FloatArray, step: float) -> SampledLoop:
@@ -320,12 +274,12 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
     """Return the motion as these parts of the clock's steps begin; the tape must have been kept."""
     clock, masses = run.experiment.clock, run.start.places.size
     done = int(run.counts[2]) * clock.lengths.size
-    if not done or not (len(run.tape) or run.lines):
+    if not done or not len(run.tape):
         held = np.tile(run.start.places, (parts.size, 1))
         return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
     at = np.minimum(parts, done - 1)
-    if run.lines is not None:
-        return _motion_of_lines(run, run.lines, at, masses)
+    if run.path.straight:
+        return _motion_of_lines(run, at, masses)
     position, velocity, acceleration, modes = (values[at] for values in motion_of(run.tape, masses, done))
     found = MassMotion(position, velocity, acceleration, np.where(modes == FREE, np.sign(velocity), modes))
     for values in found[:3]:
@@ -333,27 +287,17 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
     return found
 
 
-def _motion_of_lines(run: Run, lines: Trace, at: IntArray, masses: int) -> MassMotion:
+def _motion_of_lines(run: Run, at: IntArray, masses: int) -> MassMotion:
     """Return the motion of a joint of straight lines, its accelerations just after the torque of a part acts."""
-    clock, post, plant = run.experiment.clock, run.experiment.sampled.post[0], run.plant
-    position, velocity = (lines.states[at, i : 2 * masses : 2] for i in range(2))
-    modes = lines.modes[at].astype(np.int64)[:, np.newaxis] - 4
-    motor = np.sign(modes) * (np.abs(modes) > 1)
-    direction = np.hstack([motor, modes - 3 * motor])[:, :masses].astype(np.float64)
+    clock, post, path = run.experiment.clock, run.experiment.sampled.post[0], run.path
+    states, modes = path.states[at], path.modes[at].astype(np.int64)
     source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
     held = np.maximum(source, 0)
-    push = np.zeros_like(position)
-    push[:, 0] = np.where(source >= 0, run.command[0, held] + post[held], run.start.before[0])
-    if masses > 1:
-        spring = plant.springs[0, 0]
-        apart = spring[STIFFNESS] * np.diff(position)[:, 0] + spring[DAMPING] * np.diff(velocity)[:, 0]
-        push[:, 0] += apart
-        push[:, 1] -= apart
-    rows = plant.masses[:, 0]
-    back = direction < 0
-    push -= rows[:, OFFSET] + np.where(back, rows[:, VISCOUS_BACK], rows[:, VISCOUS]) * velocity
-    push -= np.where(back, rows[:, COULOMB_BACK], rows[:, COULOMB]) * direction
-    return MassMotion(position, velocity, np.where(direction != 0.0, push / rows[:, INERTIA], 0.0), direction)
+    torque = np.where(source >= 0, run.command[0, held] + post[held], run.start.before[0])
+    inputs = np.column_stack([states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, np.ones_like(torque)])
+    acceleration = np.einsum("sij,sj->si", path.rates[modes], inputs)
+    direction = np.column_stack([modes // 3 - 1.0, modes % 3 - 1.0])
+    return MassMotion(*(one[:, :masses] for one in (states[:, ::2], states[:, 1::2], acceleration, direction)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

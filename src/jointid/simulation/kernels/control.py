@@ -3,46 +3,35 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compile_kernel, inline_kernel
+from jointid.common.compiled import compile_kernel, inline_kernel
 from jointid.simulation.kernels.tables import Feedback
+
+SmallLaw: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
 OFTEN = 64  # periods after which that is checked
 _LINE = 8  # numbers of a cache line
 
 
-class SmallLaw(NamedTuple):
-    """A feedback of one element, one phase and two states at most, as numbers, which stay in registers."""
-
-    a00: float
-    a01: float
-    a10: float
-    a11: float
-    b0: float
-    b1: float
-    c0: float
-    c1: float
-    f0: float
-    f1: float
-    d: float
-    limit: float
-
-
 @inline_kernel
 def small_law(feedback: Feedback, nz: int) -> SmallLaw:
-    """Return a feedback of two states at most as numbers, filled up with zeros."""
+    """Return a feedback of one element, one phase and two states at most as numbers, which stay in registers.
+
+    In this order: A by rows, what the position adds to the states, C, what the limit adds, D, and the limit. Of less
+    than two states it is filled up with zeros.
+    """
     A, b, c, f = np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.zeros(2)
     for i in range(nz):
         b[i], c[i], f[i] = feedback.Bq[0, 0, i], feedback.C[0, 0, 0, i], feedback.F[0, 0, i, 0]
         for j in range(nz):
             A[i, j] = feedback.A[0, 0, i, j]
     d, limit = feedback.D[0, 0, 0], feedback.limits[0, 0]
-    return SmallLaw(A[0, 0], A[0, 1], A[1, 0], A[1, 1], b[0], b[1], c[0], c[1], f[0], f[1], d, limit)
+    return A[0, 0], A[0, 1], A[1, 0], A[1, 1], b[0], b[1], c[0], c[1], f[0], f[1], d, limit
 
 
 @inline_kernel
@@ -81,55 +70,51 @@ def control_any(
         z[joint, i] = new[i]
 
 
+@inline_kernel
+def _add(weight: float, rows: FloatArray, row: int, to: FloatArray, at: int) -> None:
+    """Add a weighted row of derivatives to another."""
+    for c in range(rows.shape[1] if weight != 0.0 else 0):
+        to[at, c] += weight * rows[row, c]
+
+
 @compile_kernel
 def control_slopes(
-    laws: Feedback, axis: int, own: int, cut: FloatArray, moved: FloatArray, dz: FloatArray, fresh: FloatArray,
-    raw: FloatArray, taken: FloatArray, explicit: FloatArray, first: int, dlimits: FloatArray, out: FloatArray,
+    laws: Feedback, axis: int, own: int, step: int, excess: FloatArray, motor: int, dq: FloatArray, dzs: FloatArray,
+    fresh: FloatArray, raw: FloatArray, taken: FloatArray, explicit: FloatArray, first: int, dlimits: FloatArray,
+    command: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the derivatives of the output of any law in a period of its own, and move those of its states, `dz`.
+    """Write the derivatives of the output of any law in a period of its own, and move those of its states, `dzs`.
 
-    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes. `moved` are those
-    of the motor's position, `cut` is what limits and gates take away; `fresh`, `raw` and `taken` are scratch.
+    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes. `dq` are those of
+    the masses' positions, `excess` is what limits and gates take away; `fresh`, `raw` and `taken` are scratch.
     """
-    phase, elements, states, count = own % laws.A.shape[1], cut.size, len(dz), moved.size
-    A, F, C, E = laws.A[axis, phase], laws.F[axis, phase], laws.C[axis, phase], laws.E[axis, phase]
+    phase, elements, count, dz, output = own % laws.A.shape[1], raw.shape[0], raw.shape[1], dzs[axis], laws.output[axis]
+    states = dz.shape[0]
     for e in range(elements):
         for c in range(count):
-            raw[e, c] = laws.D[axis, phase, e] * moved[c]
-        for i in range(explicit.shape[2]):
-            raw[e, first + i] += explicit[own, e, i]
+            raw[e, c] = laws.D[axis, phase, e] * dq[motor, c]
+        for i in range(explicit.shape[3]):
+            raw[e, first + i] += explicit[axis, own, e, i]
         for s in range(states):
-            weight = C[e, s]
-            if weight != 0.0:
-                for c in range(count):
-                    raw[e, c] += weight * dz[s, c]
+            _add(laws.C[axis, phase, e, s], dz, s, raw, e)
         for other in range(e):
-            weight = E[e, other]
-            if cut[other] != 0.0 and weight != 0.0:
-                for c in range(count):
-                    raw[e, c] += weight * taken[other, c]
-        if cut[e] != 0.0:
-            sign = -math.copysign(1.0, cut[e]) if laws.gates[axis, e] < 0 else 0.0
-            for c in range(count):
-                taken[e, c] = sign * dlimits[e, c] - raw[e, c]
-        if e == laws.output[axis]:
-            for c in range(count):
-                out[c] = raw[e, c] + (taken[e, c] if cut[e] != 0.0 else 0.0)
+            _add(laws.E[axis, phase, e, other] if excess[axis, own, other] != 0.0 else 0.0, taken, other, raw, e)
+        cut = excess[axis, own, e]
+        sign = -math.copysign(1.0, cut) if laws.gates[axis, e] < 0 else 0.0
+        for c in range(count if cut != 0.0 else 0):
+            taken[e, c] = sign * dlimits[axis, e, c] - raw[e, c]
+        for c in range(count if e == output else 0):
+            command[axis, step, c] = raw[e, c] + (taken[e, c] if cut != 0.0 else 0.0)
     for s in range(states):
         for c in range(count):
-            fresh[s, c] = laws.Bq[axis, phase, s] * moved[c]
+            fresh[s, c] = laws.Bq[axis, phase, s] * dq[motor, c]
         for other in range(states):
-            weight = A[s, other]
-            if weight != 0.0:
-                for c in range(count):
-                    fresh[s, c] += weight * dz[other, c]
+            _add(laws.A[axis, phase, s, other], dz, other, fresh, s)
         for e in range(elements):
-            weight = F[s, e]
-            if cut[e] != 0.0 and weight != 0.0:
-                for c in range(count):
-                    fresh[s, c] += weight * taken[e, c]
+            _add(laws.F[axis, phase, s, e] if excess[axis, own, e] != 0.0 else 0.0, taken, e, fresh, s)
     for s in range(states):
-        assign(dz[s], fresh[s])
+        for c in range(count):
+            dz[s, c] = fresh[s, c]
 
 
 @inline_kernel

@@ -1,8 +1,7 @@
 """The simulation of masses under any law of friction and spring, by a Runge-Kutta method, compiled.
 
-A joint whose laws are lines has affine maps (`kernels.drive`). All others are integrated here, and robots. The masses
-of a joint are its motor, its load, and of an elastic load the part that swings; those of a robot its links, in a tree,
-then the rotors of its flexible joints. A spring ties two of them, and each motor drives one::
+The masses of a joint are its motor, its load, and of an elastic load the part that swings; those of a robot its links,
+in a tree, then the rotors of its flexible joints. A spring ties two of them, and each motor drives one::
 
     M(q) a + h(q, v) = drive - offset - friction - places + springs
 
@@ -11,7 +10,8 @@ flexible one the rotor is a mass that only its spring ties to the links (M. W. S
 joint robots, Journal of Dynamic Systems, Measurement, and Control 109, 1987). Where motors are coupled the position of
 a link is that of the shaft that its motor turns, so that friction and springs are each one shaft's.
 
-Between two events this is smooth, and integrated by the classical method of order 4. A step is a share of the time in
+Between two events this is smooth, and integrated by the classical method of order 4; a joint whose laws are lines has
+affine maps for whole parts of a period (`kernels.affine`). A step is a share of the time in
 which the fastest part of the motion turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
 
 The events are a mass that stops, one that comes loose, a deflection that reverses where the spring has a slider, and
@@ -31,7 +31,18 @@ from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.control import control_any
+from jointid.simulation.kernels.affine import (
+    INPUTS,
+    MODES,
+    drive_of,
+    enter_mode,
+    flow,
+    glide,
+    read_state,
+    ride,
+    write_state,
+)
+from jointid.simulation.kernels.control import control_any, small_law
 from jointid.simulation.kernels.laws import fastest_rate, friction, place_force, spring_torque, take_piece, wind
 from jointid.simulation.kernels.tables import (
     BEGIN,
@@ -58,12 +69,13 @@ from jointid.simulation.kernels.tables import (
     WINDING,
     IndexArray,
     IntArray,
+    Path,
     Plant,
     SampledLoop,
 )
 
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
-_MANY = 4096.0  # steps of a part that show a drive that is too stiff
+_MANY = 1000.0  # rad of a part that show a drive that is too stiff
 _WORK = 30.0  # rad that a simulation may take, per part: bounds the time an absurd candidate can cost
 _EVENTS = 1000  # per period; a physical drive has a handful
 _HOLD = 1.0 + 1e-9  # of the Coulomb force: what holds a mass, so that one at its limit is not decided by rounding
@@ -332,7 +344,7 @@ def _go_to_stage(
 def run(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
     z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, rate: float, reach: float,
-    command: FloatArray, excess: FloatArray, tape: FloatArray, counts: IntArray,
+    command: FloatArray, excess: FloatArray, tape: FloatArray, path: Path, counts: IntArray,
 ) -> int:  # fmt: skip
     """Simulate one candidate; fill what is out and return how it ended.
 
@@ -351,7 +363,9 @@ def run(
         reach: how far it may turn in a step, rad.
         command: (axes, clock) out: torques that act, held between periods.
         excess: (axes, periods, elements) out: what limits and gates took away; or (axes, 0, elements).
-        tape: (rows, columns) out, of as many steps as it holds.
+        tape: (rows, columns) out, of as many steps as it holds; of a joint of straight lines, of the parts that no map
+            crosses, and a last one of no length where each ends.
+        path: out, of a joint of straight lines.
         counts: (4,) out: events, rows of the tape, steps of the clock that were simulated, those at a limit.
     """
     masses, springs, places, pairs, motors, carriers = plant
@@ -392,35 +406,61 @@ def run(
         for i in range(links):
             M[i, i] += mass[i, INERTIA]
     events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
+    # The maps of straight lines, and a feedback of one element, one phase and two states at most, which glides by them.
+    straight, states, kept_modes, rates = path
+    lines, maps, part = drive_of(mass, spring), MODES if straight else 0, 0
+    filled = np.zeros(maps, dtype=np.bool_)
+    moves, bends = np.zeros((parts * maps, INPUTS, 4)), np.zeros((parts * maps, 3))
+    glides = straight and parts == 1 and z.shape[1] <= 2 and feedback.D.size == 1 and feedback.driven.shape[1] == 0
+    law = small_law(feedback, z.shape[1] if glides else 0)
+    if straight:
+        fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
+        status = FINISHED if longest * fastest <= _MANY else TOO_STIFF
     if tape.shape[0] > 0:
         _write_row(tape[0], -1, 0.0, -1, modes, at, q, v, w, a, a)
     while k < clock and status == FINISHED:
         limited = False
+        if tree is None:  # noqa: SIM102 (it is not compiled for robots)
+            if straight:
+                mode = enter_mode(lines, modes, v, 0.0, lengths, fastest, filled, rates, moves, bends)
+                if glides:
+                    k = glide(
+                        lines, law, rates, moves, bends, mode, states, kept_modes, lags[0, 0], before[0], far[0],
+                        w_in[0, 0], post[0], command[0], excess[0], q, v, z, counts, k,
+                    )  # fmt: skip
+                else:
+                    k, part = ride(
+                        lines, loop, before[0], far[0], rates, moves, bends, mode, states, kept_modes, q, v, z, fresh,
+                        out, cut, command[0], excess[0], counts, k, part,
+                    )  # fmt: skip
+                if k == clock:
+                    break
         for j in range(axes):
-            if k % every[j] != 0:  # this controller holds
+            if not straight and k % every[j] != 0:  # this controller holds
                 command[j, k] = command[j, k - 1]
-                continue
-            own, position = k // every[j], q[motors[j]]
-            control_any(feedback, j, w_in, own, position, z, fresh, out, cut)
-            command[j, k] = out[outputs[j]]
-            if excess.shape[1] > 0:
-                assign(excess[j, own], cut)
-            limited = limited or cut[outputs[j]] != 0.0
-            if not (abs(position) <= far[j] and abs(command[j, k]) < np.inf):
+            elif not straight:
+                own = k // every[j]
+                control_any(feedback, j, w_in, own, q[motors[j]], z, fresh, out, cut)
+                command[j, k] = out[outputs[j]]
+                if excess.shape[1] > 0:
+                    assign(excess[j, own], cut)
+                limited = limited or cut[outputs[j]] != 0.0
+            if not (abs(q[motors[j]]) <= far[j] and abs(command[j, k]) < np.inf):
                 status = DIVERGED
         if status != FINISHED:
             break
         counts[3] += 1 if limited else 0
         time, before_period = k * period, events
-        for part in range(parts):
-            left, settles = lengths[part], coupled or k == 0
-            for i in range(nd):
-                settles = settles or modes[i] == 0.0 or v[i] == 0.0
+        first, end = (part, part + 1) if straight else (0, parts)
+        for part in range(first, end):
             for j in range(axes):
                 source, motor = k - lags[j, part], motors[j]
                 torque = command[j, source] + post[j, source] if source >= 0 else before[j]
                 a[motor] += (torque - drive[motor]) * mobility[motor]  # all that changes, unless a mass settles
                 drive[motor] = torque
+            left, settles = lengths[part], coupled or k == 0 or straight
+            for i in range(nd):
+                settles = settles or modes[i] == 0.0 or v[i] == 0.0
             while left > 0.0 and status == FINISHED:
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
@@ -438,18 +478,25 @@ def run(
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
-                if not steps_left <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
+                if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
                     status = TOO_STIFF
                 if status != FINISHED:
                     break
+                if straight:
+                    mode = enter_mode(lines, modes, v, 1.0, lengths, fastest, filled, rates, moves, bends)
+                    if left == lengths[part] and kept_modes.size > 0:  # in which it begins to move
+                        kept_modes[k * parts + part] = mode
                 h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)
                 known, dips, looks, tries = -1, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
                 _watch(mass, spring, pairs, modes, bounds, q, v, held, grip, guards)
                 while True:
                     d = share * h
-                    for stage in range(4):
-                        _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
+                    for stage in range(3 if straight else 0, 4):
+                        if straight:
+                            write_state(flow(rates[mode], d, read_state(q, v), drive[0], 1.0), q1, v1)
+                        else:
+                            _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
                         for i in range(nd if winds else 0):
                             w1[i] = wind(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
                         for s in range(ns if winds else 0):
@@ -515,6 +562,11 @@ def run(
                         _enter(known - nd - ns, masses, springs, modes, at, mass, spring, bounds)
                     if events - before_period > _EVENTS:
                         status = CHATTERING
-        k += 1 if status == FINISHED else 0
+            if straight:
+                if rows < tape.shape[0]:
+                    _write_row(tape[rows], k * parts + part, 0.0, -1, modes, at, q, v, w, a, a)
+                rows += 1
+        part = part + 1 if straight and part + 1 < parts else 0
+        k += 1 if status == FINISHED and part == 0 else 0
     counts[0], counts[1], counts[2] = events, rows, k
     return status

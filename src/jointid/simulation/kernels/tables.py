@@ -37,9 +37,6 @@ COS, SIN, RATE, WAVE, WHERE = range(5)
 PART, LENGTH, EVENT, STATE = range(4)
 
 FREE = 2.0  # the mode of a mass that no friction holds
-# One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
-# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
-TAPE = 10
 
 
 class Plant(NamedTuple):
@@ -120,24 +117,24 @@ def passing(joints: int) -> Feedback:
     )  # fmt: skip
 
 
-class Trace(NamedTuple):
-    """Output arrays of a simulation, filled by `run`.
+class Path(NamedTuple):
+    """What a joint of straight lines leaves behind as each part begins.
 
     Attributes:
-        u: (periods,) the torque that acts.
-        excess: (periods, elements) what limits and gates took away, 0 before; or (0, elements).
-        states: (periods * parts, 4) states at the start of every part; or (0, 4).
-        modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
-        tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted above the rows, too.
-        counts: (4,) events, Taylor steps, periods simulated, periods at the limit.
+        straight: whether it is one; of any other both are empty.
+        states: (parts, 4); or (0, 4) unless they are kept.
+        modes: (parts,) ``3 m1 + m2 + 4``; or (0,).
+        rates: (9, 2, 5) of each mode that was met the accelerations of motor and load by motor velocity, stretch, load
+            velocity, torque and constant forces.
     """
 
-    u: FloatArray
-    excess: FloatArray
+    straight: bool
     states: FloatArray
     modes: NDArray[np.int16]
-    tape: FloatArray
-    counts: IntArray
+    rates: FloatArray
+
+
+NO_PATH = Path(False, np.zeros((0, 4)), np.zeros(0, np.int16), np.zeros((0, 2, 5)))
 
 
 class Moved(NamedTuple):
@@ -182,8 +179,6 @@ class Seeds(NamedTuple):
         numbers, columns, values: (derivatives,) of which number by which parameter.
         links: (some parameters, 3) which is the number of which link, in which column of its inertial ones.
         delays: (some parameters, 2) which is by how much the torque of which axis acts later.
-        pushes: (some parameters, 2) which is a torque added to the output of which axis' controller.
-        pushed: (the same, clock) that torque.
     """
 
     begin: IntArray
@@ -192,5 +187,3 @@ class Seeds(NamedTuple):
     values: FloatArray
     links: IntArray
     delays: IntArray
-    pushes: IntArray
-    pushed: FloatArray

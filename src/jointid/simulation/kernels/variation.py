@@ -28,9 +28,12 @@ from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes
+from jointid.simulation.kernels.affine import INPUTS, MODES, drive_of
+from jointid.simulation.kernels.affine_tangent import SCRATCH, WIDE, cross_slopes, fill_tangent, glide_slopes
+from jointid.simulation.kernels.control import NOTHING, OFTEN, aligned_zeros, control_slopes, small_law
 from jointid.simulation.kernels.engine import invert
 from jointid.simulation.kernels.laws import (
+    fastest_rate,
     friction,
     friction_partials,
     place_partials,
@@ -47,17 +50,20 @@ from jointid.simulation.kernels.tables import (
     FREE,
     HELD,
     INERTIA,
+    LANES,
     LENGTH,
     MASS,
     PART,
     SLIDING,
     SLIPS,
+    SPRING,
     STATE,
     WHERE,
     WINDING,
     IndexArray,
     IntArray,
     Moved,
+    Path,
     Plant,
     SampledLoop,
     Seeds,
@@ -185,51 +191,52 @@ def _flush(values: FloatArray) -> None:
             values[i, c] = values[i, c] if abs(values[i, c]) > NOTHING else 0.0
 
 
+@inline_kernel
+def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C: FloatArray, x: FloatArray) -> None:
+    """Add what masses and springs do to stiffness, damping and what is given; a torque may be carried by friction."""
+    nd = len(K)
+    for i in range(nd):
+        K[i, i] -= f[_STIFF, i]
+        C[i, i] += f[_DRAG, i]
+    for s in range(len(pairs)):
+        one, two, pull, damp = pairs[s, 0], pairs[s, 1], f[_PULL, nd + s], f[_DAMP, nd + s]
+        near = 2.0 - f[_TAKES, one] if carriers[one] == s else 1.0
+        far = f[_TAKES, two] if carriers[two] == s else 1.0
+        for to, weight in ((one, near), (two, -far)):
+            K[to, one] += weight * pull
+            K[to, two] -= weight * pull
+            C[to, one] += weight * damp
+            C[to, two] -= weight * damp
+            for order in range(2):
+                for c in range(x.shape[2]):
+                    x[order, nd + to, c] += weight * x[order, 2 * nd + s, c]
+
+
 @compile_kernel
 def _move(
-    h: float, f: FloatArray, pairs: IndexArray, carriers: IntArray, mobility: FloatArray, inverse: FloatArray,
-    K: FloatArray, C: FloatArray, torque: FloatArray, rows: FloatArray, x: FloatArray,
-) -> None:  # fmt: skip
+    h: float, f: FloatArray, inverse: FloatArray, K: FloatArray, C: FloatArray, rows: FloatArray, x: FloatArray
+) -> None:
     """Move the derivatives over a step: a Taylor series of their linear equation about its beginning.
 
     Block by block the next derivative by time. How far the masses have gone is in the third block.
     """
-    n, nd, ns, count = len(K), len(mobility), len(pairs), x.shape[2]
+    nd, count = len(K), x.shape[2]
     for i in range(nd):
         for c in range(count):  # a velocity that was not let begin does not come back
             x[1, i, c] *= f[_GOES, i]
     for order in range(_ORDER):
         rate, then = order + 1, order + 2
         for i in range(nd):
-            stiff, drag = f[_STIFF, i], f[_DRAG, i]
             for c in range(count):
-                x[then, i, c] = stiff * x[order, i, c] - drag * x[rate, i, c] + x[order, nd + i, c]
-        for s in range(ns):
-            one, two, pull, damp = pairs[s, 0], pairs[s, 1], f[_PULL, nd + s], f[_DAMP, nd + s]
-            near = 2.0 - f[_TAKES, one] if carriers[one] == s else 1.0
-            far = f[_TAKES, two] if carriers[two] == s else 1.0
-            for c in range(count):
-                moved = pull * (x[order, two, c] - x[order, one, c]) + damp * (x[rate, two, c] - x[rate, one, c])
-                torque[c] = moved + x[order, 2 * nd + s, c]
-            for c in range(count):
-                x[then, one, c] += near * torque[c]
-            for c in range(count):
-                x[then, two, c] -= far * torque[c]
-        for i in range(n):
-            for j in range(n):
+                rows[i, c], x[then, i, c] = x[order, nd + i, c], 0.0
+            for j in range(nd):
                 stiff, drag = K[i, j], C[i, j]
                 for c in range(count if stiff != 0.0 or drag != 0.0 else 0):  # not as of two arms on one base
-                    x[then, i, c] -= stiff * x[order, j, c] + drag * x[rate, j, c]
-        for i in range(n):
-            for c in range(count):
-                rows[i, c] = 0.0
-            for j in range(n):
-                for c in range(count if inverse[i, j] != 0.0 else 0):
-                    rows[i, c] += inverse[i, j] * x[then, j, c]
+                    rows[i, c] -= stiff * x[order, j, c] + drag * x[rate, j, c]
         for i in range(nd):
-            moves = f[_GOES, i] * (1.0 if i < n else mobility[i])
-            for c in range(count):
-                x[then, i, c] = moves * (rows[i, c] if i < n else x[then, i, c])
+            for j in range(nd if f[_GOES, i] != 0.0 else 0):
+                for c in range(count if inverse[i, j] != 0.0 else 0):
+                    x[then, i, c] += inverse[i, j] * rows[j, c]
     h2, h3, h4 = h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
     for i in range(nd):
         for c in range(count):
@@ -249,42 +256,35 @@ def _shift_edges(
     An edge of one motor's torque is all that changes in the equation of the mass that it drives, which may come loose.
     It lies between the last step before and the first that lasts.
     """
-    n, nd = len(M), len(dv)
+    nd = len(dv)
     after, before = STATE + 2 * nd, STATE + 3 * nd
     for d in range(len(delays)):
         c, j, r, push = delays[d, 0], delays[d, 1], rotors[delays[d, 1]], 0.0
         if not jumps[j] or f[_GOES, r] == 0.0:
             continue
-        if r >= n:
-            dv[r, c] -= tape[row, after + r] - tape[last, before + r]
-            continue
-        for i in range(n):
+        for i in range(nd):
             push += M[r, i] * (tape[row, after + i] - tape[last, before + i])
-        for i in range(n):
+        for i in range(nd):
             dv[i, c] -= inverse[i, r] * push
 
 
 @compile_kernel
 def _add_moved_links(
-    rotors: IndexArray, ends: IndexArray, f: FloatArray, ties: IntArray, M: FloatArray, C: FloatArray, K: FloatArray,
-    h: float, whole: float, dq: FloatArray, gone: FloatArray, bent: FloatArray, gained: FloatArray,
-    moved_links: FloatArray,
+    rotors: IndexArray, ends: IndexArray, M: FloatArray, C: FloatArray, K: FloatArray, h: float, whole: float,
+    dq: FloatArray, gone: FloatArray, bent: FloatArray, gained: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
 
     A motor feels them by its spring, or, of a rigid joint, by the links that hang on others. What velocities gained
     before the event that ended the piece is `bent`.
     """
-    axes, count = rotors.size, dq.shape[1]
-    for i in range(axes):
-        for j in range(axes):
-            link = ends[j]
-            if rotors[j] == link or (rotors[i] != ends[i] and i != j):  # moved as prescribed, or on another's spring
+    for i in range(rotors.size):
+        for j in range(rotors.size):
+            r, link = rotors[i], ends[j]
+            if rotors[j] == link:  # moved as prescribed
                 continue
-            inert = M[i, j] / whole if rotors[i] == ends[i] else 0.0
-            damping = (C[i, j] if ties[i] < 0 else -f[_DAMP, ties[i]]) / whole
-            stiffness = h / whole * (K[i, j] if ties[i] < 0 else -f[_PULL, ties[i]])
-            for c in range(count):
+            inert, damping, stiffness = M[r, link] / whole, C[r, link] / whole, h / whole * K[r, link]
+            for c in range(dq.shape[1] if inert != 0.0 or stiffness != 0.0 or damping != 0.0 else 0):
                 middle = dq[link, c] - 0.5 * gone[link, c] - h / 12.0 * bent[link, c]
                 moved_links[i, c] += inert * gained[link, c] + damping * gone[link, c] + stiffness * middle
 
@@ -325,9 +325,9 @@ def _pass_event(
 @compile_kernel
 def follow(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, torques_before: FloatArray,
-    torques: FloatArray, excess: FloatArray, tape: FloatArray, seeds: Seeds, moved: Moved, slopes: Slopes,
+    torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path, seeds: Seeds, moved: Moved, slopes: Slopes,
 ) -> None:  # fmt: skip
-    """Fill the derivatives of a finished run.
+    """Fill the derivatives of a finished run; LANES columns of a joint of straight lines.
 
     Args:
         plant: of `kernels.engine.run`, as the run left it.
@@ -338,13 +338,15 @@ def follow(
         torques: (axes, clock) what it wrote.
         excess: the same.
         tape: the same, its filled rows.
+        path: the same.
         seeds: how the numbers of the plant depend on the parameters.
         moved: how its first state and the controllers do.
         slopes: out.
     """
     masses, springs, places, pairs, rotors, carriers = plant
     lags, every, post, lengths, laws = loop.lags, loop.every, loop.post, loop.lengths, loop.feedback
-    command, states, moved_links, dz = slopes.command, slopes.states, slopes.links, moved.dz
+    command, states, moved_links = slopes.command, slopes.states, slopes.links
+    dz, explicit, dlimits = moved.dz, moved.explicit, moved.limits
     n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), moved.dq.shape[1]
     parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
     controlled, prescribed = command.shape[2] > 0, moved_links.shape[1] > 0
@@ -354,11 +356,11 @@ def follow(
     lead, gained, bent = np.zeros(count), np.zeros((nd, count)), np.zeros((nd, count))
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, change, drive, mobility = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd), np.zeros(nd)
-    mass, spring, torque, pulled = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns), np.zeros(count)
+    mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
     f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), MASS))
-    room, Y, M, K, C = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
-    of_links, inverse, rows = Y.copy(), M.copy(), np.zeros((n, count))
-    jumps, ties, ends = np.zeros(axes, dtype=np.bool_), np.full(axes, -1), rotors.copy()
+    room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
+    of_links, inverse, K, C, rows = Y.copy(), M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
+    jumps, ends = np.zeros(axes, dtype=np.bool_), rotors.copy()
     for i in range(nd):
         mobility[i] = 1.0 / masses[i, 0, INERTIA]
         assign(dq[i], moved.dq[i])
@@ -367,62 +369,104 @@ def follow(
         for j in range(axes):
             for side in range(2):
                 if pairs[i, side] == rotors[j]:
-                    ties[j], ends[j] = nd + i, pairs[i, 1 - side]
-    period, row = np.sum(lengths), 1
-    for step in range(steps):
+                    ends[j] = pairs[i, 1 - side]
+    straight, kept, modes, rates = path
+    lines, maps, of_lines = drive_of(mass, spring), MODES if straight else 0, 0.0
+    filled = np.zeros(maps, dtype=np.bool_)
+    moves, bends = np.zeros((parts * maps, INPUTS, 4)), np.zeros((parts * maps, 3))
+    pushes = aligned_zeros(parts * maps * INPUTS * WIDE).reshape((parts * maps, INPUTS * WIDE))
+    in_lanes, shifted, by = aligned_zeros(SCRATCH), np.zeros((2, INPUTS), dtype=np.complex128), np.zeros((2, INPUTS))
+    dmass, dspring = np.zeros((LANES, nd, MASS)), np.zeros((LANES, ns, SPRING))
+    small = straight and dz.shape[1] <= 2 and laws.D.size == 1 and laws.driven.shape[1] == 0
+    law = small_law(laws, dz.shape[1] if small else 0)
+    plain = small and len(states) + len(seeds.delays) == 0
+    if straight:
+        of_lines = fastest_rate(mass, spring, places, pairs, mobility, f[0], mean[0], mean[0], f[0], mean[0])
+        for i in range(nd + ns):
+            for e in range(seeds.begin[i, 0], seeds.begin[i, 1]):
+                if i < nd:
+                    dmass[seeds.columns[e], i, seeds.numbers[e]] = seeds.values[e]
+                else:
+                    dspring[seeds.columns[e], i - nd, seeds.numbers[e]] = seeds.values[e]
+    period, row, step = np.sum(lengths), 1, 0
+    while step < steps:
         if step % OFTEN == 0:
             _flush(dq)
             _flush(dv)
+            for j in range(axes):
+                _flush(dz[j])
+        if tree is None:  # noqa: SIM102 (it is not compiled for robots)
+            if plain:
+                mode, then = int(modes[step * parts]), int(tape[row, PART]) // parts if row < last_row else steps
+                if filled[mode] and then != step and abs(torques[0, step]) < laws.limits[0, 0]:
+                    end = min(step - step % OFTEN + OFTEN, then)
+                    gone_to = glide_slopes(
+                        in_lanes, law, moves, pushes, mode, step, end, lags[0], torques_before[0], kept, modes,
+                        torques[0], post[0], explicit[0], moved.first, dq, dv, dz[0], command[0],
+                    )  # fmt: skip
+                    if gone_to > step:
+                        step = gone_to
+                        continue
         for j in range(axes if controlled else 0):
             own = step // every[j]
             if step % every[j] != 0:  # this controller holds
                 assign(command[j, step], command[j, step - 1])
                 continue
             control_slopes(
-                laws, j, own, excess[j, own], dq[rotors[j]], dz[j], fresh, raw, taken, moved.explicit[j], moved.first,
-                moved.limits[j], command[j, step],
+                laws, j, own, step, excess, rotors[j], dq, dz, fresh, raw, taken, explicit, moved.first, dlimits,
+                command,
             )  # fmt: skip
-            if step % OFTEN == 0:
-                _flush(dz[j])
-        for i in range(len(seeds.pushes)):
-            j = seeds.pushes[i, 1]
-            if step % every[j] == 0:  # one that holds has it from its last period
-                command[j, step, seeds.pushes[i, 0]] += seeds.pushed[i, step]
         time = step * period
         for part in range(parts):
             at = step * parts + part
             for i in range(min(nd, 2) if len(states) > 0 else 0):
                 assign(states[at, 2 * i], dq[i])
                 assign(states[at, 2 * i + 1], dv[i])
-            if row >= last_row:
-                return
+            torque_before = drive[0]
             for j in range(axes):
                 source = step - lags[j, part]
                 jumps[j] = source != (step - lags[j, part - 1] if part > 0 else step - 1 - lags[j, parts - 1])
                 drive[rotors[j]] = torques[j, source] + post[j, source] if source >= 0 else torques_before[j]
-                if controlled:
-                    assign(dtau[j], command[j, max(source, 0)])
-            last, edge = row - 1, len(seeds.delays) > 0 and row > 1
-            while tape[row, PART] == at:
-                if row >= last_row:
-                    return
+                for c in range(count if controlled else 0):
+                    dtau[j, c] = command[j, max(source, 0), c]
+            last, edge = row - 1, len(seeds.delays) > 0 and at > 0
+            if tree is None:  # noqa: SIM102
+                if straight:
+                    stepped, mode, s = row < last_row and tape[row, PART] == at, int(modes[at]), drive[0]
+                    jump = (s - torque_before) * mobility[0]
+                    if kept[at, 1] == 0.0:  # an edge may tear it loose
+                        jump = tape[row, STATE + 2 * nd] if stepped else 0.0
+                    for d in range(len(seeds.delays) if edge and s != torque_before else 0):
+                        dv[0, seeds.delays[d, 0]] -= jump
+                    edge = False
+                    if not filled[mode]:
+                        filled[mode] = True
+                        fill_tangent(
+                            lines, dmass, dspring, mode, lengths, of_lines, rates, moves, bends, shifted, by,
+                            pushes.reshape((parts * maps, INPUTS, 4, LANES)),
+                        )  # fmt: skip
+                    if not stepped:
+                        cross_slopes(in_lanes, moves, pushes, part * MODES + mode, kept, at, s, dtau[0], dq, dv)
+            while row < last_row and tape[row, PART] == at:
                 h = tape[row, LENGTH]
                 for i in range(nd if prescribed else 0):
                     for c in range(count):
                         gained[i, c], gone[i, c] = -dv[i, c], 0.0
                 if h > 0.0:
                     _mean_motion(tape, row, nd, mean, change)
+                    for i in range(nd):
+                        for j in range(nd):
+                            M[i, j], K[i, j], C[i, j] = 0.0, 0.0, 0.0
                     if tree is not None:
                         place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
                         linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
-                        for i in range(n):
-                            M[i, i] += masses[i, 0, INERTIA]
+                    for i in range(nd):
+                        M[i, i] += masses[i, 0, INERTIA]
                     _fill_factors(
                         masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, mass, spring,
                         torque, f, k,
                     )  # fmt: skip
-                    if tree is not None:
-                        invert(M, tape[row, STATE + 4 * nd : STATE + 4 * nd + n], inverse)
+                    invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
                     if edge:
                         _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
                         edge = False
@@ -453,7 +497,8 @@ def follow(
                     for e in range(len(seeds.links)):
                         for i in range(n):
                             given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
-                    _move(h, f, pairs, carriers, mobility, inverse, K, C, pulled, rows, x)
+                    _join(pairs, carriers, f, K, C, x)
+                    _move(h, f, inverse, K, C, rows, x)
                     for i in range(forces):
                         winds = mass[i, WINDING] if i < nd else spring[i - nd, SLIDING]
                         for c in range(count if winds > 0.0 or f[_TURNS, i] != 0.0 else 0):
@@ -470,6 +515,7 @@ def follow(
                         for c in range(count):
                             gained[i, c] += dv[i, c]
                     _add_moved_links(
-                        rotors, ends, f, ties, M, C, K, h, lengths[part], dq, gone, bent, gained, moved_links[:, at]
+                        rotors, ends, M, C, K, h, lengths[part], dq, gone, bent, gained, moved_links[:, at]
                     )
                 row += 1
+        step += 1
