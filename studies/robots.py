@@ -234,6 +234,5 @@ def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
     problem = pose_robot(made.loop, made.records, fit.parameters)
     noise = problem.by_joint(decimate_each(problem.log, list(made.noise[: len(problem.measured)].T)))
-    found = problem.error_of(fit.numbers)
-    assert found is not None
-    return float(np.max(problem.norms(found) / np.linalg.norm(noise, axis=1)))
+    left = problem.left_by(fit.numbers) * problem.sizes
+    return float(np.max(left / np.linalg.norm(noise, axis=1)))

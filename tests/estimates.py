@@ -13,7 +13,6 @@ from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.simulated import errors_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.simulation.plant import Numbers
@@ -38,7 +37,7 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
         rows = [replace(row, nominal=float(one)) for row, one in zip(estimate.rows, there, strict=True)]
         return [axis.nominal_error for axis in ji.validate(replace(estimate, rows=tuple(rows)), records).axes]
     problem: Any = pose_robot(part.setup, records, robot_parameters(part.model), estimate.settings.filtering)
-    return [*errors_of(problem, Numbers.of(bodies))]
+    return [*problem.left_by(Numbers.of(bodies))]
 
 
 def faults_of(estimate: Estimate, record: Record, most: int = MOST) -> AxisFaults:

@@ -399,7 +399,7 @@ def _search(problem: Any, start: FloatArray) -> Solution | None:
 def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
     from jointid.estimation.parameters import robot_parameters
     from jointid.estimation.problems.simulated import pose_robot
-    from jointid.estimation.robots.simulated import errors_of, nominal_numbers
+    from jointid.estimation.robots.simulated import nominal_numbers
     from jointid.simulation.simulate import motion_at
 
     require_one_log(records)
@@ -429,7 +429,7 @@ def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted
             x, left = found.x, found.residual / free.weights(error.size)
         return np.asarray(problem.by_joint(left))
 
-    nominal = partial(errors_of, problem, nominal_numbers(robot, numbers)) if robot.has_masses else None
+    nominal = partial(problem.left_by, nominal_numbers(robot, numbers)) if robot.has_masses else None
     return _Predicted(
         problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(runs),
         problem.by_joint(error), problem.by_joint(problem.filtered_torque), q, v, fit_anew, compared, nominal,

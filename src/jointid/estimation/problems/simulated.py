@@ -26,7 +26,7 @@ from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.parameters import DRIVE_AND_LOG, LOG_DELAY, RobotParameters, add_delays, of_law
+from jointid.estimation.parameters import DRIVE_AND_LOG, LOG_DELAY, RobotParameters, of_law
 from jointid.estimation.parameters import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import (
     MeasuredMotion,
@@ -137,10 +137,6 @@ class LoopLog:
     def roughly(self) -> LoopLog:
         """Return the log simulated in steps twice as long."""
         return replace(self, stride=COARSE)
-
-    def thoroughly(self) -> LoopLog:
-        """Return the log where it is searched again: itself."""
-        return self
 
     def under(self, numbers: Numbers) -> LoopInput:
         """Return what drives a candidate: of a joint with the numbers of the controller that it has."""
@@ -255,7 +251,6 @@ class MotionLog:
         motion: as it was measured.
         prescribed: the motors' motion.
         parts: of a sample, in which it is.
-        thorough: whether the start of a search takes the whole log, too.
     """
 
     measured: FloatArray
@@ -263,7 +258,6 @@ class MotionLog:
     motion: MeasuredMotion
     prescribed: PrescribedMotion
     parts: int = PARTS_OF_ROBOT
-    thorough: bool = False
     motion_measured: ClassVar[bool] = True
     integrates: ClassVar[bool] = False
 
@@ -289,20 +283,14 @@ class MotionLog:
         """
         samples = len(self.motion.a)
         least = math.ceil(_BEGINNING / self.sample_time)
-        if self.thorough or least >= samples:
+        if least >= samples:
             return self
         moved = np.cumsum(np.square(self.motion.a), axis=0)
         size = max(least, 1 + int(np.max(np.argmax(moved >= least / samples * moved[-1], axis=0))))
         if size > _SHORTER * samples:
             return self
         prescribed = self.prescribed.begin((size - 1) * self.parts)
-        return replace(
-            self, measured=self.measured[:size], motion=self.motion.cut(0, size), prescribed=prescribed, thorough=True
-        )
-
-    def thoroughly(self) -> MotionLog:
-        """Return the log that is searched along all of it; itself where `roughly` leaves nothing out."""
-        return self if self.roughly() is self else replace(self, thorough=True)
+        return replace(self, measured=self.measured[:size], motion=self.motion.cut(0, size), prescribed=prescribed)
 
     def with_rows(self, moving: FloatArray) -> MotionLog:
         """Return the log with other samples that count, (samples, n) of 0 and 1."""
@@ -481,10 +469,10 @@ class Simulated:
         beginning = replace(self, parameters=first)
         return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(first.places))).x)
 
-    def error_of(self, numbers: Numbers) -> FloatArray | None:
-        """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
+    def left_by(self, numbers: Numbers) -> FloatArray:
+        """Return the share of each joint's torque that numbers leave, (n,); infinite if they cannot be simulated."""
         runs = self.run_of(numbers, keep=False)
-        return None if runs is None else self.error(runs)
+        return np.full(self.sigma.size, np.inf) if runs is None else self.norms(self.error(runs)) / self.sizes
 
     def predict(self, runs: Runs) -> FloatArray:
         """Return the torques of the runs as the logs show them, one after the other, (samples, n)."""
@@ -567,7 +555,6 @@ def pose_robot(
     records: Records,
     parameters: RobotParameters,
     filtering: Filtering | None = None,
-    late: Sequence[int] = (),
     delay: float | None = 0.0,
     *,
     stated: bool = True,
@@ -583,7 +570,6 @@ def pose_robot(
         records: of each joint, on one clock; of one log or several.
         parameters: of the robot.
         filtering: of torques, and of measured positions.
-        late: joints whose torques have a free delay.
         delay: s, by which a log along a motion shows the torques late; None to search it.
         stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
 
@@ -601,7 +587,7 @@ def pose_robot(
         moved = [loop_log(setup, log, model, filtering) for log in logs]
         for one in moved:
             require_torques(robot, one.measured.T)
-        return Simulated.of(moved, add_delays(parameters, setup, late))
+        return Simulated.of(moved, parameters)
     found = [_motion_log(robot, log, model, filtering or Filtering()) for log in logs]
     for count, (_, resting) in enumerate(found if len(found) > 1 else (), start=1):
         if moving := [robot.names[j] for j in np.flatnonzero(np.array(robot.flexible) & ~resting)]:

@@ -54,6 +54,7 @@ from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.parameters import (
     DELAYS,
     RobotParameters,
+    add_delays,
     apply_constraints,
     find_free_delays,
     name_in_robot,
@@ -324,9 +325,9 @@ class _Search(History):
         records = self.records
         stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
         parameters = robot_parameters(under.robot, offsets=self.how.offsets, logarithmic=True, whole=not self.along)
-        parameters = apply_constraints(parameters, self.known)
+        parameters = add_delays(apply_constraints(parameters, self.known), under, freed)
         delay = self.how.log_delay if self.along and not rigid else 0.0
-        return pose_robot(under, records, parameters, through, freed, delay, stated=stated)
+        return pose_robot(under, records, parameters, through, delay, stated=stated)
 
     def search(self) -> RobotFit:
         """Return the fit: of rigid joints or springs with linear laws, then of free delays and other laws."""
@@ -340,10 +341,10 @@ class _Search(History):
             _require_springs(robot, how.frequencies, problem.sample_time)
             rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
             found = self.find_springs(problem, near.robot, rigid)
-            whole = problem.map_logs(lambda log: log.thoroughly())
-            if whole is not problem and not any(one.shown for one in found.springs):
+            begun = self.along and problem.roughly() is not problem
+            if begun and not any(one.shown for one in found.springs):
                 self.progress("no spring is seen by the beginning of the record; searching along all of it")
-                found = self.find_springs(whole, near.robot, rigid)
+                found = self.find_springs(problem, near.robot, rigid, whole=True)
         else:
             undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
             ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
@@ -392,17 +393,17 @@ class _Search(History):
             x, runs = next((one for one in tried if outcome_of(one[1]) is Outcome.FINISHED), (x, runs))
         return conclude(problem, x, runs, J, made, settled)
 
-    def find_springs(self, problem: Simulated, robot: Robot, rigid: RobotFit) -> RobotFit:
+    def find_springs(self, problem: Simulated, robot: Robot, rigid: RobotFit, *, whole: bool = False) -> RobotFit:
         """Search the flexible robot of the least torque error, from the rigid one below the modes.
 
         Raises:
             MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
         """
-        problem = problem.reweight(problem.error(rigid.runs), rigid.values.size)
-        start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
+        problem = problem.reweight(problem.error(rigid.runs), rigid.x.size)
+        start = StartOfSprings.of(problem if whole else problem.roughly(), rigid, robot.names)
         hertz = self.how.frequencies or start.search(self.progress)
         problem = bound_springs(problem, start)
-        rough, before = problem.roughly(), self.tally.evaluations
+        rough, before = problem if whole else problem.roughly(), self.tally.evaluations
         error = rough.error(rough.runs_of(rigid.numbers))
         without = float(np.linalg.norm(error * rough.weights(error.size)))
         starts = [start.values(hertz), *(start.all_at(f) for f in _COMMON if f < start.stiff)]

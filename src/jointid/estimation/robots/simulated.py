@@ -24,7 +24,7 @@ from jointid.estimation.parameters import (
     with_delays,
 )
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
-from jointid.estimation.problems.simulated import Simulated, pose_robot
+from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.build_result import build_estimate, build_rows
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, Settings
@@ -162,7 +162,7 @@ def identify_simulated_robot(
         fit.iterations,
         Settings(method[0], f"{method[1]}, {kind}", robot, None, problem.filtering, log_delay=late),
         robot=part,
-        nominal=errors_of(problem, nominal_numbers(robot, numbers)),
+        nominal=problem.left_by(nominal_numbers(robot, numbers)),
         warnings=(_WITHOUT,) if fit.springs and len(hidden) == len(fit.springs) else (),
     )
     if len(logs) > 1:
@@ -256,9 +256,3 @@ def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Fil
     x = part.parameters.to_search_variables(part.values)
     runs = problem.run(x)
     return conclude(problem, x, runs, problem.slopes(runs, x), 0, True)
-
-
-def errors_of(problem: Simulated, numbers: Numbers) -> FloatArray:
-    """Return the residual share of each joint's torque, (n,); infinite if it cannot be simulated."""
-    error = problem.error_of(numbers)
-    return np.full(problem.sigma.size, np.inf) if error is None else problem.norms(error) / problem.sizes
