@@ -223,9 +223,7 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
         computed.append(ji.controller.compute_controller_torque(noisy, ji.ClosedLoop(ji.RigidJoint("revolute"), law)))
     problem = pose_robot(loop, computed, robot_parameters(twin.robot))
     assert problem.filtering.cutoff is not None and problem.filtering.cutoff < 30.0
-    error = problem.error_of(Numbers.of(twin.robot))
-    assert error is not None
-    rows = problem.by_joint(error)
+    rows = problem.by_joint(problem.error(problem.runs_of(Numbers.of(twin.robot))))
     spanned = (rows.shape[1] - 1) * (problem.filtering.decimation or 1)
     assert spanned < len(problem.measured) - sum(problem.filtering.borders)
     assert np.max(np.abs(rows)) < 6.0 * np.std(rows)
