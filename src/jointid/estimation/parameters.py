@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.models.controllers import LONGEST_DELAY, Controller, numbers_of, with_numbers
 from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
@@ -42,7 +42,7 @@ from jointid.models.robots.base_parameters import (
     name_sum,
     standard_symbols,
 )
-from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 from jointid.simulation.derivatives import columns_of
@@ -254,6 +254,14 @@ class RobotParameters:
         for place, column in zip((*self.places, *self.dropped), both.T, strict=True):
             if (i := standard_index(place, len(self.base.joints))) is not None:
                 found[:, i] = column
+        return found
+
+    def units(self, robot: Robot) -> list[str]:
+        """Return the units of the parameters."""
+        found = list[str]()
+        for p, place in zip(self.parameters, self.places, strict=True):
+            kind = "revolute" if place.name == LOG_DELAY.name else robot.links[place.axis].kind
+            found.append(UNITS[place.column] if place.of_link else unit_of(p.quantity, kind, TORQUE_UNIT[kind]))
         return found
 
     def formulas(self, robot: Robot) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ from jointid.estimation.problems.inverse_model import motion_of_robot
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
-from jointid.estimation.robots.simulated import describe_parameters, nominal_numbers
+from jointid.estimation.robots.simulated import nominal_numbers
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.planning.designed import DesignedAxis
@@ -114,7 +114,7 @@ class RobotModel:
     def units(self) -> dict[str, str]:
         """Units of the parameters that a test is identified for, by name."""
         parameters = self.base if self.loop is None else robot_parameters(self.robot)
-        return {one.name: unit for one, unit, *_ in describe_parameters(self.robot, parameters)}
+        return dict(zip(parameters.names, parameters.units(self.robot), strict=True))
 
     @property
     def doubts(self) -> tuple[str, ...]:

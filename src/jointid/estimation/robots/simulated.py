@@ -6,15 +6,14 @@ found.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, unit_of
+from jointid.common.parameters import Bounds, Parameter
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.parameters import (
@@ -25,11 +24,10 @@ from jointid.estimation.parameters import (
 )
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import pose_robot
-from jointid.estimation.result.build_result import build_estimate, build_rows
+from jointid.estimation.result.build_result import build_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, Settings
 from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
-from jointid.models.robots.inertial import UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -202,33 +200,19 @@ def rows_of_robot(
         held: bounds of those at one, by name.
         hidden: springs that are not shown.
     """
-    refused: dict[str, dict[str, Any]] = {f"{one.joint}.damping": {"value": None, "stderr": None} for one in hidden}
-    for one in hidden:
-        refused[f"{one.joint}.stiffness"] = {"value": None, "stderr": None, "lower_bound": float(one.at_least)}
-    described = [*describe_parameters(part.model, part.parameters)]
-    units, named = {p.name: unit for p, unit, *_ in described}, [p for p, *_ in described]
-    rows = build_rows(
-        named,
-        dict(zip(part.names, map(float, part.values), strict=True)),
-        {p.name: float(one) for p, one in zip(named, std, strict=True) if p.free},
-        lambda p: units[p.name],
-        [p.name for p, *_, of_record in described if not of_record],
-        held,
-    )
-    formulas, axes = part.parameters.formulas(part.model), [axis for *_, axis, _ in described]
-    return tuple(
-        replace(row, axis=axis, formula=formula, nominal=float(given), **refused.get(row.name, {}))
-        for row, axis, formula, given in zip(rows, axes, formulas, nominal, strict=True)
-    )
-
-
-def describe_parameters(robot: Robot, parameters: RobotParameters) -> Iterator[tuple[Parameter, str, str, bool]]:
-    """Yield each parameter, the fixed ones last: with its unit, its joint's name, and whether it is of the record."""
-    for one, place in zip(parameters.parameters, parameters.places, strict=True):
-        of_log = place.name == LOG_DELAY
-        kind = "revolute" if of_log else robot.links[place.axis].kind
-        unit = UNITS[place.column] if place.of_link else unit_of(one.quantity, kind, TORQUE_UNIT[kind])
-        yield one, unit, "" if of_log else robot.names[place.axis], place.of_record
+    refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
+    refused |= {f"{one.joint}.damping": None for one in hidden}
+    robot, parameters, rows = part.model, part.parameters, list[EstimatedParameter]()
+    described = zip(parameters.parameters, parameters.places, parameters.units(robot), strict=True)
+    found = zip(part.values, std, parameters.formulas(robot), nominal.tolist(), strict=True)
+    for (p, place, unit), (value, spread, formula, given) in zip(described, found, strict=True):
+        told, axis = p.name not in refused, "" if place.name == LOG_DELAY else robot.names[place.axis]
+        row = EstimatedParameter(
+            p.name, p.symbol, unit, float(value) if told else None, float(spread) if told and p.free else None, p.free,
+            refused.get(p.name), not place.of_record, held.get(p.name), axis=axis, formula=formula, nominal=given,
+        )  # fmt: skip
+        rows.append(row)
+    return tuple(rows)
 
 
 def nominal_numbers(robot: Robot, found: Numbers) -> Numbers:
