@@ -185,19 +185,19 @@ class Numbers:
     @property
     def plant(self) -> Plant:
         """Masses and springs as the kernels read them."""
-        rows = self.rows
-        masses, carriers = [np.zeros((0, HIGH + 1))] * self.count, [-1] * self.count
-        springs, pairs = list[AnyArray](), list[tuple[int, int]]()
-        for own, joint, values in zip(rows, self.joints, self.values, strict=True):
-            lowered, tied = lower_joint(joint, values)
-            for row, mass in zip(own, lowered, strict=True):
-                masses[row] = mass
-            for pair, spring in zip(pairwise(own), tied, strict=True):
-                carriers[pair[1]] = len(springs)
-                springs.append(spring)
-                pairs.append(pair)
-        motors = [own[0] for own in rows]
-        plant = assemble(masses, springs, self.joints[0].places(self.values[0]), pairs, motors, carriers)
+        rows, pairs = self.rows, [pair for own in self.rows for pair in pairwise(own)]
+        lowered = [lower_joint(*one) for one in zip(self.joints, self.values, strict=True)]
+        masses = {
+            row: mass for own, (of, _) in zip(rows, lowered, strict=True) for row, mass in zip(own, of, strict=True)
+        }
+        springs = [spring for _, of in lowered for spring in of]
+        carriers, motors = np.full(len(masses), -1), np.array(self.motors, dtype=np.uint64)
+        carriers[[behind for _, behind in pairs]] = range(len(pairs))
+        whole, pieces = _stack([masses[row] for row in range(len(masses))], HIGH + 1), _stack(springs, BEGIN + 1)
+        for row, spring in zip(pieces, springs, strict=True):
+            row[len(spring) :, BEGIN] = math.inf
+        tied, places = np.array(pairs, dtype=np.uint64).reshape(-1, 2), self.joints[0].places(self.values[0])
+        plant = Plant(whole, pieces, places, tied, motors, carriers)
         if self.heavy:
             plant.masses[motors, :, :HIGH], plant.masses[motors, :, HIGH] = 0.0, math.inf
             plant.masses[motors, :, INERTIA] = self.heavy
@@ -332,38 +332,17 @@ def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
     own = law.beside(values)
     cubic, slider, slips = (own[name] for name in ("cubic_stiffness", "hysteresis_stiffness", "hysteresis_torque"))
     slides = slider / slips if slips != 0.0 else (math.nan if slider != 0.0 else 0.0)
-    return np.array(
-        [
-            [
-                p.stiffness,
-                p.damping,
-                cubic,
-                slips,
-                slides,
-                p.torque - p.stiffness * p.deflection,
-                p.deflection + i * _THIN,
-            ]
-            for i, p in enumerate(law.pieces(values))
-        ]
-    )
+    rows = []
+    for i, piece in enumerate(law.pieces(values)):
+        held = piece.torque - piece.stiffness * piece.deflection
+        rows.append([piece.stiffness, piece.damping, cubic, slips, slides, held, piece.deflection + i * _THIN])
+    return np.array(rows)
 
 
-def assemble(
-    masses: Sequence[AnyArray], springs: Sequence[AnyArray], places: FloatArray, pairs: Sequence[tuple[int, int]],
-    motors: Sequence[int], carriers: Sequence[int],
-) -> Plant:  # fmt: skip
-    """Return the plant of lowered masses and springs, filled up to equal numbers of bands and pieces."""
-    pieces = max(map(len, springs), default=1)
-    tied, of_springs = np.array(pairs, dtype=np.uint64).reshape(-1, 2), np.zeros((len(springs), pieces, BEGIN + 1))
-    of_springs[..., BEGIN] = math.inf
-    for row, spring in zip(of_springs, springs, strict=True):
-        row[: len(spring)] = spring
-        row[len(spring) :, :BEGIN] = spring[-1, :BEGIN]
-    whole = np.empty((len(masses), max(map(len, masses)), HIGH + 1))
-    for row, mass in zip(whole, masses, strict=True):
-        row[: len(mass)] = mass
-        row[len(mass) :] = mass[-1]
-    return Plant(whole, of_springs, places, tied, np.array(motors, dtype=np.uint64), np.array(carriers))
+def _stack(each: Sequence[AnyArray], width: int) -> FloatArray:
+    """Return arrays of rows in one, the last row of each again up to the length of the longest."""
+    every = np.arange(max(map(len, each), default=1))
+    return np.array([one[np.minimum(every, len(one) - 1)] for one in each]).reshape(-1, every.size, width)
 
 
 def pack_seeds(
