@@ -10,11 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
 from tests.plants import LAWS, prismatic, rotary, with_law
+from tests.simulation.differences import sensitivities
 
 
 def ratio(law: Callable[[], object], plain: Callable[[], object], turns: int) -> float:
@@ -44,8 +44,8 @@ def main() -> None:
                 7,
             )
             slopes = ratio(
-                lambda: simulate_sensitivities(loop, experiment, values, names),  # noqa: B023
-                lambda: simulate_sensitivities(case.loop, experiment, case.truth, own),  # noqa: B023
+                lambda: sensitivities(loop, experiment, values, names),  # noqa: B023
+                lambda: sensitivities(case.loop, experiment, case.truth, own),  # noqa: B023
                 3,
             )
             print(f"{make.__name__}, {name}: {whole:.1f}, {slopes:.1f}", flush=True)

@@ -9,7 +9,7 @@ from benchmarks.problem import NAMES, PERIOD, Array, Law, Loop
 
 
 class Engine(Peer):
-    """`run_loop` and `simulate_sensitivities`: exact to rounding, with exact derivatives of the same run."""
+    """`run_loop` and `differentiate`: exact to rounding, with exact derivatives of the same run."""
 
     title = "jointid"
     settings = (Setting("exact"),)
@@ -30,10 +30,13 @@ class Engine(Peer):
 
     def slopes(self, parameters: Array) -> tuple[Array, Array]:
         """Return the torque and its exact derivatives."""
-        from jointid.simulation.derivatives import simulate_sensitivities
+        from jointid.simulation.derivatives import differentiate
+        from jointid.simulation.plant import Numbers, Place
+        from jointid.simulation.simulate import run_loop
 
-        run = simulate_sensitivities(self.closed, self.experiment, _values(parameters), NAMES)
-        return run.run.torque, run.torque
+        run = run_loop(self.experiment, Numbers.of_joint(self.closed.joint, _values(parameters)), keep=True)
+        (slopes,), _ = differentiate(run, [Place(0, name) for name in NAMES])
+        return run.torque, slopes
 
 
 def _closed(law: Law) -> Any:

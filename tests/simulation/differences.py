@@ -1,6 +1,8 @@
 """Derivatives of simulations by differences of whole runs."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,12 +10,34 @@ from jointid.common.arrays import FloatArray
 from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulate import Outcome, Simulation
+from jointid.simulation.derivatives import differentiate
+from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.plant import Numbers, Place
+from jointid.simulation.simulate import Outcome, Run, Simulation, run_loop
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
 
 AT_REST = Initial()
+
+
+class Sensitivities(NamedTuple):
+    """A joint's run, and its derivatives: of the torque and of positions, (samples, names)."""
+
+    run: Run
+    torque: FloatArray
+    motor_position: FloatArray
+    load_position: FloatArray
+
+
+def sensitivities(
+    loop: ClosedLoop, experiment: LoopInput, values: Mapping[str, float], names: Sequence[str],
+    start: Initial = AT_REST, *, positions: bool = False,
+) -> Sensitivities:  # fmt: skip
+    """Simulate a joint with derivatives by named parameters."""
+    run = run_loop(experiment, Numbers.of_joint(loop.joint, values), start, keep=True)
+    (torque,), moved = differentiate(run, [Place(0, name) for name in names], positions=positions)
+    motor, load = (moved[:, i] if moved.shape[1] > i else torque[:, :0] for i in range(2))
+    return Sensitivities(run, torque, motor, load)
 
 
 def simulate_moved(

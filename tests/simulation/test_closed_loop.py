@@ -12,13 +12,13 @@ from jointid.models.controllers import PD, Cascade, shift_start
 from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.estimates import identify
+from tests.simulation.differences import sensitivities
 
 T = 1e-3
 RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
@@ -254,7 +254,7 @@ def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -
     missed = simulate(loop, prepare(loop, replace(record, begin=record.begin + T)), values)
     assert np.max(np.abs(missed.torque - record.torque.values)) > 0.01 * size
 
-    slope = simulate_sensitivities(loop, prepare(loop, record), values, ("position_gain",)).torque[:, 0]
+    slope = sensitivities(loop, prepare(loop, record), values, ("position_gain",)).torque[:, 0]
     low, high = (after(cut, replace(SLOW, position_gain=SLOW.position_gain + by)).torque for by in (-1e-3, 1e-3))
     difference = (high.values - low.values) / 2e-3
     np.testing.assert_allclose(slope, difference, atol=1e-4 * np.max(np.abs(difference)))

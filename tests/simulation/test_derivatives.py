@@ -13,7 +13,6 @@ from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.simulation.derivatives import Sensitivities, simulate_sensitivities
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import prepare
@@ -21,7 +20,7 @@ from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
 from tests.plants import LAWS, PIECES, Case, prismatic, rotary, with_law
-from tests.simulation.differences import AT_REST, error_beside_differences
+from tests.simulation.differences import AT_REST, Sensitivities, error_beside_differences, sensitivities
 
 T = 1e-3
 RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
@@ -61,8 +60,8 @@ def check(
     worst: float = 2e-4, shares: tuple[float, ...] = (1e-6, 1e-5), *, to_right: tuple[str, ...] = (),
 ) -> Sensitivities:  # fmt: skip
     """Assert that derivatives of torque and positions are the differences, some of them to one side."""
-    found = simulate_sensitivities(loop, prepare(loop, record), values, names, start, positions=True)
-    assert found.response.outcome is Outcome.FINISHED
+    found = sensitivities(loop, prepare(loop, record), values, names, start, positions=True)
+    assert found.run.outcome is Outcome.FINISHED
     for j, name in enumerate(names):
         now = values.get(name) or numbers_of(loop.controller).get(name)
         size = SIZES.get(name) or abs(now or 1e-3)
@@ -79,7 +78,7 @@ def check(
 def test_of_random_plants(make: Callable[[int], Case], seed: int) -> None:
     case = make(seed)
     found = check(case.loop, case.clean, case.truth, tuple(case.truth))
-    assert np.array_equal(found.response.torque, simulate(case.loop, prepare(case.loop, case.clean), case.truth).torque)
+    assert np.array_equal(found.run.torque, simulate(case.loop, prepare(case.loop, case.clean), case.truth).torque)
 
 
 @pytest.mark.parametrize("law", [*LAWS, *PIECES])
@@ -194,9 +193,9 @@ def test_of_controllers(name: str) -> None:
     right = ("delay",) if not number(case.law, "delay") else ()  # a delay of 0 is the shortest
     loop = ClosedLoop(joint, case.law)
     found = check(loop, record, case.values, names, begin, shares=(1e-6, 1e-5, 1e-4), to_right=right)
-    assert (0.01 < found.response.at_limit < 0.9) == np.isfinite(number(case.law, "limit"))
+    assert (0.01 < found.run.at_limit < 0.9) == np.isfinite(number(case.law, "limit"))
     # Without positions most periods are followed in one step of their own.
-    torque_alone = simulate_sensitivities(loop, prepare(loop, record), case.values, names, begin).torque
+    torque_alone = sensitivities(loop, prepare(loop, record), case.values, names, begin).torque
     assert np.allclose(torque_alone, found.torque, rtol=1e-9, atol=1e-9 * np.abs(found.torque).max(axis=0))
 
 
@@ -223,9 +222,9 @@ def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> No
     loop = ClosedLoop(joint, Cascade(position_gain=100.0, velocity_gain=7e3))
     experiment = prepare(loop, driven())
     names = ["velocity_gain", *WAYS, "initial_position", "delay", "position_gain", "initial_velocity", "gain"]
-    together = simulate_sensitivities(loop, experiment, WAYS, names, positions=True)
+    together = sensitivities(loop, experiment, WAYS, names, positions=True)
     for j, name in enumerate(names):
-        alone = simulate_sensitivities(loop, experiment, WAYS, [name], positions=True)
+        alone = sensitivities(loop, experiment, WAYS, [name], positions=True)
         assert np.allclose(together.torque[:, [j]], alone.torque, rtol=1e-12, atol=1e-12 * np.abs(alone.torque).max())
         assert np.allclose(together.load_position[:, [j]], alone.load_position, rtol=1e-9, atol=1e-15)
 
@@ -234,9 +233,9 @@ def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> Non
     """Friction takes it at once, so it must not move what comes loose later; with positions and without."""
     loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=2e3))
     experiment = prepare(loop, driven())
-    slope = simulate_sensitivities(loop, experiment, RIGID, ["initial_velocity"]).torque
+    slope = sensitivities(loop, experiment, RIGID, ["initial_velocity"]).torque
     assert np.any(slope[0]) and not np.any(slope[5:])
-    kept = simulate_sensitivities(loop, experiment, RIGID, ["initial_velocity"], positions=True).torque
+    kept = sensitivities(loop, experiment, RIGID, ["initial_velocity"], positions=True).torque
     assert np.allclose(slope, kept, rtol=1e-12, atol=1e-12 * np.abs(kept).max())
 
 
@@ -251,6 +250,6 @@ def test_an_unstable_loop_has_no_derivatives(gains: tuple[float, float], outcome
     loop = ClosedLoop(RigidJoint("revolute"), law)
     record = Record(reference=Channel(trapezoids((1.0,), 5.0, 10.0, 2e-3, duration=20.0), "rad", 2e-3))
     values = {"inertia": 0.1, "viscous": 0.1, "coulomb": 0.5, "offset": 0.0}
-    run = simulate_sensitivities(loop, prepare(loop, record), values, ["inertia", "velocity_gain"])
-    assert run.response.outcome is outcome
+    run = sensitivities(loop, prepare(loop, record), values, ["inertia", "velocity_gain"])
+    assert run.run.outcome is outcome
     assert not run.torque.any()

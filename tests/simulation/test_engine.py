@@ -10,13 +10,12 @@ from jointid.models.controllers import with_numbers
 from jointid.models.friction import FRICTIONS, PARTS
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.springs import SPRINGS
-from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
 from tests.plants import Case, prismatic, rotary, with_law
-from tests.simulation.differences import error_beside_differences
+from tests.simulation.differences import error_beside_differences, sensitivities
 
 _STEP = 3e-6
 
@@ -72,8 +71,8 @@ def test_a_number_at_its_bound_has_the_derivative_to_the_side_of_joints(name: st
     case = prismatic(1)
     loop, values = _nothing_more(case)
     experiment, at = prepare(loop, case.clean), {name: 0.0}
-    exact = simulate_sensitivities(case.loop, experiment, case.truth | at, [name]).torque
-    found = simulate_sensitivities(loop, experiment, values | at, [name]).torque
+    exact = sensitivities(case.loop, experiment, case.truth | at, [name]).torque
+    found = sensitivities(loop, experiment, values | at, [name]).torque
     assert np.linalg.norm(exact) > 1.0
     assert np.linalg.norm(found - exact) < 0.05 * np.linalg.norm(exact)
 
@@ -81,7 +80,7 @@ def test_a_number_at_its_bound_has_the_derivative_to_the_side_of_joints(name: st
 def test_a_load_that_begins_to_swing_in_motion_has_the_derivative_of_differences() -> None:
     case, start = prismatic(1), Initial(velocity=0.2)
     loop, values = _nothing_more(case, "symmetric", "elastic-load")
-    found = simulate_sensitivities(loop, prepare(loop, case.clean), values, ["swinging_share"], start).torque[:, 0]
+    found = sensitivities(loop, prepare(loop, case.clean), values, ["swinging_share"], start).torque[:, 0]
     at = loop, case.clean, values, "swinging_share", (1e-6,), start
     assert error_beside_differences((found,), *at, back=0.0) < 1e-4
 
@@ -123,8 +122,7 @@ def test_a_delay_moves_no_edge_of_a_torque_that_goes_on() -> None:
     values = {name: value if name in case.truth else 0.0 for name, value in values.items()}
     begin = Initial(velocity=0.1, torque=71.7)
     exact, found = (
-        simulate_sensitivities(loop, prepare(loop, case.clean), values, ["delay"], begin).torque
-        for loop in (plain, drifting)
+        sensitivities(loop, prepare(loop, case.clean), values, ["delay"], begin).torque for loop in (plain, drifting)
     )
     assert np.linalg.norm(found - exact) <= 1e-5 * np.linalg.norm(exact)
 
@@ -134,7 +132,7 @@ def test_a_slider_without_stiffness_has_a_derivative_by_it() -> None:
     loop, values = with_law(case, "hysteretic")
     experiment, name, columns = prepare(loop, case.clean), "hysteresis_stiffness", []
     for stiffness in (0.0, 1e-5 * values["stiffness"]):
-        columns.append(simulate_sensitivities(loop, experiment, values | {name: stiffness}, [name]).torque)
+        columns.append(sensitivities(loop, experiment, values | {name: stiffness}, [name]).torque)
     assert np.linalg.norm(columns[1] - columns[0]) <= 1e-3 * np.linalg.norm(columns[1])
 
 
@@ -145,7 +143,7 @@ def test_friction_that_winds_up_within_a_sample_is_followed(share: float) -> Non
     experiment = prepare(loop, case.clean)
     length = share * float(np.ptp(case.clean.reference.values))  # type: ignore[union-attr]
     values = values | {"motor_presliding_distance": length, "load_presliding_distance": 0.7 * length}
-    found = simulate_sensitivities(loop, experiment, values, list(values))
+    found = sensitivities(loop, experiment, values, list(values))
     for i, name in enumerate(values):
         step = _STEP * (abs(values[name]) or 1e-3)
         error = error_beside_differences((found.torque[:, i],), loop, case.clean, values, name, (step,))

@@ -9,7 +9,6 @@ import pytest
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.records.record import Channel, Record
-from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.drive_side import PARTS, DriveSideRun, differentiate_drive_side, prescribe, run_drive_side
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
@@ -17,7 +16,7 @@ from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.start import Initial, steady_joint
 from jointid.simulation.synthesis import simulate
 from tests.plants import prismatic, rotary
-from tests.simulation.differences import error_beside_differences
+from tests.simulation.differences import error_beside_differences, sensitivities
 
 LINK = Gravity("link", Counterbalance(cos=4.0, rate=1.0))
 VALUES = {
@@ -75,7 +74,7 @@ def test_derivatives_of_a_link_that_begins_off_its_reference(joint: Joint, value
     """By the delay, too, which moves no edge at the first sample."""
     loop, record = swing(joint, 0.6e-3)
     names, start = [*(p.name for p in joint.parameters), "initial_position", "delay"], Initial(0.32)
-    found = simulate_sensitivities(loop, prepare(loop, record), values, names, start).torque
+    found = sensitivities(loop, prepare(loop, record), values, names, start).torque
     for j, name in enumerate(names):
         size = 4.0 if name == "offset" else abs(values.get(name, 1e-3 if name == "delay" else 1.0))
         steps = tuple(size * np.logspace(-8, -4, 5))

@@ -15,12 +15,12 @@ from jointid.models.position_forces import PositionHarmonics
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from jointid.models.springs import SPRINGS, Spring
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.simulation.derivatives import simulate_sensitivities
 from jointid.simulation.loop_input import RobotLoop, prepare
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.plants import prismatic
 from tests.robots_plants import two
+from tests.simulation.differences import sensitivities
 
 T = 1e-3
 VALUES = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
@@ -39,7 +39,7 @@ def prepare_at(period: float) -> object:
 
 def slopes(name: str, law: Cascade = LAW) -> object:
     loop = replace(LINE, controller=law)
-    return simulate_sensitivities(loop, prepare(loop, record()), VALUES, [name])
+    return sensitivities(loop, prepare(loop, record()), VALUES, [name])
 
 
 REFUSED: dict[str, tuple[Callable[[], object], type[JointidError]]] = {

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +27,8 @@ from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds
 from jointid.simulation.kernels.tables import Slopes as Written
 from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
 from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, pack_seeds, stribeck_share
-from jointid.simulation.simulate import MassMotion, Outcome, Run, Simulation, motion_at, run_loop
-from jointid.simulation.start import INITIAL, Initial, Slopes, start_slopes
-
-if TYPE_CHECKING:
-    from jointid.models.joints import ClosedLoop
-    from jointid.simulation.loop_input import LoopInput
+from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
+from jointid.simulation.start import INITIAL, Slopes, start_slopes
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -43,66 +37,17 @@ _AT_ONCE = 256  # samples of a regressor, which is much larger than what is take
 _ROOM = Room()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensitivities:
-    """A joint's run and its derivatives, in the order of names.
-
-    Attributes:
-        run: that was differentiated.
-        torque: (samples, names) of the torque as the log shows it.
-        motor_position, load_position: (samples, names); empty where positions were not asked for, the second also for a
-            rigid joint.
-    """
-
-    run: Run
-    torque: FloatArray
-    motor_position: FloatArray
-    load_position: FloatArray
-
-    @property
-    def response(self) -> Simulation:
-        """The run at the log's instants."""
-        return Simulation.of(self.run)
-
-
-def simulate_sensitivities(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    initial: Initial | None = None,
-    *,
-    positions: bool = False,
-) -> Sensitivities:
-    """Simulate a joint with derivatives by named parameters.
-
-    Args:
-        loop: joint and controller.
-        experiment: its inputs.
-        values: every parameter of the joint by name.
-        names: of parameters of the joint, "initial_position", "initial_velocity", "initial_torque", or numbers of the
-            controller ("position_gain", "velocity_gain", "gain", "limit", "delay", "velocity_filter.time_constant",
-            ...).
-        initial: where the motor is at the first sample.
-        positions: also return the derivatives of the positions.
-
-    Derivatives are 0 for a failed run, and for an unstable loop at its limit, whose trajectories diverge (above 1e100).
-    At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
-    velocity includes a load that moves along.
-    """
-    kept = run_loop(experiment, Numbers.of_joint(loop.joint, values), initial, keep=True, room=_ROOM)
-    (torque,), moved = differentiate(kept, [Place(0, name) for name in names], positions=positions)
-    nothing = torque[:, :0]
-    return Sensitivities(kept, torque, moved[:, 0] if positions else nothing,
-                         moved[:, 1] if positions and moved.shape[1] > 1 else nothing)  # fmt: skip
-
-
 def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) -> tuple[list[FloatArray], FloatArray]:
     """Return the derivatives of the torques as the log shows them, by axis, (samples, keys) each, and of positions.
 
+    At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
+    velocity includes a load that moves along.
+
     Args:
-        kept: that was kept. Of one that failed, and of a loop that flies apart, all are 0.
-        keys: parameters, see `simulate_sensitivities`.
+        kept: that was kept. Of one that failed, and of a loop at its limit that flies apart (above 1e100), all are 0.
+        keys: parameters: numbers of joint or robot, "delay" of a torque, and of a joint alone "initial_position",
+            "initial_velocity", "initial_torque" or numbers of its controller ("position_gain", "limit",
+            "velocity_filter.time_constant", ...).
         positions: of a joint's motor and load, (samples, masses, keys); else (samples, 0, keys).
     """
     experiment, clock = kept.experiment, kept.experiment.clock

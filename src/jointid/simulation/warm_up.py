@@ -15,11 +15,10 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.derivatives import differentiate, simulate_sensitivities
+from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.plant import Numbers
+from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import run_loop
-from jointid.simulation.synthesis import simulate
 
 
 def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
@@ -33,11 +32,9 @@ def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
     values = dict.fromkeys((p.name for p in joint.parameters), 1.0) | {"offset": 0.0}
-    experiment = prepare(loop, _at_rest("m"))
+    run = run_loop(prepare(loop, _at_rest("m")), Numbers.of_joint(joint, values), keep=True)
     if derivatives:
-        simulate_sensitivities(loop, experiment, values, [joint.parameters[0].name])
-    else:
-        simulate(loop, experiment, values)
+        differentiate(run, [Place(0, joint.parameters[0].name)])
 
 
 def compile_robot() -> None:
