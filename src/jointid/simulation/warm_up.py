@@ -16,9 +16,11 @@ from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.loop_input import RobotLoop, prepare
-from jointid.simulation.plant import Numbers, Place
+from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
+from jointid.simulation.plant import Numbers, names_of
 from jointid.simulation.simulate import run_loop
+
+_AT_REST = Record(reference=Channel(np.zeros(10), "rad", 1e-3))
 
 
 def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
@@ -28,13 +30,11 @@ def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
         joint: whose laws' kernels are compiled; those of others are by the first joint that has one.
         derivatives: also those of the derivatives.
     """
-    joint = joint or RigidJoint("prismatic")
+    joint = joint or RigidJoint("revolute")
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
-    values = dict.fromkeys((p.name for p in joint.parameters), 1.0) | {"offset": 0.0}
-    run = run_loop(prepare(loop, _at_rest("m")), Numbers.of_joint(joint, values), keep=True)
-    if derivatives:
-        differentiate(run, [Place(0, joint.parameters[0].name)])
+    values = dict.fromkeys(names_of(joint), 1.0) | {"offset": 0.0}
+    _run(prepare(loop, _AT_REST), Numbers.of_joint(joint, values), derivatives=derivatives)
 
 
 def compile_robot() -> None:
@@ -43,22 +43,22 @@ def compile_robot() -> None:
     from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 
     body = np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.1])
-    links = tuple(Link(f"link{i}", i - 1, inertial=body) for i in range(2))
-    joints = (RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0)))
-    robot = Robot(links, joints)
+    joints = RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0))
+    robot = Robot(tuple(Link(f"link{i}", i - 1, inertial=body) for i in range(2)), joints)
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
-    numbers = Numbers.of(robot)
-    differentiate(run_loop(prepare(loop, (_at_rest("rad"),) * 2), numbers, keep=True), numbers.not_zero())
+    _run(prepare(loop, (_AT_REST,) * 2), Numbers.of(robot))
     inverse_columns(robot, *np.zeros((3, 2, 2)))
 
 
-def _at_rest(unit: str) -> Record:
-    return Record(reference=Channel(np.zeros(10), unit, 1e-3))
+def _run(experiment: LoopInput, numbers: Numbers, *, derivatives: bool = True) -> None:
+    run = run_loop(experiment, numbers, keep=True)
+    if derivatives:
+        differentiate(run, numbers.not_zero())
 
 
 def main() -> None:
     """Compile all kernels, in two processes."""
-    joints = RigidJoint("prismatic"), FlexibleJoint("prismatic", friction=Friction("presliding"))
+    joints = RigidJoint("revolute"), FlexibleJoint("revolute", friction=Friction("presliding"))
     with ProcessPoolExecutor(2) as pool:
         tuple(pool.map(call, (compile_robot, *(partial(warm_up, joint) for joint in joints))))
 
