@@ -94,7 +94,7 @@ def test_a_robot_responds_to_another_law_as_its_simulation_does(other, tap, peri
         law = replace(loop.controllers[joint], **other)
         laws = [law if k == joint else one for k, one in enumerate(loop.controllers)]
         changed = run_loop(prepare(replace(loop, controllers=tuple(laws)), driven), numbers).torque - run.torque
-        found, (direct,) = respond_to_laws(run, [(joint, own.with_law(own.law_of(law)))])
+        found, (direct,) = respond_to_laws(run, [(joint, replace(own, law=own.law_of(law)))])
         found = np.column_stack(found)
         found[:, joint] += direct
         least = 0.2 if period else 0.1  # what is held longer hunts about its rest

@@ -11,7 +11,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
 from jointid.simulation.kernels import engine
-from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.start import Initial
@@ -52,7 +52,7 @@ def agree(
     found = simulate(loop, experiment, values, initial)
     assert found.outcome is Outcome.FINISHED
     command, q, _, events = of_loop(experiment, Numbers.of_joint(loop.joint, values), initial)
-    torque = to_log(experiment.axis, seen_torque(experiment.axis, command[0]))
+    torque = to_log(experiment.axis, command[0] + experiment.axis.shown)
     assert np.max(np.abs(found.torque - torque)) <= within * np.max(np.abs(torque))
     travel = np.ptp(q[:, 0]) + np.max(np.abs(q[:, 0] - q[:, -1]))
     for seen, mass in ((found.motor_position, 0), (found.load_position, 1)):

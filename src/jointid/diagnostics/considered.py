@@ -129,7 +129,7 @@ def _respond(solved: RobotFit, tried: Sequence[Element]) -> Sequence[FloatArray]
     """Return the changes of a robot's filtered torques by each element, (n, rows), to first order."""
     log, run = solved.problem.log, solved.runs[0]
     each = log.experiment.axes
-    others = [(one.axis, each[one.axis].with_law(each[one.axis].law_of(one.controller))) for one in tried]
+    others = [(one.axis, replace(each[one.axis], law=each[one.axis].law_of(one.controller))) for one in tried]
     found, direct = respond_to_laws(run, others)
     for c, (one, own) in enumerate(zip(tried, direct, strict=True)):
         if not any(log.seen) or log.seen[one.axis] is None:  # else the declared law shows the position

@@ -133,7 +133,7 @@ class Seen:
         taken = not hasattr(problem.loop.controller, "limit") or any(p.name == "limit" for p in problem.free)
         if taken or not level < problem.axis.law.limit:
             return None
-        return problem.torque(x, lambda e: e.with_law(e.law.with_limit(level))) - problem.torque(x)
+        return problem.torque(x, lambda e: replace(e, law=e.law.with_limit(level))) - problem.torque(x)
 
 
 def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, own: FloatArray) -> Seen:

@@ -25,7 +25,7 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
 from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds
 from jointid.simulation.kernels.tables import Slopes as Written
-from jointid.simulation.loop_input import AxisInput, acting, averages, seen_torque, to_log
+from jointid.simulation.loop_input import AxisInput, acting, averages, to_log
 from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, pack_seeds, stribeck_share
 from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
 from jointid.simulation.start import INITIAL, Slopes, start_slopes
@@ -104,7 +104,7 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
         pushed = (1.0 - late) * after + late * np.append(after[0], after[:-1]) - before
         of_output = np.arange(law.limits.size) == law.output
         explicit.append((j, np.outer(pushed, of_output), np.zeros(law.limits.size)))
-        shown = (to_log(one, seen_torque(one, of)) for one, of in ((own, before), (other, after)))
+        shown = (to_log(one, of + one.shown) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
     still = np.zeros((kept.start.places.size, count))
     states = np.zeros((len(experiment.axes), kept.start.states.shape[1], count))
@@ -128,7 +128,7 @@ def _show(kept: Run, j: int, command: FloatArray, keys: Sequence[Place]) -> Floa
     late = [c for c, key in enumerate(keys) if key == (j, DELAY)]
     if late and axis.tap is Tap.MEASURED and axis.timing is Timing.AVERAGED:
         # An edge that moves takes its height from the mean over the sample time it stands in.
-        torque = acting(axis, seen_torque(axis, clock.own(j, kept.command[j], axis.periods)))
+        torque = acting(axis, clock.own(j, kept.command[j], axis.periods) + axis.shown)
         logged[:, late] += averages(axis, -np.diff(torque, prepend=kept.start.before[j]))[:, np.newaxis]
     return logged[: clock.samples]
 

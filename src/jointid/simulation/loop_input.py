@@ -231,11 +231,7 @@ class AxisInput:
 
     def under(self, controller: Controller) -> AxisInput:
         """Replace the controller by one of the same period and delay."""
-        return replace(self.with_law(self.law_of(controller)), controller=controller)
-
-    def with_law(self, law: SampledLaw) -> AxisInput:
-        """Replace the law by one of the same period."""
-        return replace(self, law=law)
+        return replace(self, law=self.law_of(controller), controller=controller)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,15 +286,15 @@ class LoopInput:
         if self.tree is None or all(one is None for one in late):
             return self
         each = zip(self.axes, late, strict=True)
-        laws = (one.law if by is None else replace(one.law, delay=float(by)) for one, by in each)
-        return replace(self, axes=tuple(map(AxisInput.with_law, self.axes, laws)))
+        laws = [one.law if by is None else replace(one.law, delay=float(by)) for one, by in each]
+        return replace(self, axes=tuple(replace(one, law=law) for one, law in zip(self.axes, laws, strict=True)))
 
     def to_log(self, signals: FloatArray) -> FloatArray:
         """Return torques that are put out in each step, (n, steps), as the log shows them, (samples, n)."""
         clock, found = self.clock, []
         for j, each in enumerate(self.axes):
             command = clock.own(j, signals[j], each.periods)
-            found.append(to_log(each, seen_torque(each, command))[: clock.samples])
+            found.append(to_log(each, command + each.shown)[: clock.samples])
         return np.column_stack(found)
 
 
@@ -454,11 +450,6 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
     asked = feedforward / gain
     travel = float(np.ptp(asked) + np.max(np.abs(after_limit)) / gain)
     return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9
-
-
-def seen_torque(axis: AxisInput, command: FloatArray) -> FloatArray:
-    """Torque at the log's tap, (periods,), of the controller's output."""
-    return command + axis.shown
 
 
 def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.errors import MethodError
-from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare, to_log
@@ -39,9 +39,8 @@ def simulate(
         initial: where the motor of a joint is at the first sample.
         steps: of a robot's integrator per part of a period; None keeps the fastest motion below 0.5 rad a step.
 
-    A joint with piecewise linear laws is exact to rounding. Position-dependent gravity is held over each part of a
-    period, with second-order error. Smooth laws and robots are integrated by a Runge-Kutta method of order
-    4 between located events.
+    A joint whose laws are all lines is exact to rounding. All other joints and robots are integrated by a Runge-Kutta
+    method of order 4 between located events.
 
     Raises:
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
@@ -150,35 +149,26 @@ def add_feed_forward(
     """
     from jointid.models.robots.dynamics import inverse_dynamics
 
-    channels = [record.reference for record in records]
-    if any(channel is None for channel in channels) or len({(c.sample_time, len(c)) for c in channels if c}) != 1:
+    robot, moves = loop.robot, float(kind == "inverse-model")
+    given = [record.reference for record in records if record.reference is not None]
+    if len(given) < len(records) or len({(channel.sample_time, len(channel)) for channel in given}) != 1:
         raise MethodError("A feed-forward is computed from references of one rate and one length; give one per joint.")
-    given = [channel for channel in channels if channel]
     sample_time = given[0].sample_time
     q = np.column_stack([channel.values for channel in given])
-    v = np.gradient(q, sample_time, axis=0)
-    a = np.gradient(v, sample_time, axis=0)
-    if kind == "gravity":
-        v, a = np.zeros_like(q), np.zeros_like(q)
-    joints = np.linalg.inv(loop.robot.coupling)  # the references are those of the shafts
+    v = moves * np.gradient(q, sample_time, axis=0)
+    a = moves * np.gradient(v, sample_time, axis=0)
+    joints = np.linalg.inv(robot.coupling)  # the references are those of the shafts
     motion = (np.ascontiguousarray(x @ joints.T) for x in (q, v, a))
-    torque = inverse_dynamics(loop.robot.tree, loop.robot.inertials, *motion)
-    torque = torque @ joints
-    for j, joint in enumerate(loop.robot.rigid.joints):
+    torques = inverse_dynamics(robot.tree, robot.inertials, *motion) @ joints
+    made = []
+    for j, (record, joint) in enumerate(zip(records, robot.rigid.joints, strict=True)):
         values = joint.values
         forwards, backwards, held, held_back = joint.law.directions(values)
         viscous = np.where(v[:, j] < 0.0, backwards, forwards)
-        torque[:, j] += values["inertia"] * a[:, j] + viscous * v[:, j] + values["offset"] + 0.5 * (held - held_back)
-    units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree.kinds]
-    return tuple(
-        replace(
-            record,
-            injected=Injection(
-                Channel(torque[:, j], units[j], sample_time, Timing.HELD, "computed"), InjectionPoint.BEFORE_LIMIT
-            ),
-        )
-        for j, record in enumerate(records)
-    )
+        own = values["inertia"] * a[:, j] + viscous * v[:, j] + values["offset"] + 0.5 * (held - held_back)
+        torque = Channel(torques[:, j] + own, robot.torque_unit(j), sample_time, Timing.HELD, "computed")
+        made.append(replace(record, injected=Injection(torque, InjectionPoint.BEFORE_LIMIT)))
+    return tuple(made)
 
 
 def tracking_errors(records: Sequence[Record], run: Simulation) -> dict[int, float]:
