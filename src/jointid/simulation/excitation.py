@@ -47,26 +47,22 @@ def trapezoids(
             "Trapezoids need positive speeds, acceleration, travel and sample time, and a rest of 0 or more; received "
             f"{list(speeds)}, {acceleration}, {travel}, {sample_time} and {rest}."
         )
-    peaks = [min(speed, math.sqrt(acceleration * travel)) for speed in speeds for _ in range(2)]
-    ways = [(peak, peak / acceleration, peak / acceleration + travel / peak) for peak in peaks]
-    lengths = np.array([rest + length for _, _, length in ways])
-    total = float(lengths.sum())
-    samples = math.floor((duration or total) / sample_time + 1e-9)
-    time = np.arange(samples) * sample_time % total
+    parts = []  # seconds of each, and position, velocity and acceleration as it begins
+    for way, speed in ((way, speed) for speed in speeds for way in (1.0, -1.0)):
+        peak, start = min(speed, math.sqrt(acceleration * travel)), 0.0 if way > 0.0 else travel
+        ramp = peak / acceleration
+        ramped = 0.5 * peak * ramp
+        parts.append((rest, start, 0.0, 0.0))
+        parts.append((ramp, start, 0.0, way * acceleration))
+        parts.append((travel / peak - ramp, start + way * ramped, way * peak, 0.0))
+        parts.append((ramp, start + way * (travel - ramped), way * peak, -way * acceleration))
+    lengths, position, velocity, change = np.array(parts).T
     ends = np.cumsum(lengths)
-    index = np.minimum(np.searchsorted(ends, time, side="right"), len(ways) - 1)
-    position = np.empty(samples)
-    for i, (peak, ramp, length) in enumerate(ways):
-        chosen = index == i
-        local = np.clip(time[chosen] - (ends[i] - lengths[i]) - rest, 0.0, length)
-        left = length - local
-        moved = np.where(
-            local < ramp,
-            0.5 * acceleration * local**2,
-            np.where(left < ramp, travel - 0.5 * acceleration * left**2, 0.5 * peak * ramp + peak * (local - ramp)),
-        )
-        position[chosen] = moved if i % 2 == 0 else travel - moved
-    return position
+    samples = math.floor((duration or float(ends[-1])) / sample_time + 1e-9)
+    time = np.arange(samples) * sample_time % ends[-1]
+    at = np.minimum(np.searchsorted(ends, time, side="right"), ends.size - 1)
+    since = time - (ends - lengths)[at]
+    return np.asarray(position[at] + velocity[at] * since + 0.5 * change[at] * since**2)
 
 
 def pulses(samples: int, sample_time: float, height: float, width: float, every: float, seed: int) -> FloatArray:

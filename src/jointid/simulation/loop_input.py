@@ -309,19 +309,18 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
         RecordError: a channel that a controller reads is missing, or its clock does not divide the controller's.
         MethodError: there is not one record for each joint, or controllers or logs share no clock.
     """
-    if isinstance(loop, ClosedLoop):
-        if not isinstance(record, Record):
-            raise MethodError("A joint is simulated from one record; give that.")
-        return LoopInput((_prepare_axis(loop, record),), None, np.zeros(1), np.zeros(1))
-    robot, records = loop.robot, () if isinstance(record, Record) else record
-    if len(records) != len(robot.links):
+    loops = [loop] if isinstance(loop, ClosedLoop) else loop.loops
+    records = (record,) if isinstance(record, Record) else tuple(record)
+    if len(records) != len(loops):
         raise MethodError(
-            f"A robot is simulated from a record of each joint; received {max(len(records), 1)} for "
-            f"{pluralise(len(robot.links), 'joint')}: give one for each, in the order of the joints."
+            f"A simulation takes a record of each joint; received {len(records)} for {pluralise(len(loops), 'joint')}: "
+            "give one for each, in the order of the joints."
         )
-    axes = tuple(map(_prepare_axis, loop.loops, records))
+    axes = tuple(map(_prepare_axis, loops, records))
+    if isinstance(loop, ClosedLoop):
+        return LoopInput(axes, None, np.zeros(1), np.zeros(1))
     motion = np.array([each.reference_motion if loop.in_motion else (0.0, 0.0) for each in axes]).T.copy()
-    return LoopInput(axes, robot.tree, motion[0], motion[1], records[-1].payload, robot.names)
+    return LoopInput(axes, loop.robot.tree, motion[0], motion[1], records[-1].payload, loop.robot.names)
 
 
 def change_controller(experiment: LoopInput, numbers: Mapping[str, float]) -> LoopInput:
