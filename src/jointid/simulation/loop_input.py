@@ -378,19 +378,14 @@ def _share_clock(axes: Sequence[AxisInput], names: Sequence[str]) -> Clock:
     """
     if len(axes) == 1:
         return axes[0].clock
-    sample_time = axes[0].sample_time
-    periods = np.array([each.law.period for each in axes])
+    periods, rates = np.array([(each.law.period, each.sample_time) for each in axes]).T
     lasts = np.array([each.periods for each in axes]) * periods
-    longest = max(float(np.max(periods)), sample_time)
-    other = [
-        name
-        for name, each, last in zip(names, axes, lasts, strict=True)
-        if abs(each.sample_time - sample_time) > SNAP * sample_time or abs(last - lasts[0]) > (1 + SNAP) * longest
-    ]
-    if other:
+    longest = max(float(np.max(periods)), rates[0])
+    apart = (np.abs(rates - rates[0]) > SNAP * rates[0]) | (np.abs(lasts - lasts[0]) > (1 + SNAP) * longest)
+    if np.any(apart):
         raise MethodError(
-            f"A robot is simulated along one log; the records of {join(other)} differ from that of {names[0]} in "
-            "sample time or length: give all joints the same."
+            f"A robot is simulated along one log; the records of {join(np.array(names)[apart].tolist())} differ from "
+            f"that of {names[0]} in sample time or length: give all joints the same."
         )
     shortest = float(np.min(periods))
     ratios = periods / shortest
@@ -404,7 +399,7 @@ def _share_clock(axes: Sequence[AxisInput], names: Sequence[str]) -> Clock:
         )
     steps = min(each.periods * round(each.law.period / step) for each in axes)
     samples = min(each.clock.samples for each in axes)
-    return Clock.of([each.law for each in axes], step, steps, sample_time, samples)
+    return Clock.of([each.law for each in axes], step, steps, axes[0].sample_time, samples)
 
 
 def _pack_laws(axes: Sequence[AxisInput]) -> tuple[Any, FloatArray]:
