@@ -69,11 +69,6 @@ class DriveSide:
                 'by the method "didim".'
             )
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Required channels of a record."""
-        return ("torque", "motor_position")
-
 
 @dataclass(frozen=True, slots=True)
 class RobotDriveSide:

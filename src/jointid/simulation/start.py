@@ -210,7 +210,7 @@ class Steady:
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
             low, high = (replace(self, speeds=self.speeds * factor) for factor in (1.0 - _SMALL, 1.0 + _SMALL))
             return (low, high, float(2.0 * _SMALL * self.speeds[key.axis])) if self.speeds[key.axis] else None
-        if key not in self.numbers:
+        if key not in self.numbers or key.name.startswith("swinging_"):  # a part that swings begins with the load
             return None
         value = float(self.numbers[key])
         step = _SMALL * (abs(value) or 1.0)

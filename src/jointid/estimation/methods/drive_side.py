@@ -150,7 +150,7 @@ class DriveSideFit(Method):
             MethodError: no start gives a joint with positive inertias.
         """
         record, setup = task.record, DriveSide(task.joint)
-        record.require(setup.channels, "Drive-side identification")
+        record.require(("torque", "motor_position"), "Drive-side identification")
         assert record.torque is not None
         delay = log_delay(self.log_delay, record.torque.sample_time, stated=record.torque.stated)
         problem, history = motion_problem(record, setup, task.filtering, task.parameters, delay), History(task.progress)
