@@ -435,25 +435,19 @@ def robot_with(robot: Robot, numbers: Numbers) -> Robot:
         of_link = (f"load_viscous_{way}" for way in _WAYS)
         names = [*joint.numbers, *(name for name in of_link if name in numbers.values[i])]
         stated = joint.numbers.keys() & {"stribeck_force", "motor_stribeck_force"}
-        spring = joint.spring and replace(
-            joint.spring,
-            stiffness=values["stiffness"],
-            damping=values["damping"],
-            viscous=values["load_viscous"],
-            coulomb=values["load_coulomb"],
-        )
+        own = {name: values[f"{motor}{name}"] for name in ("viscous", "coulomb")}
+        behind = {name: values.get(name, values.get(f"load_{name}")) for name in ("stiffness", "damping", *own)}
         joints.append(
             replace(
                 joint,
+                **own,
                 rotor_inertia=values[f"{motor}inertia"],
-                viscous=values[f"{motor}viscous"],
-                coulomb=values[f"{motor}coulomb"],
                 offset=values["offset"],
                 viscous_backwards=values[f"{motor}viscous_backwards"] if joint.asymmetric else None,
                 coulomb_backwards=None,
                 stribeck_force=0.0 if stated else values.get(f"{motor}stribeck_force", 0.0),
                 stribeck_speed=values.get(f"{motor}stribeck_speed") or None,
-                spring=spring,
+                spring=joint.spring and replace(joint.spring, **behind),
                 numbers={name: values[name] for name in names},
             )
         )
