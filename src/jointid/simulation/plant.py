@@ -435,8 +435,10 @@ def robot_with(robot: Robot, numbers: Numbers) -> Robot:
         of_link = (f"load_viscous_{way}" for way in _WAYS)
         names = [*joint.numbers, *(name for name in of_link if name in numbers.values[i])]
         stated = joint.numbers.keys() & {"stribeck_force", "motor_stribeck_force"}
-        own = {name: values[f"{motor}{name}"] for name in ("viscous", "coulomb")}
-        behind = {name: values.get(name, values.get(f"load_{name}")) for name in ("stiffness", "damping", *own)}
+        own: dict[str, Any] = {name: values[f"{motor}{name}"] for name in ("viscous", "coulomb")}
+        behind: dict[str, Any] = {
+            name: values.get(name, values.get(f"load_{name}")) for name in ("stiffness", "damping", *own)
+        }
         joints.append(
             replace(
                 joint,
