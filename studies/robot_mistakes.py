@@ -23,9 +23,8 @@ from jointid.diagnostics.diagnose import Diagnosis
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.models.controllers import PD
 from jointid.models.robots.dynamics import inverse_dynamics
-from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.loop_input import RobotLoop
 from tests.estimation.robots.twin import arm
 from tests.robots_plants import seven, six
 

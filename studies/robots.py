@@ -24,9 +24,8 @@ from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
-from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.synthesis import simulate

@@ -10,9 +10,8 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.position_forces import Gravity
 from jointid.models.robots.inertial import MassProperties
-from jointid.models.robots.robot import Link, Robot, RobotJoint
+from jointid.models.robots.robot import Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate, simulated_record
 
 LOADED = FRICTIONS["load-dependent"]

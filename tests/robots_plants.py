@@ -12,9 +12,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD
 from jointid.models.robots.inertial import SYMBOLS
-from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import Numbers, Place
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -3,9 +3,8 @@
 from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.payload import identify_payload
-from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import add_feed_forward
 
 __all__ = [

@@ -183,7 +183,7 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     file = load(folder / "robot.toml")
     first, second, _ = file.robot.joints
-    assert (first.viscous, first.viscous_backwards) == (3.0, 2.0) and first.asymmetric
+    assert (first.viscous, first.viscous_backwards) == (3.0, 2.0) and first.law.two_ways
     assert second.spring == ji.robots.JointSpring(1e4, viscous=0.5) and second.rotor_inertia == 0.5
     assert [one.joint.friction.name for one in file.axes] == ["asymmetric", "symmetric", "symmetric"]
     assert list(file.parameters) == ["joint1.link_viscous"] and file.parameters["joint1.link_viscous"].start == 0.5
@@ -248,6 +248,6 @@ def test_a_method_and_a_friction_are_chosen_as_of_a_joint_file(folder: Path) -> 
     assert kept.method == ji.DriveSideFit(log_delay=0.001)
     friction = [f"joints.{number}.friction=asymmetric" for number in (1, 2, 3)]
     file = load(folder / "robot.toml", ["method={name='idim'}", *friction])
-    assert file.method == ji.IDIM() and all(one.asymmetric for one in file.robot.joints)
+    assert file.method == ji.IDIM() and all(one.law.two_ways for one in file.robot.joints)
     again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints

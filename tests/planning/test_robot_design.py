@@ -11,7 +11,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import search_robot
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.dynamics import inverse_dynamics
-from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.planning import search as search_module
 from jointid.planning.design import design
 from jointid.planning.designed import Design
@@ -19,7 +19,6 @@ from jointid.planning.objective import complete
 from jointid.planning.robots import RobotModel, _read_first, find_modes
 from jointid.planning.search import search
 from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import add_feed_forward, simulate
 from tests.estimation.robots.twin import identified
 from tests.robots_plants import inertial, two

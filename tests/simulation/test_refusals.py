@@ -12,10 +12,10 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics
-from jointid.models.robots.robot import JointSpring, RobotJoint
+from jointid.models.robots.robot import JointSpring, RobotJoint, RobotLoop
 from jointid.models.springs import SPRINGS, Spring
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.plants import prismatic

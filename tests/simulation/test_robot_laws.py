@@ -6,11 +6,11 @@ import pytest
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import (
     Numbers,
     Place,

@@ -7,9 +7,10 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD, PID, Cascade
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
+from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.plant import DELAY, Numbers, Place
 from jointid.simulation.simulate import run_loop
 from tests.robots_plants import all_places, six, two

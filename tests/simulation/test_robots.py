@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from jointid.models.controllers import PD, PID
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Record
 from jointid.simulation.kernels.tables import FREE, LENGTH, STATE
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome, Run, motion_at, run_loop
 from jointid.simulation.synthesis import add_feed_forward, simulate

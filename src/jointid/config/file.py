@@ -134,7 +134,7 @@ class File:
                 f"A robot is simulated under its controllers; without one: {', '.join(missing)}. Add a controller to "
                 "the [[joints]] table, or identify by idim from motor positions."
             )
-        from jointid.simulation.loop_input import RobotLoop
+        from jointid.models.robots.robot import RobotLoop
 
         return RobotLoop(self.robot, tuple(one for one in self.controllers if one is not None), self.in_motion)
 

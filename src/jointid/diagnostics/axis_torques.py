@@ -26,9 +26,9 @@ from jointid.estimation.problems.simulated import decimate_each
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.simulate import Simulation
 
 _TURN = 1e-4  # rad or m: step of a derivative

@@ -33,8 +33,8 @@ from jointid.estimation.result.verdict import Widening
 from jointid.estimation.robots.didim import RobotFit
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController
+from jointid.models.robots.robot import RobotLoop
 from jointid.simulation.derivatives import respond_to_laws
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.simulate import require_success
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import cells

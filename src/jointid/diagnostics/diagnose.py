@@ -45,13 +45,12 @@ from jointid.estimation.result.verdict import POOR_FIT, Reason, Subject
 from jointid.models.controllers import Controller
 from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
-from jointid.models.robots.robot import Link, Robot
+from jointid.models.robots.robot import Link, Robot, RobotLoop
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.controller_torque import SOURCE
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 from jointid.uncertainty.position_dependent_error import cells, repeatable
 from jointid.uncertainty.residual_tests import Whiteness, whiteness
 

@@ -26,12 +26,11 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Check, Checked, Reason, Subject, Widening, assemble, checks_of, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 
 _OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
 

@@ -39,9 +39,9 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
 from jointid.models.controllers import PD, PID, Cascade, numbers_of, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController, Interpolation
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
 from jointid.records.resampling import default_interpolation
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import Numbers
 
 _TIMES_FASTER = (2, 4, 8)  # than the log: at these rates a drive may run whose period is not declared

@@ -27,13 +27,12 @@ from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.several import RecordLayout, identify_records
 from jointid.estimation.windows import identify_windows, travel
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings, range_faults, scale_faults
 from jointid.records.chunks import InMemory, LongRecord, cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 
 LARGEST = 600_000
 """Samples of a joint's record that are identified at once, in about 1 GiB; a longer one goes in windows."""

@@ -44,9 +44,8 @@ from jointid.models.robots.base_parameters import (
 )
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import DELAY, LOAD_STATE, Numbers, Place, law_places
 from jointid.simulation.simulate import MassMotion
 

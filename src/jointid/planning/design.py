@@ -17,7 +17,7 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
 from jointid.models.limits import AxisLimits
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.planning.designed import Design
 from jointid.planning.joints import RUNS, JointModel, joint_model
 from jointid.planning.objective import ASTRAY, Objective, complete
@@ -26,7 +26,6 @@ from jointid.planning.robots import FeedForward, RobotModel, robot_model
 from jointid.planning.search import find_best
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import RobotLoop
 
 _FEWEST = 200  # samples of a test
 _DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where nothing states them

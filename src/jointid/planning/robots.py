@@ -33,14 +33,14 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
 from jointid.estimation.robots.simulated import nominal_numbers
 from jointid.models.limits import AxisLimits
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.planning.designed import DesignedAxis
 from jointid.planning.plans import Plan, Series
 from jointid.planning.predict import ALL, Goal, PredictedTest, find_maxima, find_undetermined
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, Place, robot_with
 from jointid.simulation.simulate import Simulation, require_success, run_loop
 from jointid.simulation.synthesis import add_feed_forward

@@ -30,9 +30,9 @@ from jointid.models.controllers import (
     shift_start,
     with_numbers,
 )
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.joints import ClosedLoop
 from jointid.models.linear import SNAP
-from jointid.models.robots.robot import Robot, Tree
+from jointid.models.robots.robot import RobotLoop, Tree
 from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.resampling import at_period, period_ratio, running_mean
 from jointid.simulation.plant import DELAY, Numbers
@@ -45,39 +45,6 @@ _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
 _FINEST = 16  # steps of the shortest period, at most: the time of a simulation grows with them
 _FIRST = 7  # instants of a reference, through which a cubic says how it moves
-
-
-@dataclass(frozen=True, slots=True)
-class RobotLoop:
-    """A robot under its controllers.
-
-    Attributes:
-        robot: links, joints and gravity.
-        controllers: one for each joint; each sees its motor's position alone, behind the gear. Where motors are coupled
-            so are the references: of the shafts that the motors turn.
-        in_motion: whether the records begin while the robot moves, each shaft as its reference does; else at rest.
-
-    Raises:
-        MethodError: there is not one controller for each joint.
-    """
-
-    robot: Robot
-    controllers: tuple[Controller, ...]
-    in_motion: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "controllers", tuple(self.controllers))
-        if len(self.controllers) != len(self.robot.links):
-            raise MethodError(
-                f"A robot has a controller for each joint; received {len(self.controllers)} for "
-                f"{pluralise(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
-            )
-
-    @property
-    def loops(self) -> list[ClosedLoop]:
-        """Each controller beside a rigid joint of its kind; no parameter of that is read."""
-        each = zip(self.robot.links, self.controllers, strict=True)
-        return [ClosedLoop(RigidJoint(link.kind), law) for link, law in each]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -445,7 +445,7 @@ def robot_with(robot: Robot, numbers: Numbers) -> Robot:
                 **own,
                 rotor_inertia=values[f"{motor}inertia"],
                 offset=values["offset"],
-                viscous_backwards=values[f"{motor}viscous_backwards"] if joint.asymmetric else None,
+                viscous_backwards=values[f"{motor}viscous_backwards"] if joint.law.two_ways else None,
                 coulomb_backwards=None,
                 stribeck_force=0.0 if stated else values.get(f"{motor}stribeck_force", 0.0),
                 stribeck_speed=values.get(f"{motor}stribeck_speed") or None,

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare, to_log
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Simulation, require_success, run_loop
 from jointid.simulation.start import Initial

@@ -14,9 +14,10 @@ import numpy as np
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.loop_input import LoopInput, RobotLoop, prepare
+from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.plant import Numbers, names_of
 from jointid.simulation.simulate import run_loop
 

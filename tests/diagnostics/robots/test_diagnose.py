@@ -13,8 +13,8 @@ from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import Controller
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, axis_errors, identified, motion, records_of
 from tests.robots_plants import two

@@ -10,8 +10,8 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.parameters import with_delays
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, two
 

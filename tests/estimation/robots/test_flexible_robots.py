@@ -7,8 +7,7 @@ import pytest
 
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.didim import RobotFit, search_robot
-from jointid.models.robots.robot import JointSpring
-from jointid.simulation.loop_input import RobotLoop
+from jointid.models.robots.robot import JointSpring, RobotLoop
 from jointid.simulation.plant import robot_with
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded

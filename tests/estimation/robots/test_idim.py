@@ -17,10 +17,9 @@ from jointid.estimation.problems.inverse_model import filter_motion, inverse_of_
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import simulate_robot
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded

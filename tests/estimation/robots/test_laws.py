@@ -12,10 +12,9 @@ from jointid.estimation.parameters import name_in_robot, robot_parameters
 from jointid.estimation.robots.didim import search_robot
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.models.robots.robot import JointSpring, Robot
+from jointid.models.robots.robot import JointSpring, Robot, RobotLoop
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.synthesis import simulate

@@ -12,9 +12,9 @@ import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.verdict import Subject
+from jointid.models.robots.robot import RobotLoop
 from jointid.output.json import load_estimate
 from jointid.records.record import Record
-from jointid.simulation.loop_input import RobotLoop
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 

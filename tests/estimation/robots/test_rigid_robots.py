@@ -8,8 +8,9 @@ import pytest
 
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.robots.didim import RobotFit, search_robot
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, robot_with
 from jointid.simulation.simulate import run_loop
 from jointid.simulation.synthesis import simulate

@@ -15,11 +15,10 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
-from jointid.models.robots.robot import Link, Robot, RobotJoint
+from jointid.models.robots.robot import Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 
 Array = NDArray[np.float64]
 SAMPLE_TIME = 2e-3

@@ -18,8 +18,8 @@ from jointid.common.messages import Progress
 
 if TYPE_CHECKING:
     from jointid import Record
+    from jointid.models.robots.robot import RobotLoop
     from jointid.robots import Robot
-    from jointid.simulation.loop_input import RobotLoop
 
 CAMPAIGN = """\
 # Every record of every axis, identified as the joint file says: jointid campaign campaign.toml

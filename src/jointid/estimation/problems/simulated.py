@@ -41,7 +41,7 @@ from jointid.estimation.problems.inverse_model import (
 from jointid.models.controllers import number
 from jointid.models.joints import ClosedLoop
 from jointid.models.robots.names import symbol_of
-from jointid.models.robots.robot import Robot, Tree
+from jointid.models.robots.robot import Robot, RobotLoop, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
@@ -63,7 +63,7 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.loop_input import AxisInput, LoopInput, RobotLoop, change_controller, prepare
+from jointid.simulation.loop_input import AxisInput, LoopInput, change_controller, prepare
 from jointid.simulation.plant import LOAD_STATE, Bools, Numbers, Place, names_of
 from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
 from jointid.simulation.start import INITIAL, Initial

@@ -66,10 +66,9 @@ from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, p
 from jointid.estimation.starts.rigid_joint import start_rigid_robot
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs
 from jointid.models.controllers import numbers_of
-from jointid.models.robots.robot import Robot, RobotJoint
+from jointid.models.robots.robot import Robot, RobotJoint, RobotLoop
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import DELAY, Numbers, values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step

@@ -24,10 +24,10 @@ from jointid.estimation.result.build_result import build_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
 from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Simulation, run_loop
 

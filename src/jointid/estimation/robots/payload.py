@@ -23,11 +23,10 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import require_shown, whitening
 from jointid.models.robots.inertial import SYMBOLS, is_physical, mass_properties
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 from jointid.uncertainty.covariance import Covariance, covariance_of
 
 _STEP = 1e-6  # of a difference, relative

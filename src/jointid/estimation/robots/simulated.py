@@ -28,11 +28,10 @@ from jointid.estimation.result.build_result import build_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, Settings
 from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.loop_input import RobotLoop
 from jointid.simulation.plant import DELAY, LOG_DELAY, Numbers, robot_with
 
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it

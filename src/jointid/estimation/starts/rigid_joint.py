@@ -35,8 +35,7 @@ from jointid.solvers.solve import solve
 
 if TYPE_CHECKING:
     from jointid.estimation.problems.simulated import Simulated
-    from jointid.models.robots.robot import Robot
-    from jointid.simulation.loop_input import RobotLoop
+    from jointid.models.robots.robot import Robot, RobotLoop
 
 _BORDERS, _SHORT = 50, 500  # samples at each end of a motion that is a guess, of more than so many
 _REWEIGHTINGS = 2

@@ -22,9 +22,11 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
+from jointid.common.text import pluralise
 from jointid.common.units import Kind
+from jointid.models.controllers import Controller
 from jointid.models.friction import Friction
-from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, of_whole
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.springs import Spring
 
@@ -229,11 +231,6 @@ class RobotJoint:
         given = {f"{motor}inertia": self.rotor_inertia, "offset": self.offset, **self.numbers}
         return found | {name: float(value) for name, value in given.items()}
 
-    @property
-    def asymmetric(self) -> bool:
-        """True of a friction that is another in the other direction."""
-        return self.law.two_ways
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Robot:
@@ -383,6 +380,39 @@ class Robot:
     def position_unit(self, number: int) -> str:
         """Return the unit of a joint's position: rad or m."""
         return POSITION_UNIT[self.links[number].kind]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotLoop:
+    """A robot under its controllers.
+
+    Attributes:
+        robot: links, joints and gravity.
+        controllers: one for each joint; each sees its motor's position alone, behind the gear. Where motors are coupled
+            so are the references: of the shafts that the motors turn.
+        in_motion: whether the records begin while the robot moves, each shaft as its reference does; else at rest.
+
+    Raises:
+        MethodError: there is not one controller for each joint.
+    """
+
+    robot: Robot
+    controllers: tuple[Controller, ...]
+    in_motion: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controllers", tuple(self.controllers))
+        if len(self.controllers) != len(self.robot.links):
+            raise MethodError(
+                f"A robot has a controller for each joint; received {len(self.controllers)} for "
+                f"{pluralise(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
+            )
+
+    @property
+    def loops(self) -> list[ClosedLoop]:
+        """Each controller beside a rigid joint of its kind; no parameter of that is read."""
+        each = zip(self.robot.links, self.controllers, strict=True)
+        return [ClosedLoop(RigidJoint(link.kind), law) for link, law in each]
 
 
 def _check_link(link: Link, number: int) -> None:

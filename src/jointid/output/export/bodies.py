@@ -203,7 +203,7 @@ def losses_of_drives(robot: Robot, *, springs: bool) -> Iterator[str]:
     """Yield the losses of the drives in a language that has springs in series, or not."""
     if any(joint.offset for joint in robot.joints):
         yield "the constant parts of the motors' torques"
-    if uneven := [joint.name for joint in robot.joints if joint.asymmetric]:
+    if uneven := [joint.name for joint in robot.joints if joint.law.two_ways]:
         yield f"that the friction of {', '.join(uneven)} is another backwards; what is written is the mean"
     if rising := [joint.name for joint in robot.joints if joint.law.name.endswith("stribeck")]:
         yield f"what the friction of {', '.join(rising)} rises by towards standstill"
