@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import jointid as ji
+from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.models.friction import Friction
 from tests.load_friction import LAWS, hanging_joint, lifting_arm
 
@@ -32,7 +33,7 @@ def judge(seed: int, system: str) -> dict[str, float | bool]:
         errors = (robot.values - truth) / found.covariance_of(robot.names).std
         z = dict(zip(robot.names, map(float, errors), strict=True))
         estimate = ji.identify(arm.logs[0], arm.plain, ji.DIDIM(), checks=False)
-        said = ji.diagnose(arm.logs[0], estimate, controllers=LAWS)
+        said = diagnose_robot(estimate, arm.logs[0], LAWS)
         named = "grows with its torque" in " ".join(map(str, said.sentences))
     shares = [error for name, error in z.items() if name.endswith("friction_per_torque")]
     grips = [error for name, error in z.items() if name.endswith("coulomb")]

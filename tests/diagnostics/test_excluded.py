@@ -15,6 +15,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import faults_of
 
 LAW = Cascade(position_gain=100.0, velocity_gain=4000.0, velocity_filter=(0.5, 0.5))
 WOUND = {"inertia": 30.0, "viscous": 80.0, "coulomb": 20.0, "presliding_distance": 1e-2, "offset": -1.0}
@@ -35,7 +36,7 @@ def logged(
 def test_a_law_that_the_motor_position_proves_is_not_blamed_for_the_mechanics() -> None:
     record = logged(RigidJoint("prismatic", Friction("presliding")), WOUND, seconds=8.0)
     loop = ClosedLoop(RigidJoint("prismatic", Friction("stribeck")), LAW)  # a wrong law of friction
-    faults = ji.diagnose(record, ji.identify(record, loop, checks=False)).axes[0].faults
+    faults = faults_of(ji.identify(record, loop, checks=False), record)
     names = {fault.name for one in faults.findings for fault in (one.test.fault, *one.test.alike)}
     assert not {"velocity_gain", "position_gain", "delay", "period", "log_gain", "log_delay"} & names
 

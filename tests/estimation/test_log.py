@@ -215,8 +215,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     assert loop.passed is True, "the loop is checked in a part"
     said_of = "is identified in windows of 13.3 s, of which one is checked"
     assert any(said_of in one for one in said) and any(said_of in one for one in found.warnings)
-    uses = (lambda one, log: ji.diagnose(log, one), ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one))
-    for use in uses:
+    for use in (ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one)):
         with pytest.raises(MethodError):
             use(found, record)
 

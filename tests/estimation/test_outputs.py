@@ -110,10 +110,9 @@ def test_positions_are_of_several_records_and_of_windows() -> None:
         assert found["inertia"].stderr < 2e-3
 
 
-def test_an_estimate_of_the_position_is_diagnosed_and_profiled() -> None:
+def test_an_estimate_of_the_position_is_profiled() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
     found = ji.identify(logged(), loop, ji.DIDIM(outputs=("motor_position",)), checks=False)
-    assert ji.diagnose(logged(), found).axes[0].law is None
     (profile,) = ji.intervals(found, logged().without("torque"))
     low, high = profile.interval
     assert low is not None and high is not None and low < 0.5 < high

@@ -28,7 +28,6 @@ from jointid.common.transmission import Transmission
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
 from jointid.diagnostics.changes import Cause
 from jointid.diagnostics.explain import find_failure_causes
-from jointid.diagnostics.intervals import rebuild_problem, take_identified_torque
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
@@ -251,7 +250,7 @@ class Diagnosis(Documented):
 @one_thread()
 def diagnose(
     record: Record | Sequence[Record],
-    model: ClosedLoop | DriveSide | Joint | Robot | RobotLoop | RobotDriveSide | Estimate,
+    model: ClosedLoop | DriveSide | Joint | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -268,8 +267,7 @@ def diagnose(
 
     Args:
         record: to examine; of a robot those of its joints.
-        model: the loop (joint and controller), or the joint alone, or a robot; see `jointid.identify`. An estimate from
-            this record, of a joint by DIDIM or of a robot, is diagnosed as it is, and the record not examined.
+        model: the loop (joint and controller), or the joint alone, or a robot; see `jointid.identify`.
         method: of the identification; see `jointid.identify`, as for the next two.
         filtering: of the identification.
         parameters: changes to the joint's parameters.
@@ -280,8 +278,7 @@ def diagnose(
         progress: called with each step in a sentence.
 
     Raises:
-        MethodError: records and model do not fit; or the estimate did not simulate a loop, is of another record, or has
-            a parameter that is not identifiable.
+        MethodError: records and model do not fit.
 
     Example:
         >>> import jointid as ji
@@ -297,9 +294,7 @@ def diagnose(
     if laws and not isinstance(model, ClosedLoop):
         raise MethodError("Laws are compared for a joint in its closed loop; give that, or of a robot one axis.")
     if isinstance(model, Estimate):
-        if method is not None or filtering is not None or parameters is not None:
-            raise MethodError("An estimate is diagnosed as it is; leave method, filtering and parameters out.")
-        return _diagnose_estimate(model, record, controllers)
+        raise MethodError("An estimate has its checks.diagnosis; give the loop, the joint or the robot to identify.")
     axes = _list_axes(record, model)
     _, first, loop = axes[0]
     symptoms = [Symptom("remark", one, spoils=False) for one in first.remarks]
@@ -318,7 +313,7 @@ def diagnose(
             found = made if isinstance(made, Diagnosis) else found
             if found.axes and not isinstance(model, RobotLoop) and any(one is not None for one in controllers):
                 with contextlib.suppress(JointidError):  # the diagnosis that was made stands
-                    found = _diagnose_estimate(estimate, record, controllers)
+                    found = diagnose_robot(estimate, [own for _, own, _ in axes], controllers)
     if laws and isinstance(record, Record) and loop is not None:
         settings = method if isinstance(method, DIDIM) else None
         kinds: tuple[Literal["spring", "friction"], ...] = ("spring", "friction")
@@ -334,23 +329,6 @@ def diagnose(
 def unreadable(error: FaultsError, record: str) -> Diagnosis:
     """Return the diagnosis of a file from which no record could be made."""
     return Diagnosis(record, symptoms=tuple(Symptom(_UNREADABLE, one) for one in error.faults))
-
-
-def _diagnose_estimate(
-    estimate: Estimate, record: Record | Sequence[Record], controllers: Sequence[Controller | None]
-) -> Diagnosis:
-    """Return the diagnosis of an estimate on the record that it is from; see `diagnose`."""
-    if isinstance(record, Record) is not (estimate.robot is None):
-        raise MethodError("A joint's estimate is diagnosed on its own record, a robot's on those of its joints.")
-    if isinstance(record, Record):
-        solved = rebuild_problem(estimate, record)
-        return diagnose_joint(estimate, take_identified_torque(estimate, record), solved)
-    try:
-        return diagnose_robot(estimate, record, controllers)
-    except np.linalg.LinAlgError:
-        raise MethodError(
-            "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
-        ) from None
 
 
 def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
@@ -459,7 +437,11 @@ def diagnose_robot(
 
     laws = in_threads(follow, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
-    faults, explained = search_axes(torques, units)
+    try:
+        faults, explained = search_axes(torques, units)
+    except np.linalg.LinAlgError:
+        said = "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
+        raise MethodError(said) from None
     axes = list[AxisDiagnosis]()
     for k, (record, found, law) in enumerate(zip(records, faults, laws, strict=True)):
         inside, repeats = torques.seen[k], None

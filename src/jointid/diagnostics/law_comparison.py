@@ -11,9 +11,10 @@ hardly larger, the one with the fewest parameters is chosen (L. Breiman et al., 
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -62,12 +63,11 @@ class JudgedLaw:
     Attributes:
         name: of the law in the joint file; "none" for a rigid joint.
         parameters: their number.
-        values: of the law's parameters, by name, from the whole record; empty if it could not be identified.
+        values: of the law's parameters, by name, from the whole record.
         std: standard errors of the free, identifiable ones.
-        fitted: residual as a share of the filtered torque, fitted to the whole record; None if not identified.
+        fitted: residual as a share of the filtered torque, fitted to the whole record.
         kept: the same on the held-out parts.
         worse, error: logarithm of its squared error over that of the best law, mean over the parts and standard error.
-        refusal: why it was not identified, in a sentence; "" if it was.
         words: its parameters with their intervals, in a sentence.
         squares: (parts,) squared error in each part while that was held out.
     """
@@ -76,18 +76,17 @@ class JudgedLaw:
     parameters: int
     values: Mapping[str, float]
     std: Mapping[str, float]
-    fitted: float | None
-    kept: float | None
+    fitted: float
+    kept: float
     worse: float = 0.0
     error: float = 0.0
-    refusal: str = ""
     words: str = ""
-    squares: FloatArray | None = None
+    squares: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def predicts_as_well(self) -> bool:
         """True if the held-out parts do not distinguish it from the best law."""
-        return not self.refusal and self.worse <= max(_ERRORS * self.error, _HARDLY)
+        return self.worse <= max(_ERRORS * self.error, _HARDLY)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +96,7 @@ class LawComparison(Documented):
     Attributes:
         kind: of the laws.
         record: its name.
-        laws: all that were compared, by rising number of parameters; of a spring a rigid joint first.
+        laws: all that could be identified, by rising number of parameters; of a spring a rigid joint first.
         declared: name of the law in the joint.
         transmission: on whose side the numbers are.
     """
@@ -137,18 +136,17 @@ class LawComparison(Documented):
         del details
         rows = []
         for one in self.laws:
-            rating = "not identified" if one.refusal else "as good" if one.predicts_as_well else "worse"
-            rating = "shown" if one is self.shown else rating
+            rating = "shown" if one is self.shown else "as good" if one.predicts_as_well else "worse"
             errors = _format_share(one.fitted), _format_share(one.kept)
-            rows.append((one.name, str(one.parameters), *errors, rating, one.words or one.refusal))
+            rows.append((one.name, str(one.parameters), *errors, rating, one.words))
         header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
         note = f"kept apart: a third of {PARTS} parts of the record, in turn, by the fit to the others"
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
 
 
-def _format_share(share: float | None) -> str:
-    return "-" if share is None else f"{number(100 * share, 3)} %"
+def _format_share(share: float) -> str:
+    return f"{number(100 * share, 3)} %"
 
 
 def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
@@ -216,10 +214,10 @@ def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
 
 def rank(found: Sequence[JudgedLaw]) -> tuple[JudgedLaw, ...]:
     """Return laws with `worse` and `error` relative to the best one."""
-    best = min((one.squares for one in found if one.squares is not None), key=lambda one: float(np.mean(np.log(one))))
+    best = min((one.squares for one in found), key=lambda one: float(np.mean(np.log(one))))
 
     def compare(one: JudgedLaw) -> JudgedLaw:
-        if one.squares is None or best.size < 2:
+        if best.size < 2:
             return one
         ratio = np.log(one.squares / best)
         return replace(one, worse=float(np.mean(ratio)), error=float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
@@ -268,23 +266,19 @@ def compare_laws(
         settings = replace(settings, frequency=FlexibleJoint.frequencies(first.values)["free_free"])
     line = judge(first, simple)
 
-    def judge_law(law: Spring | Friction | None) -> JudgedLaw:
-        try:
+    def judge_law(law: Spring | Friction | None) -> Iterator[JudgedLaw]:
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # what is not identified is left out
             if law is None:
-                return judge(Solved(*fit_rigid(first.problem, first.values)), law)
-            return line if law == simple else judge(identify(law, first.problem.filtering), law)
-        except (JointidError, np.linalg.LinAlgError) as error:
-            why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
-            name, size = RIGID if law is None else law.name, len(_parameters(joint, law))
-            return JudgedLaw(name, size, {}, {}, None, None, refusal=why)
+                yield judge(Solved(*fit_rigid(first.problem, first.values)), law)
+            else:
+                yield line if law == simple else judge(identify(law, first.problem.filtering), law)
 
     made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
     laws: list[Spring | Friction | None] = [None] if kind == "spring" else []
     laws += sorted(made, key=lambda one: len(_parameters(joint, one)))
     bar = follow(laws, progress, f"comparing {kind}s", len(laws), "laws")
-    return LawComparison(
-        kind, record.name, rank([judge_law(law) for law in bar]), getattr(joint, kind).name, joint.transmission
-    )
+    judged = rank([one for law in bar for one in judge_law(law)])
+    return LawComparison(kind, record.name, judged, getattr(joint, kind).name, joint.transmission)
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:

@@ -9,7 +9,6 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.validation import Prediction, validate
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.parameters import robot_parameters
@@ -133,8 +132,6 @@ def test_an_estimate_is_held_beside_the_nominal_model() -> None:
     for asked in ((one,), (one, two)):
         with pytest.raises(MethodError):
             validate(estimate, asked[0] if len(asked) == 1 else asked)
-    with pytest.raises(MethodError):
-        diagnose(one, estimate)
     assert held_out.filtered_error < held_out.nominal_error and held_out.answer.code is Prediction.PREDICTED
     for axis in held_out.axes[:3]:
         assert axis.nominal_error is not None and axis.filtered_error < axis.nominal_error

@@ -73,11 +73,11 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
     "use",
     [
         ji.validate,
-        lambda found, logs: ji.diagnose(logs, found),
+        lambda found, logs: ji.Report.of(found, logs),
         lambda found, logs: ji.identify((*logs[0], logs[1]), found.robot.setup),
         lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.setup),
         lambda found, logs: ji.identify(logs, ji.twin().loop),
-        lambda found, logs: ji.diagnose(logs[0], found, controllers=found.robot.setup.controllers[:1]),
+        lambda found, logs: ji.Report.of(found, logs[0], controllers=found.robot.setup.controllers[:1]),
         lambda found, logs: ji.robots.identify_payload(ji.twin().loop, *logs),  # type: ignore[arg-type]
     ],
 )

@@ -8,6 +8,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
+from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
@@ -185,7 +186,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert held.filtered_error < held.nominal_error
     assert held.answer.code is Prediction.PREDICTED
     assert all(axis.filtered_error < 0.03 for axis in held.axes)
-    told = ji.diagnose(logged(twin), estimate)
+    told = diagnose_robot(estimate, logged(twin))
     assert told.explained
     assert told.method == "drive_side"
 

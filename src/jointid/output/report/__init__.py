@@ -13,7 +13,7 @@ from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.diagnose import diagnose
+from jointid.diagnostics.diagnose import diagnose_robot
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -93,7 +93,7 @@ class Report:
         if not isinstance(record, Record):
             if tuned is not None or profiles:
                 raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
-            found = diagnose(record, estimate, controllers=controllers)
+            found = diagnose_robot(estimate, record, controllers)
             return cls(ReportData(estimate, found, checks=tuple(checks)), name, again)
         data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(data, name, again, tuned)
