@@ -294,7 +294,7 @@ def diagnose(
     if laws and not isinstance(model, ClosedLoop):
         raise MethodError("Laws are compared for a joint in its closed loop; give that, or of a robot one axis.")
     if isinstance(model, Estimate):
-        raise MethodError("An estimate has its checks.diagnosis; give the loop, the joint or the robot to identify.")
+        raise MethodError("An estimate has its own diagnosis; give the loop, the joint or the robot to identify.")
     axes = _list_axes(record, model)
     _, first, loop = axes[0]
     symptoms = [Symptom("remark", one, spoils=False) for one in first.remarks]
