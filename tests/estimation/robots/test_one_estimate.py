@@ -73,7 +73,7 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
     "use",
     [
         ji.validate,
-        lambda found, logs: ji.Report.of(found, logs),
+        ji.Report.of,
         lambda found, logs: ji.identify((*logs[0], logs[1]), found.robot.setup),
         lambda found, logs: ji.identify((logs[0], *logs[1]), found.robot.setup),
         lambda found, logs: ji.identify(logs, ji.twin().loop),
