@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
-from jointid.diagnostics.report_data import compute_response, estimate_spectra
+from jointid.diagnostics.spectra import compute_response, estimate_spectra
 from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.parts import show_value
 from jointid.output.figures.axis_drawing import axis_figure
@@ -64,14 +64,14 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
 def test_the_three_frequencies_are_marked() -> None:
     told = reports.flexible()
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)
-    assert told.data.response.modes == expected
+    assert told.response.modes == expected
     marks = [text.get_text() for text in told.figures["spectra"].axes[0].texts]
     assert [f"{name} {hertz:.1f} Hz" for name, hertz in (
         ("load locked", expected["load_locked"]), ("motor locked", expected["motor_locked"]),
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
     # An estimate from a file keeps no torque, and has its frequency response.
     kept = replace(told.estimate, fit=replace(told.estimate.fit, measured=np.zeros(0), predicted=np.zeros(0)))
-    assert len(response_figure(kept, told.data.response).axes) == 2
+    assert len(response_figure(kept, told.response).axes) == 2
 
 
 @pytest.mark.slow

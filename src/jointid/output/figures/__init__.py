@@ -72,7 +72,7 @@ class Plots:
         Raises:
             MethodError: a parameter of the joint is not identifiable.
         """
-        from jointid.diagnostics.report_data import compute_response
+        from jointid.diagnostics.spectra import compute_response
 
         return charts.response_figure(self.estimate, compute_response(self.estimate))
 

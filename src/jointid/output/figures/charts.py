@@ -18,7 +18,7 @@ from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATE
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.report_data import estimate_spectra
+from jointid.diagnostics.spectra import estimate_spectra
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import instants
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jointid.diagnostics.diagnose import Diagnosis
-    from jointid.diagnostics.report_data import FrequencyResponse
+    from jointid.diagnostics.spectra import FrequencyResponse
     from jointid.uncertainty.profile import ProfileInterval
 
 _MODES = {

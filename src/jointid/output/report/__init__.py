@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +13,10 @@ from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.diagnose import diagnose_robot
-from jointid.diagnostics.report_data import ReportData, collect_report_data
-from jointid.diagnostics.validation import Validation
+from jointid.diagnostics.diagnose import Diagnosis, diagnose_robot
+from jointid.diagnostics.intervals import intervals
+from jointid.diagnostics.spectra import FrequencyResponse, compute_response
+from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import dumps, plain
 from jointid.estimation.result.parts import IN_WINDOWS
@@ -23,7 +24,9 @@ from jointid.models.controllers import Controller
 from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict
 from jointid.output.report.sections import PAGES, Repetition, draw_figures, page, repetition, report_blocks
+from jointid.records.record import Channel
 from jointid.tuning.tune import Tuned
+from jointid.uncertainty.profile import ProfileInterval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,16 +39,30 @@ class Report:
     """Report of a joint or a robot: its figures and text, for the screen or for paper.
 
     Attributes:
-        data: the results to present; `of` collects them.
+        estimate: what is reported.
+        diagnosis: of loop, log and residual; None where there is none.
+        checks: of the same estimate on other records.
         name: of the joint; that of the record when empty.
         repetition: what it takes to do it again.
         tuned: what to set in the drive; None where that was not asked for.
+        channels: of the record of a joint, by name.
+        validation: the direct test of a joint; None where there is none, as the response.
+        response: of the joint.
+        profiles: of single quantities.
+        absent: reason why a part is missing, by its name, in a sentence.
     """
 
-    data: ReportData
+    estimate: Estimate
+    diagnosis: Diagnosis | None
+    checks: tuple[Validation, ...] = ()
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    validation: Validation | None = None
+    response: FrequencyResponse | None = None
+    profiles: tuple[ProfileInterval, ...] = ()
+    absent: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -93,20 +110,30 @@ class Report:
         if not isinstance(record, Record):
             if tuned is not None or profiles:
                 raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
-            found = diagnose_robot(estimate, record, controllers)
-            return cls(ReportData(estimate, found, checks=tuple(checks)), name, again)
-        data = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
-        return cls(data, name, again, tuned)
-
-    @property
-    def estimate(self) -> Estimate:
-        """The estimate, with the verdict on its loop."""
-        return self.data.estimate
+            return cls(estimate, diagnose_robot(estimate, record, controllers), tuple(checks), name, again)
+        flexible = any(p.name == "stiffness" and p.free for p in estimate.rows)
+        asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
+        parts: dict[str, Callable[[], Any]] = {
+            "validation": lambda: validate(estimate, record),
+            "response": lambda: compute_response(estimate),
+            "profiles": lambda: intervals(estimate, record, asked, progress=progress),
+        }
+        found, absent, own = dict[str, Any](), dict[str, str](), estimate.diagnosis
+        for part, compute in parts.items():
+            progress(f"collecting the report: {part}")
+            try:
+                found[part] = compute()
+            except JointidError as error:
+                absent[part] = str(error)
+        checked = own if isinstance(own, Diagnosis) else None
+        return cls(
+            estimate, checked, tuple(checks), name, again, tuned, dict(record.items()), absent=absent, **found
+        )  # fmt: skip
 
     @property
     def figures(self) -> dict[str, Figure]:
         """Its figures by name, of matplotlib."""
-        return draw_figures(self.data, self.tuned)
+        return draw_figures(self)
 
     @property
     def title(self) -> str:
@@ -117,19 +144,19 @@ class Report:
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
-        given, names = self.data, ("diagnosis", "validation", "checks", "profiles", "absent")
+        names = ("diagnosis", "validation", "checks", "profiles", "absent")
         contents: dict[str, Any] = {
             "schema": REPORT_SCHEMA,
-            "estimate": to_dict(given.estimate),
-            **{name: getattr(given, name) for name in names},
-            "frequencies": {} if given.response is None else given.response.modes,
+            "estimate": to_dict(self.estimate),
+            **{name: getattr(self, name) for name in names},
+            "frequencies": {} if self.response is None else self.response.modes,
             "tuning": self.tuned,
         }
         return dumps(plain(contents) | plain(self.repetition))
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
-        blocks = report_blocks(self.data, self.figures, self.repetition, self.tuned)
+        blocks = report_blocks(self, self.figures)
         return Document(self.title, tuple(blocks), self.answer())
 
     def html(self) -> str:

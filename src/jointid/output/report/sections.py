@@ -27,15 +27,15 @@ from jointid.common.document import (
 )
 from jointid.common.errors import RecordError
 from jointid.common.text import sentence
-from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures import charts
 from jointid.output.figures.axis_drawing import axis_figure, resonance_sentence
-from jointid.tuning.tune import Tuned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from jointid.output.report import Report
 
 
 import re
@@ -174,14 +174,9 @@ _PICTURES = {
 """The titles of the pictures, and what to see in them; in the order of the appendix."""
 
 
-def report_blocks(
-    given: ReportData,
-    figures: Mapping[str, Figure],
-    repetition: Repetition,
-    tuned: Tuned | None,
-) -> Iterator[Block]:
+def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Block]:
     """Yield the whole report: what was found, and the appendix with all that stands behind it."""
-    estimate = given.estimate
+    estimate, tuned = given.estimate, given.tuned
     yield Heading("Result")
     yield from _result(given)
     yield Heading("Parameters")
@@ -211,7 +206,7 @@ def report_blocks(
         yield Heading("Not available")
         yield Listing(tuple(map(sentence, given.absent.values())))
     yield Heading("Settings and data")
-    yield from _settings(given, repetition)
+    yield from _settings(given)
 
 
 def _part(result: Documented, *, details: bool = False) -> Iterator[Block]:
@@ -220,7 +215,7 @@ def _part(result: Documented, *, details: bool = False) -> Iterator[Block]:
         yield replace(block, level=3) if isinstance(block, Heading) else block
 
 
-def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
+def draw_figures(given: Report) -> dict[str, Figure]:
     """Return the figures of a report by their names, without those that cannot be drawn."""
     estimate, cutoff = given.estimate, given.estimate.settings.filtering.cutoff
     if estimate.robot is not None:
@@ -239,8 +234,8 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
         every["profiles"] = lambda: charts.profiles_figure(estimate, given.profiles)
         if given.response is not None:
             every["response"] = partial(charts.response_figure, estimate, given.response)
-        if tuned is not None:
-            every["tuning"] = tuned.plot
+        if given.tuned is not None:
+            every["tuning"] = given.tuned.plot
     found: dict[str, Figure] = {}
     for name, draw in every.items():
         with contextlib.suppress(RecordError):
@@ -248,13 +243,13 @@ def draw_figures(given: ReportData, tuned: Tuned | None) -> dict[str, Figure]:
     return found
 
 
-def _picture(given: ReportData, figures: Mapping[str, Figure], name: str) -> Picture:
+def _picture(given: Report, figures: Mapping[str, Figure], name: str) -> Picture:
     motion = "simulated" if given.estimate.settings.method == "didim" else "measured"
     words = _PICTURES[name][1].format(motion=motion)
     return Picture(f"{name}.svg", partial(svg, figures[name], name), words, wide=name != "correlation")
 
 
-def _result(given: ReportData) -> Iterator[Block]:
+def _result(given: Report) -> Iterator[Block]:
     """Yield the answer, what it was held against, and the drawing of a joint."""
     estimate = given.estimate
     yield Paragraph(str(estimate.answer), tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
@@ -275,14 +270,14 @@ def _result(given: ReportData) -> Iterator[Block]:
         yield Paragraph("All numbers are behind the gears.")
 
 
-def _beside(given: ReportData, name: str) -> Block | None:
+def _beside(given: Report, name: str) -> Block | None:
     """Return the numbers beside a picture; None where there are none."""
     return Listing(tuple(map(str, given.profiles))) if name == "profiles" else None
 
 
-def _settings(given: ReportData, repetition: Repetition) -> Iterator[Block]:
+def _settings(given: Report) -> Iterator[Block]:
     """Yield how the record was filtered, its channels, and how to make the report again."""
-    estimate = given.estimate
+    estimate, repetition = given.estimate, given.repetition
     f, fit = estimate.settings.filtering, estimate.fit
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
     facts = (
@@ -302,7 +297,7 @@ def _settings(given: ReportData, repetition: Repetition) -> Iterator[Block]:
         yield from (Paragraph(f"The file {repetition.joint_file_name}:"), Code(repetition.joint_file))
 
 
-def _channels_table(estimate: Estimate, given: ReportData) -> Table:
+def _channels_table(estimate: Estimate, given: Report) -> Table:
     """Return the channels of the record, and which of them were read."""
     rows = tuple(
         (

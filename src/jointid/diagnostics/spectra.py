@@ -1,30 +1,21 @@
-"""Collect the results that a report on one estimate presents; a report computes nothing itself.
+"""What an estimate looks like in frequency: the spectra of the torque, and the response of the joint.
 
-A part that does not exist for an estimate (profiles without a simulated loop, a response without a stiffness) is left
-out, with the reason. Two parts are computed here: the spectra of the torque, measured, predicted and their difference;
-and the frequency response of the joint, from the motor's torque to the velocities of its two sides. That is of the
-linear part (`models.linear`), moving forwards.
+Spectra are those of the measured and the predicted torque, and of their difference. The response is that from the
+motor's torque to the velocities of the joint's two sides, of the linear part (`models.linear`), moving forwards.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError, RecordError
-from jointid.common.messages import Progress, ignore_progress
+from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics.diagnose import Diagnosis
-from jointid.diagnostics.intervals import intervals
-from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.linear import OUTPUTS, frequency_response
-from jointid.records.record import Channel, Record
-from jointid.uncertainty.profile import ProfileInterval
 
 _PARTS = 8  # of the record, each as long as a window of the spectra; windows overlap by half
 _LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
@@ -53,61 +44,6 @@ class FrequencyResponse:
     phase: FloatArray
     unit: str
     modes: Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReportData:
-    """An estimate and the results of its diagnostics.
-
-    Attributes:
-        estimate: what is reported.
-        diagnosis: of loop, log and residual; None where there is none.
-        validation: the direct test of a joint; None where there is none, as the next one.
-        response: of the joint.
-        channels: of the record, by name.
-        profiles: of single quantities.
-        checks: of the same estimate on other records.
-        absent: reason why a part is missing, by its name, in a sentence.
-    """
-
-    estimate: Estimate
-    diagnosis: Diagnosis | None
-    validation: Validation | None = None
-    response: FrequencyResponse | None = None
-    channels: Mapping[str, Channel] = field(default_factory=dict)
-    profiles: tuple[ProfileInterval, ...] = ()
-    checks: tuple[Validation, ...] = ()
-    absent: Mapping[str, str] = field(default_factory=dict)
-
-
-def collect_report_data(
-    estimate: Estimate,
-    record: Record,
-    checks: Sequence[Validation] = (),
-    *,
-    profiles: Sequence[str] | None = None,
-    progress: Progress = ignore_progress,
-) -> ReportData:
-    """Collect the results that a report on an estimate presents; see `Report.of`."""
-    flexible = any(p.name == "stiffness" and p.free for p in estimate.rows)
-    asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
-    found, absent = dict[str, Any](), dict[str, str]()
-    parts: dict[str, Callable[[], Any]] = {
-        "validation": lambda: validate(estimate, record),
-        "response": lambda: compute_response(estimate),
-        "profiles": lambda: intervals(estimate, record, asked, progress=progress),
-    }
-    for name, compute in parts.items():
-        progress(f"collecting the report: {name}")
-        try:
-            found[name] = compute()
-        except JointidError as error:
-            absent[name] = str(error)
-    check = estimate.diagnosis
-    return ReportData(
-        estimate, check if isinstance(check, Diagnosis) else None, **found, channels=dict(record.items()),
-        checks=tuple(checks), absent=absent,
-    )  # fmt: skip
 
 
 def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> tuple[FloatArray, ...]:
