@@ -143,10 +143,7 @@ def _left_out(why: str) -> Checked:
     return (skip_test(Subject.LOOP, why),), (), None
 
 
-def run_checks(
-    fit: Estimate,
-    progress: Progress = ignore_progress,
-) -> Checked:
+def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
     What the record does not allow to check is left out. An exception loses no estimate: the verdict on the loop states

@@ -178,13 +178,7 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     return LawOnPosition(left, float(scaled[0]), late * record.torque.sample_time, in_time, noise)
 
 
-def excludes(
-    record: Record,
-    loop: ClosedLoop,
-    controller: Controller,
-    late: float = 0.0,
-    gain: float = 0.0,
-) -> bool:
+def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: float = 0.0, gain: float = 0.0) -> bool:
     """Whether a record with a motor position has less than a quarter of a change of law or log.
 
     The logged torque less that of the law is regressed on the change that another law, or another log, makes of the
