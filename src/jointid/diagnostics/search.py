@@ -13,7 +13,8 @@ joint by the size of its error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +39,6 @@ from jointid.diagnostics.suspects import (
 from jointid.diagnostics.variants import (
     OTHER_LAWS,
     WHOLE,
-    LawTest,
     choose_law,
     find_other_law,
     find_undecided,
@@ -108,7 +108,10 @@ def search_faults(
             finding, found = _find(found, found.tests[0])
             findings.append(finding)
         else:
-            suspected = [*_list_suspected(found, laws, () if findings else found.excluded[:1])]
+            # The p-values of the mechanics are those of a tenth of the level: what is near it is not named.
+            near = (one for one in found.tests if one.fault.mechanical and LEVEL < one.p_value <= RARER * LEVEL)
+            likely = [*itertools.islice(near, 1), *(() if findings else found.excluded[:1])]
+            suspected = [*(_find(found, one)[0] for one in likely), *find_undecided(found, laws)]
             break
     part = find_part_of_loop(found.problem, found.x)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
@@ -122,20 +125,6 @@ def search_faults(
         tuple(findings), begun.tests,
         units, suspected=tuple(suspected), part=part, explained=explained,
     )  # fmt: skip
-
-
-def _list_suspected(found: Tested, laws: Sequence[LawTest], more: Sequence[FaultTest]) -> Iterator[Finding]:
-    """Yield the likeliest fault of the mechanics if it is significant at the level of those of the loop, and others.
-
-    The p-values of the mechanics are those of a tenth of the level: such a fault is not named. Neither is a law of the
-    drive that the record does not exclude.
-    """
-    first = next((one for one in found.tests if one.fault.mechanical), None)
-    near = first is not None and LEVEL < first.p_value <= RARER * LEVEL
-    for one in (*([first] if first is not None and near else []), *more):
-        yield _find(found, one)[0]
-    law = find_undecided(found, laws)
-    yield from () if law is None else (law,)
 
 
 def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
@@ -253,9 +242,8 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         explaining = (one for one in likely if explains(one, columns[one.axis, one.fault, one.shape]))
         if (test := next(explaining, None)) is None:
             break
-        rivals = (one for one in likely if one.axis == test.axis and one is not test)
-        near = tuple(one for one in rivals if one.strength > _AS_STRONG * test.strength)
-        found[test.axis].append(Finding(test, None, near, {}))
+        near = (one for one in likely if one.axis == test.axis and one.strength > _AS_STRONG * test.strength)
+        found[test.axis].append(Finding(test, None, tuple(one for one in near if one is not test), {}))
         own = np.column_stack([own, columns[test.axis, test.fault, test.shape]])
         basis = orthonormal_basis(own, _RANK)
         rest = residual - basis @ (basis.T @ residual)

@@ -199,7 +199,6 @@ class OtherLaw:
         remedy: its declaration.
         controller: with that law.
         rate: of the law, Hz, if that differs.
-        evident: whether it is tried only where a record surely shows it.
     """
 
     fault: Fault
@@ -207,7 +206,6 @@ class OtherLaw:
     remedy: str
     controller: Controller
     rate: float = 0.0
-    evident: bool = False
 
 
 @dataclass(frozen=True, slots=True)

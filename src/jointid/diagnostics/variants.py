@@ -52,8 +52,6 @@ _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is t
 _EXCLUDED = 2.0  # deviations: a law so far away is excluded
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
-_REACH = 2.0  # times what half of the log's period changes any faster drive changes
-_MATTERS = 1.5  # deviations: a law that moves no parameter so far by one step is not searched for
 _OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
@@ -75,6 +73,7 @@ WHOLE = tuple(_CODES.values())
 _OF_REFERENCE = (LATE, AVERAGED, *INTERPOLATIONS.values())
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *_OF_REFERENCE))
 """Their names."""
+_SELDOM = (MEASURED_VELOCITY, AVERAGED)  # those that are tried only where they are significant
 _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them
 
 
@@ -112,7 +111,7 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
             OtherLaw(
                 PERIOD, f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{more}",
                 f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{other or used}"',
-                replace(faster, period=log / times), times / log, evident=other == "hold",  # no usual guess
+                replace(faster, period=log / times), times / log,
             )
             for times in _TIMES_FASTER
         )  # fmt: skip
@@ -120,8 +119,7 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
 
 def _average(law: Any, mean: float) -> OtherLaw:
     said = f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
-    other = replace(law, reference_average=mean)
-    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", other, evident=True)
+    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
 
 
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
@@ -147,7 +145,7 @@ def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
         words = "the velocity is measured or observed, half a period earlier than a difference of positions"
         earlier = replace(controller, velocity_filter=_HALF_A_PERIOD_EARLIER)
         remedy = f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}"
-        yield OtherLaw(MEASURED_VELOCITY, words, remedy, earlier, evident=True)
+        yield OtherLaw(MEASURED_VELOCITY, words, remedy, earlier)
 
 
 def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
@@ -228,19 +226,6 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
     return next((one for one in likely if one.leaves_as_little(best)), None)
 
 
-def _may_matter(found: Tested, step: FaultTest, moved: FloatArray) -> bool:
-    """Whether another law is not excluded, and either is evident or would shift a parameter."""
-    if not step.std > 0 or step.size + 3 * step.std < _AT_LEAST:
-        return False
-    if _REACH * step.strength**2 < found.significant - RIVAL:
-        return False
-    if step.size > 0 and step.p_value <= LEVEL:
-        return True
-    by = np.linalg.lstsq(found.own, moved, rcond=None)[0]
-    stds = (found.std.get(p.name, 0.0) for p in found.problem.free_joint)
-    return any(_REACH * abs(one) > _MATTERS * std for one, std in zip(by, stds, strict=False))
-
-
 def test_laws(found: Tested) -> list[LawTest]:
     """Return the tests of other laws that are not named already, and that nothing excludes."""
     tests: list[LawTest] = []
@@ -256,7 +241,8 @@ def test_laws(found: Tested) -> list[LawTest]:
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
             moved = found.residual - problem.under(first.controller, record).residual(x)
             step, start = found.test_law(first.fault, moved), x
-            if not (step.p_value <= LEVEL if first.evident else _may_matter(found, step, moved)):
+            possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST
+            if not (step.p_value <= LEVEL if first.fault in _SELDOM else possible):
                 continue
             for other in _list_late(problem, x) if first.fault is AVERAGED else (first, *others):
                 one = _test_law(found, other, record, start)
@@ -288,8 +274,8 @@ def find_other_law(found: Tested, other: LawTest, alike: Sequence[LawTest] = ())
     return Finding(other.test, value, found.list_rivals(other.test), shifts, other.law, left, others)
 
 
-def find_undecided(found: Tested, tests: Sequence[LawTest]) -> Finding | None:
-    """Return the law that the record does not exclude and that shifts a parameter farthest out of its interval.
+def find_undecided(found: Tested, tests: Sequence[LawTest]) -> list[Finding]:
+    """Return the law that the record does not exclude and that shifts a parameter farthest; none within an interval.
 
     Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
     """
@@ -301,7 +287,7 @@ def find_undecided(found: Tested, tests: Sequence[LawTest]) -> Finding | None:
             sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
             asked, most = sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
             moving += [(asked, most, finding)] if most > INTERVAL else []
-    return max(moving, key=lambda one: one[:2], default=(0.0, 0.0, None))[2]
+    return [one for *_, one in sorted(moving, key=lambda one: one[:2])[-1:]]
 
 
 # Of a robot
