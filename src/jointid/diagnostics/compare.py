@@ -62,7 +62,7 @@ class EstimateComparison(Documented):
     records: tuple[str, str]
     same_record: bool
     rows: tuple[QuantityChange, ...]
-    level: float
+    level: float = LEVEL
 
     @property
     def changed(self) -> tuple[QuantityChange, ...]:
@@ -102,17 +102,15 @@ class EstimateComparison(Documented):
         return Document(self.sentence, (facts, table))
 
 
-def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = LEVEL) -> EstimateComparison:
+def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComparison:
     """Set two estimates of one joint side by side, and test each difference.
 
     Args:
         before: the first estimate, as `to_dict` returns it.
         after: the second.
-        level: of the tests of all quantities together.
 
     Raises:
-        MethodError: they are not of the same model, on the same side and in the same units, or the level is no
-            probability.
+        MethodError: they are not of the same model, on the same side and in the same units.
         RecordError: one is no document of an estimate.
 
     Example:
@@ -122,8 +120,6 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = 
         >>> print(ji.compare(found, found).sentence)
         No difference can be tested, as both estimates share the errors of one record.
     """
-    if not 0 < level < 1:
-        raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
     both = before, after
     try:
         here, there = map(_describe_system, both)
@@ -138,7 +134,7 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any], level: float = 
         parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
         rows = [_compare(name, a.get(name), b.get(name), same) for a, b in parts for name in dict.fromkeys((*a, *b))]
         return EstimateComparison(
-            (str(before["data"]["record"]), str(after["data"]["record"])), same, _adjust_p_values(rows), level
+            (str(before["data"]["record"]), str(after["data"]["record"])), same, _adjust_p_values(rows)
         )
     except (LookupError, TypeError, ValueError, AttributeError):
         raise RecordError(

@@ -83,16 +83,11 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     elif part is not None and isinstance(part.setup, RobotLoop) and fit.solved is not None:
         names, controllers = part.parameters.names, part.setup.controllers
         scales = np.where(part.parameters.logarithmic, part.values[: len(part.parameters.places)], 1.0)
-    known = [
-        {*names, *(str(one) for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
-        for axis in found.axes
-    ]
-    tried = [
-        one
-        for axis, controller in enumerate(controllers)
-        for one in list_undeclared(controller, fit.data.sample_time, axis)
-        if one.fault.name not in known[axis]
-    ]
+    tried = list[Element]()
+    for k, (controller, axis) in enumerate(zip(controllers, found.axes, strict=False)):
+        known = {*names, *(str(one) for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
+        elements = list_undeclared(controller, fit.data.sample_time, k)
+        tried += [one for one in elements if one.fault.name not in known]
     if torques is None or not tried:
         return
     rows = {row.name: row for row in fit.rows if row.stderr}

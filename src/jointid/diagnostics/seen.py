@@ -36,7 +36,7 @@ class Seen:
         through: (samples,) torque that loads its gear.
         sample_time: of all of these, s.
         others: velocity and acceleration of the other axes, by name.
-        respond: returns the change of the logged torque by a force on the motor, (samples,); None where that is not
+        force: returns the change of the logged torque by a force on the motor, (samples,); None where that is not
             known.
         loop: its problem and solution where it was simulated as a loop of its own.
         residual, own: (rows,) of that problem, and (rows, free) columns of its parameters.
@@ -49,22 +49,11 @@ class Seen:
     torque: FloatArray
     through: FloatArray
     sample_time: float
-    respond: Callable[[FloatArray], FloatArray | None]
+    force: Callable[[FloatArray], FloatArray | None]
     others: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     loop: tuple[ClosedLoopProblem, FloatArray] | None = None
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))
     own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-
-    @cached_property
-    def _known(self) -> dict[bytes, FloatArray | None]:
-        return {}
-
-    def force(self, force: FloatArray) -> FloatArray | None:
-        """Return the change of the logged torque by a force on the motor; one that was asked for before is kept."""
-        known = force.tobytes()
-        if known not in self._known:
-            self._known[known] = self.respond(force)
-        return self._known[known]
 
     @cached_property
     def values(self) -> Mapping[str, float]:

@@ -113,7 +113,7 @@ def validate(
     deliver(found, options.json, (figure, figures.torque))
 
 
-def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
+def compare(before: Path, after: Path, /, *, json: Path | None = None) -> None:
     """Test whether two estimates differ.
 
     They are of the same joint or robot; a difference counts if it is larger than their errors.
@@ -121,14 +121,13 @@ def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | N
     Args:
         before: the first (A): what identify --json wrote, or the page of a report.
         after: the second (B), likewise.
-        level: chance that anything is called changed where nothing is, for all quantities together.
         json: also write the answer as JSON to this file.
     """
     from jointid import compare
     from jointid.output import json as answers
 
     spare((json,), before, after)
-    deliver(compare(answers.read_report(before), answers.read_report(after), level=level), json)
+    deliver(compare(answers.read_report(before), answers.read_report(after)), json)
 
 
 def export(
