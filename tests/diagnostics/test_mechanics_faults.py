@@ -213,5 +213,5 @@ def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() ->
     suspected = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
     check = AxisFaults((), (test,), {}, suspected=(suspected,))
     *_, wider = widen_for_faults(check, {})
-    assert wider.by == {"stiffness": 20.0, "damping": 0.1}
-    assert not any(one.by for one in widen_for_faults(replace(check, suspected=()), {}))
+    assert wider[0] == {"stiffness": 20.0, "damping": 0.1}
+    assert not any(by for by, _ in widen_for_faults(replace(check, suspected=()), {}))
