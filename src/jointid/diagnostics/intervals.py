@@ -12,9 +12,7 @@ from collections.abc import Sequence
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import in_threads
-from jointid.common.text import join
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.parts import IN_WINDOWS
@@ -30,8 +28,6 @@ def intervals(
     estimate: Estimate,
     record: Record,
     quantities: Sequence[str] | None = None,
-    *,
-    progress: Progress = ignore_progress,
 ) -> tuple[ProfileInterval, ...]:
     """Return profiles of an estimate by DIDIM, each on the side of the transmission that the estimate is on.
 
@@ -41,7 +37,6 @@ def intervals(
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
             "motor_viscous + load_viscous". None means the stiffness, or the inertia of a rigid joint; where that is
             fixed, the first free parameter.
-        progress: called once.
 
     Raises:
         MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
@@ -61,8 +56,6 @@ def intervals(
             return profile_compliance(problem, x, spread, problem.joint.unit)
         return profile(problem, x, one, spread)
 
-    if asked:
-        progress(f"profiling {join(asked)}")
     return tuple(in_threads(follow, wanted))
 
 

@@ -204,10 +204,8 @@ def find_new_zero(record: Record) -> Message | None:
         return None
     jumps = [(number(float(steps[k]), 3), number(motor.sample_time * (k + 1), 3)) for k in places]
     said = join([f"by {size} {motor.unit} at {instant} s" for size, instant in jumps])
-    clause = (
-        f"reference and motor position jump together {said} from the first sample that was read: a new zero was set "
-    )
-    clause += "there; identify a part without it (record.start, record.stop)"
+    clause = f"reference and motor position jump together {said} from the first sample that was read: a new zero was "
+    clause += "set there; identify a part without it (record.start, record.stop)"
     return _found("new_zero", float(steps[places[0]]), clause)
 
 

@@ -33,6 +33,8 @@ from jointid.diagnostics.suspects import Fault, FaultSignature, FaultTest
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
+LEVEL = 0.02
+"""Largest share of records without a fault in which one is found."""
 RARER = 10
 """Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
 
@@ -144,7 +146,7 @@ def score(
         # A fault of another kind may look like a force: so its size and its place among the significant stand.
         return replace(found, p_value=judge(spread).p_value) if spread > _MORE * found.std else found
 
-    return rank_tests(map(test, groups), _WIDENED)
+    return rank_tests(map(test, groups), LEVEL)
 
 
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:

@@ -25,8 +25,8 @@ from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.model_free import LawOnPosition
-from jointid.diagnostics.score import RARER, score
-from jointid.diagnostics.search_state import LEVEL, MOST, Tested
+from jointid.diagnostics.score import LEVEL, RARER, score
+from jointid.diagnostics.search_state import MOST, Tested
 from jointid.diagnostics.suspects import (
     LIMIT,
     LOG_GAIN,
@@ -104,7 +104,7 @@ def search_faults(
             findings.append(find_other_law(found, stated, alike))
             named = (*found.named, *(one.law.fault.name for one in (stated, *alike)))
             found = replace(found, problem=stated.problem, x=stated.x, named=named)
-        elif found.significant:
+        elif found.tests and found.tests[0].p_value <= LEVEL:
             finding, found = _find(found, found.tests[0])
             findings.append(finding)
         else:

@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.model_free import excludes
-from jointid.diagnostics.score import rank_tests, score
+from jointid.diagnostics.score import LEVEL, score
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import (
     DELAY,
@@ -35,8 +35,6 @@ from jointid.records.record import Record
 from jointid.uncertainty.position_dependent_error import Cells
 from jointid.uncertainty.residual_tests import whiteness
 
-LEVEL = 0.02
-"""Largest share of records without a fault in which one is found."""
 MOST = 3
 """Faults of one axis, at most."""
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
@@ -95,7 +93,25 @@ class Tested:
 
     @cached_property
     def _forced(self) -> list[FloatArray]:
-        return simulate_forces(self.problem, self.x)
+        """Residuals, (rows,), of random forces and noise like those of the record; none of a white residual.
+
+        A force colours the residual by the answer of the loop. The spectrum of white noise alone has a part that looks
+        so.
+        """
+        problem, x, cutoff = self.problem, self.x, self.problem.filtering.cutoff
+        step = problem.sample_time * (problem.filtering.decimation or 1)
+        white = whiteness(self.residual, step, cutoff) if cutoff else None
+        if white is not None and white.white:
+            return []
+        run = problem.simulate(x)
+        force = find_force(problem, x, run, problem.measured - run.torque)
+        if force is None:
+            return []
+        random = np.random.default_rng(1)
+        return [
+            problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
+            for one in simulate_with_force(problem, x, force, _FORCES, (1.0,))
+        ]
 
     @cached_property
     def _all_tests(self) -> tuple[FaultTest, ...]:
@@ -105,8 +121,7 @@ class Tested:
             for fault in dict.fromkeys(one.fault for one in self.signatures)
             if not {fault.name, fault.kin} & known
         }
-        tests = score(self.residual, self.own, self.signatures, declared, self._where, lambda: self._forced)
-        return rank_tests(tests, LEVEL)
+        return score(self.residual, self.own, self.signatures, declared, self._where, lambda: self._forced)
 
     @cached_property
     def excluded(self) -> tuple[FaultTest, ...]:
@@ -120,11 +135,6 @@ class Tested:
     def tests(self) -> tuple[FaultTest, ...]:
         """Tests of the faults, the likeliest first, without those that the motor position excludes."""
         return tuple(one for one in self._all_tests if one not in self.excluded)
-
-    @property
-    def significant(self) -> float:
-        """The greatest square of a significant test's strength; 0 without one."""
-        return max((one.strength**2 for one in self.tests if one.p_value <= LEVEL), default=0.0)
 
     @property
     def values(self) -> dict[str, float]:
@@ -176,25 +186,6 @@ def compute_signatures(
         *(replace(one, column=problem.filter(one.column)) for one in along),
     ]
     return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
-
-
-def simulate_forces(problem: ClosedLoopProblem, x: FloatArray) -> list[FloatArray]:
-    """Return the residuals, (rows,), of random forces and noise like those of the record; none of a white residual.
-
-    A force colours the residual by the answer of the loop. The spectrum of white noise alone has a part that looks so.
-    """
-    run, filtering = problem.simulate(x), problem.filtering
-    step = problem.sample_time * (filtering.decimation or 1)
-    if filtering.cutoff and (white := whiteness(problem.residual(x), step, filtering.cutoff)) and white.white:
-        return []
-    force = find_force(problem, x, run, problem.measured - run.torque)
-    if force is None:
-        return []
-    random = np.random.default_rng(1)
-    return [
-        problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
-        for one in simulate_with_force(problem, x, force, _FORCES, (1.0,))
-    ]
 
 
 def excludes_fault(record: Record, loop: ClosedLoop, test: FaultTest) -> bool:

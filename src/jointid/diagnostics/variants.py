@@ -32,7 +32,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
 from jointid.diagnostics.model_free import excludes
-from jointid.diagnostics.search_state import INTERVAL, LEVEL, RIVAL, Tested
+from jointid.diagnostics.score import LEVEL
+from jointid.diagnostics.search_state import INTERVAL, RIVAL, Tested
 from jointid.diagnostics.suspects import REFERENCE_DELAY, Fault, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
