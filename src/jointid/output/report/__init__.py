@@ -116,7 +116,7 @@ class Report:
         parts: dict[str, Callable[[], Any]] = {
             "validation": lambda: validate(estimate, record),
             "response": lambda: compute_response(estimate),
-            "profiles": lambda: intervals(estimate, record, asked, progress=progress),
+            "profiles": lambda: intervals(estimate, record, asked),
         }
         found, absent, own = dict[str, Any](), dict[str, str](), estimate.diagnosis
         for part, compute in parts.items():
