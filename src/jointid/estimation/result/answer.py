@@ -31,15 +31,6 @@ SLIGHT = 1e-3
 """Share of a value that no decision depends on; the log of a simulator without noise shows smaller faults."""
 
 
-class Found(StrEnum):
-    """Kinds of value in an answer."""
-
-    VALUE = "value"
-    LOWER_BOUND = "lower_bound"
-    NOT_DETERMINED = "not_determined"
-    PARAMETERS = "parameters"
-
-
 class Trust(StrEnum):
     """Whether to rely on an answer."""
 
@@ -55,8 +46,9 @@ class Answer:
     """The first line of a result.
 
     Attributes:
-        found: the value with its 2-sigma interval, of code `Found`; values: ``parameter``, ``value``, ``two_sigma``,
-            ``unit``, ``mode_hz`` (free-free) and ``lower_bound``, None where there is none.
+        found: the value with its 2-sigma interval, of code "value", "lower_bound" or "not_determined", or "parameters"
+            of a robot; values: ``parameter``, ``value``, ``two_sigma``, ``unit``, ``mode_hz`` (free-free) and
+            ``lower_bound``, None where there is none.
         trust: whether to rely on it, of code `Trust`; values: ``reasons``, the codes of what speaks against it, and
             ``parameters``, those that a fault moves out of their intervals.
     """
@@ -90,13 +82,13 @@ def answer_of(estimate: Estimate) -> Answer:
 
 def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
     """Return a value with its interval, unit and mode; of a refused one its bound, the softest admissible one."""
-    mode, least, code = estimate.frequencies.get("free_free"), None, Found.VALUE
+    mode, least, code = estimate.frequencies.get("free_free"), None, "value"
     words = f"{in_words(asked.name).capitalize()} {show_value(asked)} {asked.unit}"
     if asked.value is None:
-        stated, code = told_bounds(estimate), Found.NOT_DETERMINED
+        stated, code = told_bounds(estimate), "not_determined"
         words = f"{in_words(asked.name).capitalize()} not determined by this record"
         if bounds := [(b.stiffness, b.frequency, b.share) for b in stated if b.stiffness and b.frequency]:
-            (least, hertz, _), code = min(bounds), Found.LOWER_BOUND
+            (least, hertz, _), code = min(bounds), "lower_bound"
             words += f": at least {number(float(f'{least:.2e}'), 3)} {asked.unit}, mode above {number(hertz, 2)} Hz"
         if least is not None and len(bounds) < len(stated):
             shares = [share for _, _, share in bounds]
@@ -123,7 +115,7 @@ def _count_known(estimate: Estimate) -> Message:
     words = f"{len(known)} of {len(asked)} parameters known to a tenth, {number(100 * left[worst], 3)} % of the torque "
     none = dict.fromkeys(("parameter", "value", "two_sigma", "unit", "mode_hz", "lower_bound"))
     values = none | {"known": len(known), "asked": len(asked), "worst": worst}
-    return Message(Found.PARAMETERS, f"{words}of {worst} not explained", values)
+    return Message("parameters", f"{words}of {worst} not explained", values)
 
 
 # Whether to rely on it
