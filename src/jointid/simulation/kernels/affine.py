@@ -146,10 +146,11 @@ def _fill_bends(p: Drive, m1: int, m2: int, h: float, bends: FloatArray) -> None
 
 
 @inline_kernel
-def unit_move(rates: FloatArray, m1: int, m2: int, i: int, h: float, rate: float) -> State:
+def unit_move(rates: FloatArray, m1: int, m2: int, i: int, h: float) -> State:
     """Return by how much a unit of an input changes the positions in `h` seconds, and the velocities at their end."""
     begin, torque, steady = 1.0 if i == 1 else 0.0, 1.0 if i == 3 else 0.0, 1.0 if i == 4 else 0.0
     v1, v2 = 1.0 if i == 0 and m1 != 0 else 0.0, 1.0 if i == 2 and m2 != 0 else 0.0
+    rate = math.sqrt(abs(rates[0, 1]) + abs(rates[1, 1])) + abs(rates[0, 0]) + abs(rates[1, 2])
     pieces = max(math.ceil(rate * h / _STRIDE), 1)
     x = flow(rates, h / pieces, (0.0, v1, begin, v2), torque, steady)
     for _ in range(1, pieces):
@@ -159,12 +160,12 @@ def unit_move(rates: FloatArray, m1: int, m2: int, i: int, h: float, rate: float
 
 @compile_kernel
 def fill_mode(
-    p: Drive, mode: int, lengths: FloatArray, rate: float, rates: FloatArray, moves: FloatArray, bends: FloatArray
+    p: Drive, mode: int, lengths: FloatArray, rates: FloatArray, moves: FloatArray, bends: FloatArray
 ) -> None:
     """Fill what `glide` and `ride` read of a mode.
 
-    `rate` is that of the fastest motion, rad/s. Filled are `rates`, (MODES, 2, INPUTS), accelerations of motor and load
-    by each input; `moves`, (parts * MODES, INPUTS, 4), see `unit_move`; and `bends`, (parts * MODES, 3).
+    These are `rates`, (MODES, 2, INPUTS), accelerations of motor and load by each input; `moves`, (parts * MODES,
+    INPUTS, 4), see `unit_move`; and `bends`, (parts * MODES, 3).
     """
     m1, m2 = mode // 3 - 1, mode % 3 - 1
     fill_rates(p, m1, m2, abs(m1) / p.inertia1, abs(m2) / p.inertia2, 1.0, rates[mode])
@@ -172,14 +173,14 @@ def fill_mode(
         b = part * MODES + mode
         _fill_bends(p, m1, m2, lengths[part], bends[b])
         for i in range(INPUTS):
-            x = unit_move(rates[mode], m1, m2, i, lengths[part], rate)
+            x = unit_move(rates[mode], m1, m2, i, lengths[part])
             moves[b, i, 0], moves[b, i, 1], moves[b, i, 2], moves[b, i, 3] = x
 
 
 @inline_kernel
 def enter_mode(
-    p: Drive, modes: FloatArray, v: FloatArray, loose: float, lengths: FloatArray, rate: float,
-    filled: NDArray[np.bool_], rates: FloatArray, moves: FloatArray, bends: FloatArray,
+    p: Drive, modes: FloatArray, v: FloatArray, loose: float, lengths: FloatArray, filled: NDArray[np.bool_],
+    rates: FloatArray, moves: FloatArray, bends: FloatArray,
 ) -> int:  # fmt: skip
     """Return the number of the mode of two masses, and fill what is read of it when it is met.
 
@@ -193,7 +194,7 @@ def enter_mode(
     mode = int(3.0 * m1 + m2) + 4
     if not filled[mode]:
         filled[mode] = True
-        fill_mode(p, mode, lengths, rate, rates, moves, bends)
+        fill_mode(p, mode, lengths, rates, moves, bends)
     return mode
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compile_kernel, inline_kernel
-from jointid.simulation.kernels.affine import INPUTS, MODES, Drive, drive_of, fill_mode, fill_rates, unit_move
+from jointid.simulation.kernels.affine import INPUTS, MODES, Drive, drive_of, fill_rates, unit_move
 from jointid.simulation.kernels.control import SmallLaw
 from jointid.simulation.kernels.tables import LANES, IntArray
 
@@ -30,17 +30,17 @@ _S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 1
 
 @compile_kernel
 def fill_tangent(
-    p: Drive, masses: FloatArray, springs: FloatArray, mode: int, lengths: FloatArray, rate: float, rates: FloatArray,
-    moves: FloatArray, bends: FloatArray, bent: NDArray[Any], slopes: FloatArray, moved: FloatArray,
+    p: Drive, masses: FloatArray, springs: FloatArray, mode: int, lengths: FloatArray, rates: FloatArray,
+    bent: NDArray[Any], slopes: FloatArray, moves: FloatArray, moved: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the maps of a mode (`kernels.affine.fill_mode`), and their derivatives, by a complex step.
+    """Fill the maps of a mode, and their derivatives by a complex step.
 
     Columns are of parameters, by which masses and springs have derivatives, (LANES, masses or springs, numbers). Filled
-    is `moved`, (parts * MODES, INPUTS, 4, LANES); `bent` and `slopes`, (2, INPUTS), are scratch.
+    are `moves`, as by `kernels.affine.fill_mode`, and `moved`, (parts * MODES, INPUTS, 4, LANES); `bent` and `slopes`,
+    (2, INPUTS), are scratch.
     """
     m1, m2 = mode // 3 - 1, mode % 3 - 1
     share1, share2 = abs(m1) / p.inertia1, abs(m2) / p.inertia2
-    fill_mode(p, mode, lengths, rate, rates, moves, bends)
     for c in range(LANES):
         change = drive_of(masses[c], springs[c])
         fill_rates(change, m1, m2, share1, share2, 0.0, slopes)
@@ -50,9 +50,9 @@ def fill_tangent(
             bent[0, i], bent[1, i] = rates[mode, 0, i] + _STEP * slope1, rates[mode, 1, i] + _STEP * slope2
         for part in range(lengths.size):
             for i in range(INPUTS):
-                x = unit_move(bent, m1, m2, i, lengths[part], rate)
+                x, b = unit_move(bent, m1, m2, i, lengths[part]), part * MODES + mode
                 for row in range(4):
-                    moved[part * MODES + mode, i, row, c] = x[row].imag / _STEP.imag
+                    moves[b, i, row], moved[b, i, row, c] = x[row].real, x[row].imag / _STEP.imag
 
 
 @inline_kernel

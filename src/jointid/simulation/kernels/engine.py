@@ -422,7 +422,7 @@ def run(
         limited = False
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if straight:
-                mode = enter_mode(lines, modes, v, 0.0, lengths, fastest, filled, rates, moves, bends)
+                mode = enter_mode(lines, modes, v, 0.0, lengths, filled, rates, moves, bends)
                 if glides:
                     k = glide(
                         lines, law, rates, moves, bends, mode, states, kept_modes, lags[0, 0], before[0], far[0],
@@ -483,7 +483,7 @@ def run(
                 if status != FINISHED:
                     break
                 if straight:
-                    mode = enter_mode(lines, modes, v, 1.0, lengths, fastest, filled, rates, moves, bends)
+                    mode = enter_mode(lines, modes, v, 1.0, lengths, filled, rates, moves, bends)
                     if left == lengths[part] and kept_modes.size > 0:  # in which it begins to move
                         kept_modes[k * parts + part] = mode
                 h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)

@@ -33,7 +33,6 @@ from jointid.simulation.kernels.affine_tangent import SCRATCH, WIDE, cross_slope
 from jointid.simulation.kernels.control import NOTHING, OFTEN, aligned_zeros, control_slopes, small_law
 from jointid.simulation.kernels.engine import invert
 from jointid.simulation.kernels.laws import (
-    fastest_rate,
     friction,
     friction_partials,
     place_partials,
@@ -355,14 +354,13 @@ def follow(
     dw, turned, dtau = np.zeros((forces, count)), np.zeros((forces, count)), np.zeros((axes, count))
     lead, gained, bent = np.zeros(count), np.zeros((nd, count)), np.zeros((nd, count))
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
-    mean, change, drive, mobility = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd), np.zeros(nd)
+    mean, change, drive = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd)
     mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
     f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), MASS))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
     of_links, inverse, K, C, rows = Y.copy(), M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
     jumps, ends = np.zeros(axes, dtype=np.bool_), rotors.copy()
     for i in range(nd):
-        mobility[i] = 1.0 / masses[i, 0, INERTIA]
         assign(dq[i], moved.dq[i])
         assign(dv[i], moved.dv[i])
     for i in range(ns if prescribed else 0):
@@ -371,9 +369,8 @@ def follow(
                 if pairs[i, side] == rotors[j]:
                     ends[j] = pairs[i, 1 - side]
     straight, kept, modes, rates = path
-    lines, maps, of_lines = drive_of(mass, spring), MODES if straight else 0, 0.0
-    filled = np.zeros(maps, dtype=np.bool_)
-    moves, bends = np.zeros((parts * maps, INPUTS, 4)), np.zeros((parts * maps, 3))
+    lines, maps = drive_of(mass, spring), MODES if straight else 0
+    filled, moves = np.zeros(maps, dtype=np.bool_), np.zeros((parts * maps, INPUTS, 4))
     pushes = aligned_zeros(parts * maps * INPUTS * WIDE).reshape((parts * maps, INPUTS * WIDE))
     in_lanes, shifted, by = aligned_zeros(SCRATCH), np.zeros((2, INPUTS), dtype=np.complex128), np.zeros((2, INPUTS))
     dmass, dspring = np.zeros((LANES, nd, MASS)), np.zeros((LANES, ns, SPRING))
@@ -381,7 +378,6 @@ def follow(
     law = small_law(laws, dz.shape[1] if small else 0)
     plain = small and len(states) + len(seeds.delays) == 0
     if straight:
-        of_lines = fastest_rate(mass, spring, places, pairs, mobility, f[0], mean[0], mean[0], f[0], mean[0])
         for i in range(nd + ns):
             for e in range(seeds.begin[i, 0], seeds.begin[i, 1]):
                 if i < nd:
@@ -433,7 +429,7 @@ def follow(
             if tree is None:  # noqa: SIM102
                 if straight:
                     stepped, mode, s = row < last_row and tape[row, PART] == at, int(modes[at]), drive[0]
-                    jump = (s - torque_before) * mobility[0]
+                    jump = (s - torque_before) * rates[mode, 0, 3]
                     if kept[at, 1] == 0.0:  # an edge may tear it loose
                         jump = tape[row, STATE + 2 * nd] if stepped else 0.0
                     for d in range(len(seeds.delays) if edge and s != torque_before else 0):
@@ -442,7 +438,7 @@ def follow(
                     if not filled[mode]:
                         filled[mode] = True
                         fill_tangent(
-                            lines, dmass, dspring, mode, lengths, of_lines, rates, moves, bends, shifted, by,
+                            lines, dmass, dspring, mode, lengths, rates, shifted, by, moves,
                             pushes.reshape((parts * maps, INPUTS, 4, LANES)),
                         )  # fmt: skip
                     if not stepped:
