@@ -198,7 +198,7 @@ def _search_spring(record: Record, joint: FlexibleJoint, problem: ClosedLoopProb
     values, cutoff = _fit_rigid(rigid, _ROUGHLY, history).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
     search = SpringSearch(problem, problem.filtering, _TOLERANCE, history)
-    return history.finish(search.refine(search.explore([values], row)), _TOLERANCE)
+    return history.finish(search.refine(search.explore(values, row)), _TOLERANCE)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -> Solved:

@@ -10,7 +10,6 @@
    first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
-7. All of it again with other inertias, where the end explains little of the torque.
 
 The drive side has no loop: its grid is measured by the cut-off, and it ends with step 5.
 """
@@ -19,7 +18,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -58,13 +57,10 @@ _LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are searche
 _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
 _NARROWED = 3  # frequencies at which other shares are tried
-_FAR_BELOW, _FAR_ABOVE = 0.2, 4.0  # times the crossover: the modes of the wide grid
-_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of that grid, times the rigid joint's
 _UNSTABLE = 10.0  # times the torque: what a loop that is as good as unstable leaves
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
-_LITTLE = 0.1  # of the torque: an end that leaves so much may be a false minimum
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
@@ -109,7 +105,7 @@ def search_flexible_joint(
     Raises:
         MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
     """
-    rough, law, sample_time = None, problem.axis.law, problem.sample_time
+    rough = None
     try:
         rough = rough_rigid_joint(task, history)
         rigid = {p.name: rough.values[p.name] for p in rough.problem.joint.parameters}
@@ -118,47 +114,21 @@ def search_flexible_joint(
         rigid = _follow_reference(task)
     moving = _find_motion(problem, rough)
 
-    def search(rigids: Sequence[Mapping[str, float]], row: Sequence[float]) -> Solved:
-        """Search with the motor at rest at the first sample, and moving where it may; an end at rest is not near."""
-        resting = SpringSearch(problem, task.filtering, tolerance, history)
-        found = resting.refine(resting.explore(rigids, row))
-        if moving is None:
-            return found
+    row = [frequency] if frequency else frequencies_to_try(problem.axis.law, rigid["inertia"], problem.sample_time)
+    resting = SpringSearch(problem, task.filtering, tolerance, history)
+    found = resting.refine(resting.explore(rigid, row))
+    if moving is not None:  # an end at rest is not near
         started = problem.replace_parameters({p.name: replace(p, start=moving[p.name]) for p in INITIAL_STATE})
         other = replace(resting, problem=started)
-        end = other.refine(other.explore(rigids, row))
-        return end if is_significant(found, end, history) else found
-
-    def grids() -> Iterator[tuple[list[dict[str, float]], list[float]]]:
-        yield [rigid], [frequency] if frequency else frequencies_to_try(law, rigid["inertia"], sample_time)
-        # A mode inside the bandwidth makes the rigid joint another than the sum of both sides: so other inertias are
-        # tried, and modes from far below the crossover; last of all about the joint that follows its reference.
-        for find in (lambda: rigid, lambda: _follow_reference(task)) if frequency is None else ():
-            about = find()
-            others = [{**about, "inertia": times * about["inertia"]} for times in _INERTIAS]
-            yield others, frequencies_to_try(law, about["inertia"], sample_time, _FAR_BELOW, _FAR_ABOVE)
-
-    ends, failures = list[tuple[float, Solved]](), list[MethodError]()
-    for rigids, row in grids():
-        try:
-            found = search(rigids, row)
-        except MethodError as error:
-            failures.append(error)
-            continue
-        left = history.count_evaluations(found.problem).residual(found.x)
-        ends.append((float(np.linalg.norm(left)) / found.problem.size, found))
-        if ends[-1][0] <= _LITTLE:
-            break
-        history.progress("the search ended where the model explains little")
-    if not ends:
-        raise failures[0]
-    share, best = min(ends, key=lambda end: end[0])
-    if rough is None and share > NOTHING:
+        end = other.refine(other.explore(rigid, row))
+        found = end if is_significant(found, end, history) else found
+    left = history.count_evaluations(found.problem).residual(found.x)
+    if rough is None and float(np.linalg.norm(left)) > NOTHING * found.problem.size:
         raise MethodError(
             "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
             "reference, and the controller's gains and delay."
         )
-    return best
+    return found
 
 
 def _find_motion(problem: ClosedLoopProblem, rough: Solved | None) -> dict[str, float] | None:
@@ -229,12 +199,10 @@ def crossover(law: SampledLaw, inertia: float) -> float:
     return float(hertz[above[-1]] if above.size else hertz[0])
 
 
-def frequencies_to_try(
-    law: SampledLaw, inertia: float, sample_time: float, lowest: float = _LOWEST, highest: float = _HIGHEST
-) -> list[float]:
+def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float) -> list[float]:
     """Return free-free frequencies in Hz, from below the crossover to where a log cannot follow, slow ones first."""
     middle = crossover(law, inertia)
-    return row_of_frequencies(lowest * middle, min(highest * middle, FASTEST / sample_time))
+    return row_of_frequencies(_LOWEST * middle, min(_HIGHEST * middle, FASTEST / sample_time))
 
 
 def row_of_frequencies(low: float, high: float) -> list[float]:
@@ -283,26 +251,24 @@ class SpringSearch:
         """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
         return self.problem if self.filtering.cutoff else on_band(self.problem, self.filtering, mode)
 
-    def explore(self, rigids: Sequence[Mapping[str, float]], row: Sequence[float]) -> list[Candidate]:
-        """Judge a row of frequencies with the values of rigid joints; return the candidates, best first.
+    def explore(self, rigid: Mapping[str, float], row: Sequence[float]) -> list[Candidate]:
+        """Judge a row of frequencies with the values of a rigid joint; return the candidates, best first.
 
         Raises:
             MethodError: no start can be simulated.
         """
-        problem, found = self._on_band(math.inf), list[Candidate]()
-        for rigid in rigids:
-            grid = self._judge((f, start_with_mode(problem, rigid, f, _HALF)) for f in row)
-            best = [one.frequency for one in sorted(grid, key=_cost)[:_NARROWED]]
-            grid += self._judge((f, start_with_mode(problem, rigid, f, s)) for f in best for s in _SHARES)
-            if len(row) > 1:  # at frequencies apart: a start beside another leads nowhere new
-                grid = [min((one for one in grid if one.frequency == f), key=_cost) for f in row]
-            found += [one for one in grid if one.cost < math.inf]
+        problem = self._on_band(math.inf)
+        grid = self._judge((f, start_with_mode(problem, rigid, f, _HALF)) for f in row)
+        best = [one.frequency for one in sorted(grid, key=_cost)[:_NARROWED]]
+        grid += self._judge((f, start_with_mode(problem, rigid, f, s)) for f in best for s in _SHARES)
+        if len(row) > 1:  # at frequencies apart: a start beside another leads nowhere new
+            grid = [min((one for one in grid if one.frequency == f), key=_cost) for f in row]
+        found = [one for one in sorted(grid, key=_cost) if one.cost < math.inf]
         if not found:
             raise MethodError(
                 "No start could be simulated: every flexible joint tried makes this loop unstable; check the "
                 "controller's gains, its delay and the unit of the torque."
             )
-        found.sort(key=_cost)
         self.history.progress(f"searching from a mode near {found[0].frequency:.3g} Hz, the best of {len(row)}")
         given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
         if given:  # starts that come with the parameters are tried first, and are no reason to try no others
