@@ -27,7 +27,6 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
-from jointid.simulation.simulate import Simulation
 from jointid.simulation.start import wound_up
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Status, Step, Tally, solve
@@ -288,7 +287,10 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     values, run = found.values, linear.simulate(found.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
-    starts = law_starts(joint, linear.joint, values, JointMotion.of(run), given)
+    each = (run.motor_position, run.load_position), (run.motor_velocity, run.load_velocity)
+    positions, velocities = (np.column_stack([side for side in pair if side is not None]) for pair in each)
+    duration = run.sample_time * run.torque.size
+    starts = law_starts(joint, linear.joint, values, (duration, positions, velocities), given)
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, ROUGH, problem.vector(start)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
@@ -298,29 +300,12 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     return end.with_starts(found.solution.starts)
 
 
-class JointMotion(NamedTuple):
-    """The motion of a joint with linear laws, for the starts of others.
-
-    Attributes:
-        duration: s.
-        motor: (samples,) position and velocity. load: of a flexible joint.
-    """
-
-    duration: float
-    motor: tuple[FloatArray, FloatArray]
-    load: tuple[FloatArray, FloatArray] | None = None
-
-    @classmethod
-    def of(cls, run: Simulation) -> JointMotion:
-        """Return the motion of a simulation."""
-        load = None
-        if run.load_position is not None and run.load_velocity is not None:
-            load = run.load_position, run.load_velocity
-        return cls(run.sample_time * run.torque.size, (run.motor_position, run.motor_velocity), load)
-
-
 def law_starts(
-    joint: Joint, linear: Joint, values: Mapping[str, float], motion: JointMotion, given: Mapping[str, float]
+    joint: Joint,
+    linear: Joint,
+    values: Mapping[str, float],
+    motion: tuple[float, FloatArray, FloatArray],
+    given: Mapping[str, float],
 ) -> list[dict[str, float]]:
     """Return the starts of the search of a joint's laws, each with the values of all its parameters.
 
@@ -328,29 +313,27 @@ def law_starts(
         joint: with nonlinear laws.
         linear: the same with others, which were found.
         values: of its parameters.
-        motion: of it.
+        motion: seconds, then positions and velocities of its motor and its load, (samples, sides).
         given: starts that are stated.
     """
     springs: list[dict[str, float]] = [{}]
     frictions: list[dict[str, float]] = [{}]
-    sides = {"": motion.motor}
-    if isinstance(joint, FlexibleJoint):
-        assert motion.load is not None and isinstance(linear, FlexibleJoint)
-        sides = {"motor_": motion.motor, "load_": motion.load}
-        windup = float(np.max(np.abs(motion.motor[0] - motion.load[0])))
-        if joint.spring != linear.spring and not (values["stiffness"] > 0.0 and windup > 0.0):
+    duration, positions, velocities = motion
+    if isinstance(joint, FlexibleJoint) and isinstance(linear, FlexibleJoint) and joint.spring != linear.spring:
+        windup = float(np.max(np.abs(positions[:, 0] - positions[:, 1])))
+        if not (values["stiffness"] > 0.0 and windup > 0.0):
             raise MethodError(
                 f"A {joint.spring.name} spring is searched from a linear one, and the record shows none; identify "
                 'the joint with spring = "linear", or as rigid.'
             )
-        springs = list(joint.spring.starts(values, windup)) if joint.spring != linear.spring else springs
+        springs = list(joint.spring.starts(values, windup))
     if joint.friction != linear.friction:
         by_side = []
-        for prefix, (position, velocity) in sides.items():
+        for prefix, position, velocity in zip(joint.sides, positions.T, velocities.T, strict=True):
             lines = (joint.friction.mean(part, prefix) for part in PARTS)
             viscous, coulomb = (sum(by * values[name] for name, by in line.items()) for line in lines)
             speed, travel = float(np.max(np.abs(velocity))), float(np.ptp(position))
-            size = MotionSize(speed, travel, motion.duration, viscous, coulomb)
+            size = MotionSize(speed, travel, duration, viscous, coulomb)
             by_side.append(joint.friction.starts(size, prefix))
         frictions = [dict(ChainMap(*both)) for both in zip(*by_side, strict=True)]
     still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)

@@ -47,7 +47,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress, ignore_progress
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import join, pluralise
-from jointid.estimation.descent import ROUGH, History, JointMotion, law_starts
+from jointid.estimation.descent import ROUGH, History, law_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.outputs import CONSTANT
@@ -450,7 +450,7 @@ class _Search(History):
             starts, what = list[dict[str, float]]([{}]), "delays of the torques"
             if i >= 0:
                 joint = robot.joints[i]
-                starts = _starts_of(joint, values_of_joint(numbers, i), _motion_of(linear, i), given)
+                starts = _starts_of(joint, i, linear, numbers, given)
                 what = f"laws of {joint.name}"
             self.progress(f"looking for the {what}, from {pluralise(len(starts), 'start')}")
             best = min((self._follow(problem, values | start) for start in starts), key=lambda end: end.norm)
@@ -553,23 +553,15 @@ def _refuse(judged: SpringVerdict) -> SpringVerdict:
     return replace(judged, shown=False, stiffness=None, deviation=None)
 
 
-# Laws that are not linear
-
-
 def _starts_of(
-    joint: RobotJoint, values: Mapping[str, float], motion: JointMotion, known: Mapping[str, Parameter]
+    joint: RobotJoint, axis: int, linear: RobotFit, numbers: Numbers, known: Mapping[str, Parameter]
 ) -> list[dict[str, float]]:
-    """Return the starts of one axis's laws, by the names of the robot's parameters."""
+    """Return the starts of one axis's laws from the fit with linear ones, by the names of the robot's parameters."""
     own = {p.name: known.get(name_in_robot(joint.name, p.name)) for p in joint.model.parameters}
     given = {name: p.start for name, p in own.items() if p is not None and p.start is not None}
-    starts = law_starts(joint.model, joint.linear.model, values, motion, given)
-    return [{name_in_robot(joint.name, name): x for name, x in start.items()} for start in starts]
-
-
-def _motion_of(fit: RobotFit, joint: int) -> JointMotion:
-    """Return the simulated motion of one axis."""
-    run = fit.runs[0]
-    clock, rotor = run.experiment.clock, run.numbers.motors[joint]
+    run = linear.runs[0]
+    clock, rows = run.experiment.clock, run.numbers.rows[axis]
     seen = motion_at(run, clock.log_index)
-    motor, link = ((seen.position[:, row], seen.velocity[:, row]) for row in (rotor, joint))
-    return JointMotion(clock.sample_time * clock.samples, motor, link if rotor != joint else None)
+    motion = clock.sample_time * clock.samples, seen.position[:, rows], seen.velocity[:, rows]
+    starts = law_starts(joint.model, joint.linear.model, values_of_joint(numbers, axis), motion, given)
+    return [{name_in_robot(joint.name, name): x for name, x in start.items()} for start in starts]
