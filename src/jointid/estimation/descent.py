@@ -119,8 +119,6 @@ def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history:
     Raises:
         MethodError: nothing around the joint has such a name, or one record cannot tell it.
     """
-    if isinstance(names, str):
-        raise MethodError(f'What is freed is a list of names; received "{names}": write free=("{names}",).')
     if "drive_gain" in names:
         raise MethodError(
             "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
@@ -237,18 +235,13 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
     started = [problem.vector(there | {"initial_position": home}) for home in homes]
     started.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
     if not np.any(counted.linearise(started[0])[1]):
-        raise unstable(problem, started[0])
+        stated = problem.values(started[0])
+        joint = ", ".join(f"{p.name} {number(stated[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)
+        raise MethodError(
+            f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real one "
+            "was; check the sign, gain and unit of the torque channel, and the gains of the controller."
+        )
     return started
-
-
-def unstable(problem: ClosedLoopProblem, x: FloatArray) -> MethodError:
-    """Return the refusal of a loop that runs away."""
-    stated = problem.values(x)
-    joint = ", ".join(f"{p.name} {number(stated[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)
-    return MethodError(
-        f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real one was; "
-        "check the sign, gain and unit of the torque channel, and the gains of the controller."
-    )
 
 
 # Laws that are not linear
