@@ -101,15 +101,15 @@ class SpringVerdict:
 
     Attributes:
         joint: its name.
-        shown: whether they do.
-        stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
+        shown: whether they do; else stiffness and deviation are not to be used.
+        stiffness: N m/rad or N/m. deviation: of it, one standard deviation.
         at_least: the stiffness that it has at least, two standard deviations of its compliance away.
     """
 
     joint: str
     shown: bool
-    stiffness: float | None
-    deviation: float | None
+    stiffness: float
+    deviation: float
     at_least: float
 
 
@@ -339,11 +339,11 @@ class _Search(History):
             problem = self.pose(near, self.filtering)
             _require_springs(robot, how.frequencies, problem.sample_time)
             rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
-            found = self.find_springs(problem, near.robot, rigid)
+            found = self.find_springs(problem, rigid)
             begun = self.along and problem.roughly() is not problem
             if begun and not any(one.shown for one in found.springs):
                 self.progress("no spring is seen by the beginning of the record; searching along all of it")
-                found = self.find_springs(problem, near.robot, rigid, whole=True)
+                found = self.find_springs(problem, rigid, whole=True)
         else:
             undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
             ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
@@ -392,14 +392,14 @@ class _Search(History):
             x, runs = next((one for one in tried if outcome_of(one[1]) is Outcome.FINISHED), (x, runs))
         return conclude(problem, x, runs, J, made, settled)
 
-    def find_springs(self, problem: Simulated, robot: Robot, rigid: RobotFit, *, whole: bool = False) -> RobotFit:
+    def find_springs(self, problem: Simulated, rigid: RobotFit, *, whole: bool = False) -> RobotFit:
         """Search the flexible robot of the least torque error, from the rigid one below the modes.
 
         Raises:
             MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
         """
         problem = problem.reweight(problem.error(rigid.runs), rigid.x.size)
-        start = StartOfSprings.of(problem if whole else problem.roughly(), rigid, robot.names)
+        start = StartOfSprings.of(problem if whole else problem.roughly(), rigid, self.robot.names)
         hertz = self.how.frequencies or start.search(self.progress)
         problem = bound_springs(problem, start)
         rough, before = problem if whole else problem.roughly(), self.tally.evaluations
@@ -422,14 +422,14 @@ class _Search(History):
         if not end.may_show or (lost and end.norm > without):
             with suppress(MethodError):
                 seen = end.on(problem).fit(self.tally.evaluations - before)
-                return replace(seen, springs=tuple(map(_refuse, _judge_springs(seen, robot))))
+                return replace(seen, springs=tuple(replace(one, shown=False) for one in _judge_springs(seen)))
         fit = self._refine(problem, end).fit(self.tally.evaluations - before)
         if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
             raise MethodError(
                 "A robot of rigid joints explains the torque of every joint better than the one that the search of "
                 "springs ended at; leave the springs out of the robot file, or excite their modes by a multisine."
             )
-        return replace(fit, springs=_judge_springs(fit, robot))
+        return replace(fit, springs=_judge_springs(fit))
 
     def find_laws(self, linear: RobotFit, near: RobotLoop, late: tuple[int, ...]) -> RobotFit:
         """Search the free delays, then the laws that are not linear axis by axis, from the fit with linear ones.
@@ -464,7 +464,7 @@ class _Search(History):
             values, numbers = dict(zip(problem.parameters.names, found, strict=True)), problem.parameters.numbers(found)
             sigma = best.reweight().sigma
         fit = self._refine(problem, best).fit(linear.iterations + self.tally.evaluations - before)
-        return replace(fit, springs=_judge_springs(fit, robot))
+        return replace(fit, springs=_judge_springs(fit))
 
     # Descents
 
@@ -534,23 +534,17 @@ def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time
         )
 
 
-def _judge_springs(fit: RobotFit, robot: Robot) -> tuple[SpringVerdict, ...]:
+def _judge_springs(fit: RobotFit) -> tuple[SpringVerdict, ...]:
     """Return whether the records show the spring of each flexible joint."""
     found = []
-    for joint in robot.joints:
-        if joint.spring is None:
-            continue
-        stiffness, deviation = fit.value(f"{joint.name}.stiffness")
-        compliance, spread = 1.0 / stiffness, deviation / stiffness**2
-        bound = fit.parameters.parameters[fit.names.index(f"{joint.name}.stiffness")].upper
-        shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - _OFF
-        judged = SpringVerdict(joint.name, True, stiffness, deviation, 1.0 / (compliance + _UNSEEN * spread))
-        found.append(judged if shown else _refuse(judged))
+    for parameter, place in zip(fit.parameters.parameters, fit.parameters.places, strict=True):
+        if place.name == "stiffness":
+            stiffness, deviation = fit.value(parameter.name)
+            compliance, spread = 1.0 / stiffness, deviation / stiffness**2
+            shown = compliance > _SHOWN * spread and math.log(stiffness) < parameter.upper - _OFF
+            least = 1.0 / (compliance + _UNSEEN * spread)
+            found.append(SpringVerdict(parameter.name.rpartition(".")[0], shown, stiffness, deviation, least))
     return tuple(found)
-
-
-def _refuse(judged: SpringVerdict) -> SpringVerdict:
-    return replace(judged, shown=False, stiffness=None, deviation=None)
 
 
 def _starts_of(
