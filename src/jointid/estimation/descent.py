@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
-from jointid.common.text import join, number, pluralise
+from jointid.common.text import number, pluralise
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
@@ -252,24 +252,6 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
     return problem if joint.spring.linear else problem.with_joint(replace(joint, spring=Spring()))
-
-
-def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
-    """Return the problem of the same joint with linear laws; itself where it has no others.
-
-    Raises:
-        MethodError: none of its parameters is free.
-    """
-    if problem.joint.linear == problem.joint:
-        return problem
-    found = problem.with_joint(problem.joint.linear)
-    if not found.free_joint:
-        names = join([p.name for p in problem.free_joint])
-        raise MethodError(
-            f"Of the joint only what its laws add to a plain one is free, {names}; expected a parameter that the plain "
-            "one has, too, with which the search begins: leave its Coulomb friction or its inertia free."
-        )
-    return found
 
 
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:

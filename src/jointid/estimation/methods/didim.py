@@ -35,7 +35,6 @@ from jointid.estimation.descent import (
     free_more,
     from_linear_laws,
     search_rigid_joint,
-    with_linear_laws,
 )
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error, widen_for_force
 from jointid.estimation.methods.registry import (
@@ -50,7 +49,7 @@ from jointid.estimation.methods.registry import (
 )
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, require_free, torque_problem
 from jointid.estimation.result.build_result import (
     build_estimate,
     find_active_bounds,
@@ -179,7 +178,9 @@ class DIDIM(Method):
     def solve(self, task: Task, history: History) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
         model, problem = task.joint.model, _pose(task)
-        tolerance, linear = self.stopping_tolerance(model), with_linear_laws(problem)
+        tolerance, lines = self.stopping_tolerance(model), problem.joint.linear
+        linear = problem if problem.joint == lines else problem.with_joint(lines)
+        require_free(linear.free_joint)
         if model == "flexible":
             own = replace(task, joint=linear.joint, loop=linear.loop)
             solved = search_flexible_joint(linear, own, self.frequency, tolerance, history)

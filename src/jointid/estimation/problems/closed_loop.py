@@ -256,4 +256,6 @@ def torque_problem(
 def require_free(parameters: tuple[Parameter, ...]) -> None:
     """Raise a `MethodError` if no parameter of a joint is free."""
     if not any(p.free for p in parameters):
-        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
+        raise MethodError(
+            "Every parameter of the joint is fixed, or of its linear laws, so no search can begin; free one."
+        )
