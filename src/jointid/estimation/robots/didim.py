@@ -537,7 +537,7 @@ def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time
 def _judge_springs(fit: RobotFit) -> tuple[SpringVerdict, ...]:
     """Return whether the records show the spring of each flexible joint."""
     found = []
-    for parameter, place in zip(fit.parameters.parameters, fit.parameters.places, strict=True):
+    for parameter, place in zip(fit.parameters.free, fit.parameters.keys, strict=True):
         if place.name == "stiffness":
             stiffness, deviation = fit.value(parameter.name)
             compliance, spread = 1.0 / stiffness, deviation / stiffness**2
