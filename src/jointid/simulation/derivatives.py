@@ -26,7 +26,7 @@ from jointid.records.record import Tap, Timing
 from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds
 from jointid.simulation.kernels.tables import Slopes as Written
 from jointid.simulation.loop_input import AxisInput, acting, averages, to_log
-from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, pack_seeds, stribeck_share
+from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, stribeck_share
 from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
 from jointid.simulation.start import INITIAL, Slopes, start_slopes
 
@@ -162,17 +162,13 @@ def _follow(
     places, speeds, states_of_law = (_widen(one, width) for one in first)
     moved = Moved(places, speeds, states_of_law, of_law, count - len(explicit), limits)
     written = Written(command, states, NO_LINKS)
-    delays = [(c, key.axis) for c, key in enumerate(keys) if key.name == DELAY]
-    if kept.path.straight:
-        packed = _pack_lines(numbers.joints[0], tuple(keys))
-    else:
-        links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
-        packed = pack_seeds(kept.plant, numbers.blocks(keys), links, delays)
+    straight = kept.path.straight
+    seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if straight else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
     follow(
         kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
-        kept.excess, kept.tape, kept.path, packed, moved, written,
+        kept.excess, kept.tape, kept.path, seeds, moved, written,
     )  # fmt: skip
     return command[..., :count], states[..., :count]
 
@@ -185,12 +181,10 @@ def _widen(slopes: FloatArray, width: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _pack_lines(joint: Joint, keys: tuple[Place, ...]) -> Seeds:
+def _seeds_of_lines(joint: Joint, keys: tuple[Place, ...]) -> Seeds:
     """Return how the plant of a joint of straight lines depends on parameters: the same at all values."""
     numbers = Numbers((joint,), (dict.fromkeys(names_of(joint), 1.0),))
-    return pack_seeds(
-        numbers.plant, numbers.blocks(keys), delays=[(c, 0) for c, key in enumerate(keys) if key.name == DELAY]
-    )
+    return numbers.seeds(numbers.plant, keys)
 
 
 def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.kernels.tables import NO_PATH, STATE, IntArray, Moved, Slopes
-from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place, pack_seeds
+from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place
 from jointid.simulation.simulate import (
     OUTCOMES,
     STEPS,
@@ -230,11 +230,9 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     found = np.zeros((n, parts + 1, count))
     moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
     plant = heavy.plant
-    links = [(c, key.axis, key.column) for c, key in enumerate(keys) if key.of_link]
-    seeds = pack_seeds(plant, heavy.blocks(keys), links)
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command[:, np.newaxis], prescribed.step), np.zeros(n),
-        run.command, np.zeros((n, 0, 1)), run.tape, NO_PATH, seeds, moved,
+        run.command, np.zeros((n, 0, 1)), run.tape, NO_PATH, heavy.seeds(plant, keys), moved,
         Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), found),
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)

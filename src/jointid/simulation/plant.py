@@ -41,7 +41,6 @@ from jointid.simulation.kernels.tables import (
 )
 
 AnyArray: TypeAlias = NDArray[Any]
-Blocks: TypeAlias = list[tuple[int, int, FloatArray]]
 Bools: TypeAlias = NDArray[np.bool_]
 
 LOAD_STATE = ("initial_load_position", "initial_load_velocity")
@@ -265,32 +264,45 @@ class Numbers:
         own = [Place(i, name) for i, values in enumerate(self.values) for name, value in values.items() if value]
         return links + [place for place in own if place in self and place.own != "stribeck_speed"]
 
-    def blocks(self, places: Sequence[Place]) -> Blocks:
-        """Return the derivatives of the plant's numbers by parameters, by a complex step; of others there are none."""
-        rows, found = self.rows, list[tuple[int, int, FloatArray]]()
-        behind = sum(map(len, rows)) + np.cumsum([0, *(len(own) - 1 for own in rows)])
+    def seeds(self, plant: Plant, places: Sequence[Place]) -> Seeds:
+        """Return the derivatives of its plant's numbers by parameters, by a complex step.
+
+        Args:
+            plant: of these numbers.
+            places: of the parameters; the plant depends on none of a first state or a controller.
+        """
+        found, behind = list[tuple[int, int, int, int, float]](), np.cumsum([0, *(len(own) - 1 for own in self.rows)])
+        behind += len(plant.masses)
         for c, place in enumerate(places):
             if place.of_link or place not in self:
                 continue
             joint, values = self.joints[place.axis], self.values[place.axis]
             moved = {**values, place.name: complex(values[place.name], _IMAGINARY)}
             masses, springs = lower_joint(joint, moved)
-            own = zip(rows[place.axis][bool(self.heavy) :], masses[bool(self.heavy) :], strict=True)
-            found += [(c, row, _slope(mass[:, :HIGH])) for row, mass in own]
-            found += [(c, int(behind[place.axis]) + s, _slope(spring)) for s, spring in enumerate(springs)]
-            forces = joint.places(moved)[:, np.newaxis, :WAVE]
-            found += [(c, int(behind[-1]) + k, _slope(one)) for k, one in enumerate(forces)]
-        return found
+            blocks = [*zip(self.rows[place.axis], (mass[:, :HIGH] for mass in masses), strict=True)]
+            blocks = blocks[1:] if self.heavy else blocks
+            blocks += enumerate(springs, int(behind[place.axis]))
+            blocks += enumerate(joint.places(moved)[:, np.newaxis, :WAVE], int(behind[-1]))
+            for row, block in blocks:
+                slopes = np.imag(block) / _IMAGINARY
+                found += [(row, int(band), int(k), c, float(slopes[band, k])) for band, k in np.argwhere(slopes)]
+        found.sort()
+        rows, bands = int(behind[-1]) + len(plant.places), max(plant.masses.shape[1], plant.springs.shape[1])
+        begin = np.searchsorted(
+            [row * bands + band for row, band, *_ in found],
+            bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1),
+        )
+        numbers, columns = (np.array([one[i] for one in found], dtype=np.int64) for i in (2, 3))
+        links = [(c, place.axis, place.column) for c, place in enumerate(places) if place.of_link]
+        delays = [(c, place.axis) for c, place in enumerate(places) if place.name == DELAY]
+        of_links, of_delays = np.array(links, np.int64).reshape(-1, 3), np.array(delays, np.int64).reshape(-1, 2)
+        return Seeds(begin, numbers, columns, np.array([one[4] for one in found]), of_links, of_delays)
 
 
 @lru_cache(maxsize=64)
 def names_of(joint: Joint) -> tuple[str, ...]:
     """Return the names of a joint's parameters."""
     return tuple(p.name for p in joint.parameters)
-
-
-def _slope(moved: AnyArray) -> FloatArray:
-    return np.asarray(np.imag(moved) / _IMAGINARY)
 
 
 # From the numbers of a joint to its plant
@@ -343,32 +355,6 @@ def _stack(each: Sequence[AnyArray], width: int) -> FloatArray:
     """Return arrays of rows in one, the last row of each again up to the length of the longest."""
     every = np.arange(max(map(len, each), default=1))
     return np.array([one[np.minimum(every, len(one) - 1)] for one in each]).reshape(-1, every.size, width)
-
-
-def pack_seeds(
-    plant: Plant, blocks: Blocks, links: Sequence[tuple[int, ...]] = (), delays: Sequence[tuple[int, ...]] = ()
-) -> Seeds:
-    """Return the derivatives of a plant's numbers as `kernels.variation` takes them.
-
-    Args:
-        plant: whose numbers they are.
-        blocks: column of a parameter, row of `Seeds.begin`, and the derivatives, (bands, numbers).
-        links: see `Seeds`.
-        delays: the same.
-    """
-    found = sorted(
-        (row, int(band), int(number), column, float(block[band, number]))
-        for column, row, block in blocks
-        for band, number in np.argwhere(block)
-    )
-    rows = len(plant.masses) + len(plant.pairs) + len(plant.places)
-    bands = max(plant.masses.shape[1], plant.springs.shape[1])
-    keys = [row * bands + band for row, band, *_ in found]
-    begin = np.searchsorted(keys, bands * np.arange(rows)[:, np.newaxis] + np.arange(bands + 1))
-    numbers, columns = (np.array([one[i] for one in found], dtype=np.int64) for i in (2, 3))
-    of_links, of_delays = (np.array(one, dtype=np.int64).reshape(-1, width) for one, width in ((links, 3), (delays, 2)))
-    values = np.array([one[4] for one in found])
-    return Seeds(begin, numbers, columns, values, of_links, of_delays)
 
 
 # A robot and its numbers
