@@ -23,12 +23,11 @@ from jointid.models.joints import Joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
-from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds
-from jointid.simulation.kernels.tables import Slopes as Written
+from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds, Slopes
 from jointid.simulation.loop_input import AxisInput, acting, averages, to_log
 from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, stribeck_share
 from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
-from jointid.simulation.start import INITIAL, Slopes, start_slopes
+from jointid.simulation.start import INITIAL, start_slopes
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -64,7 +63,10 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
     wide = LANES if kept.path.straight else max(len(keys), 1)
     commands, moved = [], []
     for first in range(0, max(len(keys), 1), wide):
-        command, states = _propagate(kept, order[first : first + wide], positions)
+        some = order[first : first + wide]
+        begun = start_slopes(experiment, kept.carried, kept.start, some)
+        explicit = [(key.axis, *_explicit(kept, key)) for key in some if _is_of_law(kept, key)]
+        command, states = _follow(kept, some, begun, explicit, positions)
         commands.append(command)
         moved.append(states[clock.log_index][:, : 2 * shown : 2] if shown else still[..., : command.shape[2]])
     place = [order.index(key) for key in keys]
@@ -108,7 +110,7 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
         direct.append(-np.subtract(*shown)[: clock.samples])
     still = np.zeros((kept.start.places.size, count))
     states = np.zeros((len(experiment.axes), kept.start.states.shape[1], count))
-    command, _ = _follow(kept, (), Slopes(still, still, states), explicit)
+    command, _ = _follow(kept, (), (still, still, states), explicit)
     for column, (j, pushed, _) in enumerate(explicit):
         command[j, :, column] -= clock.repeat(j, pushed @ np.ones(pushed.shape[1]))
     return [_show(kept, j, command[j], ()) for j in range(len(experiment.axes))], direct
@@ -137,19 +139,21 @@ def _is_of_law(kept: Run, key: Place) -> bool:
     return not (key in kept.numbers or key.name in (*INITIAL, DELAY))
 
 
-def _propagate(kept: Run, keys: Sequence[Place], positions: bool) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, lanes)."""
-    first = start_slopes(kept.experiment, kept.carried, kept.start, keys)
-    explicit = [(key.axis, *_explicit(kept, key)) for key in keys if _is_of_law(kept, key)]
-    return _follow(kept, keys, first, explicit, positions=positions)
-
-
 def _follow(
-    kept: Run, keys: Sequence[Place], first: Slopes, explicit: Sequence[tuple[int, FloatArray, FloatArray]] = (), *,
-    positions: bool = False,
+    kept: Run, keys: Sequence[Place], first: Sequence[FloatArray],
+    explicit: Sequence[tuple[int, FloatArray, FloatArray]], positions: bool = False,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, lanes).
+
+    Args:
+        kept: that was kept.
+        keys: of numbers of the plant.
+        first: derivatives of the first state, see `start_slopes`, of these and of what is explicit.
+        explicit: axis of each law's number, and see `_explicit`.
+        positions: whether those of the states are asked for.
+    """
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
-    (n, elements, _), count = experiment.sampled.w.shape, first.places.shape[1]
+    (n, elements, _), count = experiment.sampled.w.shape, first[0].shape[1]
     width = LANES if kept.path.straight else count
     command = np.zeros((n, clock.steps, width))
     rows = clock.steps * clock.lengths.size if positions else 0
@@ -161,14 +165,13 @@ def _follow(
         of_law[j, : len(of_elements), :own, c], limits[j, :own, count - len(explicit) + c] = of_elements, of_limits
     places, speeds, states_of_law = (_widen(one, width) for one in first)
     moved = Moved(places, speeds, states_of_law, of_law, count - len(explicit), limits)
-    written = Written(command, states, NO_LINKS)
     straight = kept.path.straight
     seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if straight else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
     follow(
         kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
-        kept.excess, kept.tape, kept.path, seeds, moved, written,
+        kept.excess, kept.tape, kept.path, seeds, moved, Slopes(command, states, NO_LINKS),
     )  # fmt: skip
     return command[..., :count], states[..., :count]
 

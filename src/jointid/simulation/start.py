@@ -62,14 +62,6 @@ class Start(NamedTuple):
     before: FloatArray
 
 
-class Slopes(NamedTuple):
-    """Derivatives of a first state by parameters: of places and speeds, (masses, parameters), and states, (n, ...)."""
-
-    places: FloatArray
-    speeds: FloatArray
-    states: FloatArray
-
-
 def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = None) -> Start:
     """Return the first state; of a robot as its records say, of a joint as it is said."""
     initial = initial or Initial()
@@ -114,8 +106,10 @@ def wound_up(axis: AxisInput, velocity: float) -> float:
     return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest > 0.0 else 0.0
 
 
-def start_slopes(experiment: LoopInput, numbers: Numbers, start: Start, keys: Sequence[Place]) -> Slopes:
-    """Return the derivatives of the first state by parameters."""
+def start_slopes(
+    experiment: LoopInput, numbers: Numbers, start: Start, keys: Sequence[Place]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of places and of speeds, (masses, keys), and of controllers' states, (n, states, keys)."""
     if experiment.tree is None:
         steady = steady_joint(numbers, float(start.places[0]), float(start.speeds[0]), float(start.wound[0]))
     else:
@@ -132,7 +126,7 @@ def start_slopes(experiment: LoopInput, numbers: Numbers, start: Start, keys: Se
             by_motion = by_motion - np.outer(each.integral, first)
             own += np.outer(each.integral, torques[j])
         own += by_motion @ np.array([dq[motor], dv[motor]])
-    return Slopes(dq, dv, dz)
+    return dq, dv, dz
 
 
 # How springs hang
