@@ -60,7 +60,7 @@ class Bench:
             motion = motion_along([self.torque(current)], np.column_stack([self.motor, self.load]), resolved, [delay])
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
             W = motion.decimate_columns(inverse_of_joint(JOINT, zeros=True).columns_along(motion))
-            Y = motion.thinned_torque()
+            Y = motion.decimate_torques()[:, 0]
             values = least_squares(W, Y, names)
             return float(np.linalg.norm(Y - W @ values)), values
 

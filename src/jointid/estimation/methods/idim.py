@@ -54,10 +54,10 @@ from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import describe_noise_limit
-from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulate import Outcome
+from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.plant import Numbers
+from jointid.simulation.simulate import Outcome, Simulation, motion_at, run_loop
 from jointid.simulation.start import Initial
-from jointid.simulation.synthesis import simulate
 from jointid.solvers.regression import conditioning, least_squares
 from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.model_tests import durbin_wu_hausman
@@ -129,7 +129,15 @@ class IDIM(Method):
         inverse = inverse_of_joint(joint, delay)
         motions, by_loop = inverse.measure_logs([[one] for one in records], task.filtering), None
         if estimator == "iv" and loop is not None:
-            by_loop = [_simulate_joint(record, loop, motions[0], task.parameters)]
+            names, initial = (
+                [p.name for p in task.parameters],
+                Initial(*map(float, (motions[0].q[0, 0], motions[0].v[0, 0]))),
+            )
+
+            def numbers(values: FloatArray) -> Numbers:
+                return Numbers.of_joint(joint, dict(zip(names, map(float, values), strict=True)))
+
+            by_loop = [simulate_motion(loop, record, task.parameters, numbers, initial)]
         known = {p.name: p for p in task.parameters}
         found = None
         if joint.model == "flexible":
@@ -192,11 +200,13 @@ class Regression:
     @property
     def torques(self) -> tuple[FloatArray, FloatArray]:
         """Torques of the motors as measured, and of the model as the log would show them, (samples, n) each."""
-        n, found = self.inverse.driven, list[FloatArray]()
+        n, measured, found = self.inverse.driven, list[FloatArray](), list[FloatArray]()
         for motion in self.motions:
             predicted = self.inverse.columns_along(motion)[:, :n] @ self.solution.values
             found.append(through_window(predicted[:, :, np.newaxis], motion.filtering)[:, :, 0])
-        return np.vstack([motion.torque[:, :n] for motion in self.motions]), np.vstack(found)
+            early = 0.0 if motion.if_sampled is None or self.timing is not Timing.SAMPLED else motion.if_sampled
+            measured.append((motion.torque + early)[:, :n])
+        return np.vstack(measured), np.vstack(found)
 
     @property
     def shows_zeros(self) -> bool:
@@ -235,18 +245,18 @@ def regress(
         return inverse.rows(motions, each).W
 
     rows, make = inverse.rows(motions), instruments if simulated else None
-    held, early = solve_rows(rows, estimator, known, make), [motion.sampled for motion in motions]
-    if all(one is motion for one, motion in zip(early, motions, strict=True)):
+    held = solve_rows(rows, estimator, known, make)
+    if rows.early is None:
         return Regression(inverse, motions, held)
-    sampled = solve_rows(replace(rows, Y=inverse.torques(early)), estimator, known, make)
+    sampled = solve_rows(replace(rows, Y=rows.Y + rows.early), estimator, known, make)
     at, away, where = _read_timing(rows, held.residual, sampled.residual)
     by = 0.5 * away * np.abs(sampled.values - held.values)
-    timing, solution, read = (Timing.SAMPLED, sampled, early) if at else (Timing.HELD, held, motions)
+    timing, solution = (Timing.SAMPLED, sampled) if at else (Timing.HELD, held)
     said = (
         f"it is not stated whether the torque is held or sampled: it is read as {timing}, and {where}; the intervals "
         "cover that; state timing of its channel"
     )
-    return Regression(inverse, read, replace(solution, further=by), timing, (said,))
+    return Regression(inverse, motions, replace(solution, further=by), timing, (said,))
 
 
 def _read_timing(rows: Rows, held: FloatArray, sampled: FloatArray) -> tuple[int, float, str]:
@@ -274,33 +284,38 @@ def _read_timing(rows: Rows, held: FloatArray, sampled: FloatArray) -> tuple[int
     return at, abs(best - at) + min(spread, 1.0), where
 
 
-def require_simulated(outcome: Outcome) -> None:
-    """Refuse instruments from a simulation that did not end."""
-    if outcome is not Outcome.FINISHED:
-        raise MethodError(
-            f"The instruments of IV come from a simulation, but with these values {outcome.value}; check the "
-            "controllers' gains, or use another estimator."
-        )
-
-
-def _simulate_joint(
-    record: Record, loop: ClosedLoop, motion: MeasuredMotion, parameters: Sequence[Parameter]
+def simulate_motion(
+    loop: ClosedLoop | RobotLoop,
+    records: Record | Sequence[Record],
+    parameters: Sequence[Parameter],
+    numbers: Callable[[FloatArray], Numbers],
+    initial: Initial | None = None,
 ) -> SimulatedMotion:
-    """Return the positions that a loop makes, of motor and load.
+    """Return the positions that a loop makes, of motor and load, or of the joints of a robot.
 
-    The simulation starts at the measured position and velocity.
+    Args:
+        loop: joint or robot, and controllers.
+        records: with the channels that the controllers read.
+        parameters: those outside of their bounds are simulated at the bound.
+        numbers: of a candidate, from the parameters, (parameters,).
+        initial: where the motor of a joint is at the first sample.
 
     Raises:
-        RecordError: the record lacks a channel the controller reads.
+        RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
+        MethodError: controllers or logs share no clock.
     """
-    experiment, initial = prepare(loop, record), Initial(float(motion.q[0, 0]), float(motion.v[0, 0]))
-    names, bounds = [p.name for p in parameters], Bounds.of(parameters)
+    experiment, bounds = prepare(loop, records), Bounds.of(parameters)
 
     def positions(values: FloatArray) -> FloatArray:
-        near = bounds.clip(values[: len(names)])
-        run = simulate(loop, experiment, dict(zip(names, map(float, near), strict=True)), initial)
-        require_simulated(run.outcome)
-        return np.column_stack([run.motor_position, *([] if run.load_position is None else [run.load_position])])
+        run = run_loop(experiment, numbers(bounds.clip(values[: len(parameters)])), initial, keep=True)
+        if run.outcome is not Outcome.FINISHED:
+            raise MethodError(
+                f"The instruments of IV come from a simulation, but with these values {run.outcome.value}; check the "
+                "controllers' gains, or use another estimator."
+            )
+        if isinstance(loop, ClosedLoop):
+            return motion_at(run, experiment.clock.log_index).position
+        return np.asarray(Simulation.of(run).motor_position @ np.linalg.inv(loop.robot.coupling).T)
 
     return positions
 

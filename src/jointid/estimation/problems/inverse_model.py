@@ -108,20 +108,15 @@ class MeasuredMotion:
     apart: bool = False
     told: float = _TOLD
 
-    @property
-    def sampled(self) -> MeasuredMotion:
-        """The motion with torques of unstated timing read as sampled; itself where all are stated."""
-        return self if self.if_sampled is None else replace(self, torque=self.torque + self.if_sampled)
-
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
         seen = through_window(columns, self.filtering)
         return np.concatenate([self.decimate_joint(j, seen[:, j]) for j in range(seen.shape[1])])
 
-    def thinned_torque(self) -> FloatArray:
-        """Return the torques decimated, (n instants,), one after the other, 0 at rest."""
-        each = [self.decimate_joint(j, torque[:, np.newaxis]) for j, torque in enumerate(self.torque.T)]
-        return np.concatenate(each)[:, 0]
+    def decimate_torques(self) -> FloatArray:
+        """Return the torques, and what they are more if read as sampled, decimated: (n instants, 2), 0 at rest."""
+        both = np.stack([self.torque, 0.0 * self.torque if self.if_sampled is None else self.if_sampled], axis=2)
+        return np.concatenate([self.decimate_joint(j, both[:, j]) for j in range(both.shape[1])])
 
     def cut(self, first: int, end: int) -> MeasuredMotion:
         """Return the motion of some samples."""
@@ -167,6 +162,7 @@ class Rows:
         names: of the parameters.
         equations: how many share their instants.
         driven: how many of them, the first, have the torque of a motor; the others are homogeneous.
+        early: (rows,) what the torque is more if it is read as sampled; None where all timings are stated.
     """
 
     Y: FloatArray
@@ -174,6 +170,7 @@ class Rows:
     names: tuple[str, ...]
     equations: int
     driven: int = 1
+    early: FloatArray | None = None
 
     def by_equation(self, values: FloatArray) -> FloatArray:
         """Return the values of all rows, (equations, instants)."""
@@ -218,13 +215,10 @@ class Inverse:
 
     def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
         """Return the regression along the motions of one log or several; of other columns where these are given."""
-        pairs = zip(motions, columns or map(self.columns_along, motions), strict=True)
-        W = join_rows([motion.decimate_columns(each) for motion, each in pairs], motions[0].q.shape[1])
-        return Rows(self.torques(motions), W, self.names, motions[0].q.shape[1], self.driven)
-
-    def torques(self, motions: Sequence[MeasuredMotion]) -> FloatArray:
-        """Return the torques of the rows, (rows,)."""
-        return join_rows([motion.thinned_torque() for motion in motions], motions[0].q.shape[1])
+        pairs, n = zip(motions, columns or map(self.columns_along, motions), strict=True), motions[0].q.shape[1]
+        W = join_rows([motion.decimate_columns(each) for motion, each in pairs], n)
+        Y, early = join_rows([motion.decimate_torques() for motion in motions], n).T
+        return Rows(Y, W, self.names, n, self.driven, early if np.any(early) else None)
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
@@ -278,10 +272,7 @@ def motion_along(
             more[:, j] = window_torque(replace(torque, timing=Timing.SAMPLED), delay)[:size] - measured[:, j]
     limit = find_noise_limit(positions.T, sample_time)
     moved = filter_motion(positions, sample_time, filtering)
-    return MeasuredMotion(
-        *moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions,
-        None if all(torque.stated for torque in torques) else more,
-    )  # fmt: skip
+    return MeasuredMotion(*moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions, more)
 
 
 def read_as(records: Sequence[Record], timing: Timing | None) -> list[Record]:

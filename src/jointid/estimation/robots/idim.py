@@ -8,16 +8,16 @@ friction fitted as the estimate's was: an opponent without friction would be non
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Bounds, Parameter
+from jointid.common.parameters import Parameter
 from jointid.common.text import join
-from jointid.estimation.methods.idim import IDIM, VARIANTS, SimulatedMotion, regress, require_simulated
+from jointid.estimation.methods.idim import IDIM, VARIANTS, regress, simulate_motion
 from jointid.estimation.parameters import RobotParameters, robot_parameters
 from jointid.estimation.problems.inverse_model import Records, Rows, each_log, inverse_of_robot
 from jointid.estimation.result.build_result import build_estimate
@@ -25,11 +25,8 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
 from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
 from jointid.models.robots.robot import Robot, RobotLoop
-from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
-from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
-from jointid.simulation.simulate import Simulation, run_loop
 
 
 def identify_robot(
@@ -74,7 +71,7 @@ def identify_robot(
     motions = inverse.measure_logs(logs, filtering or Filtering())
     common = motions[0].filtering
     if estimator == "iv" and isinstance(setup, RobotLoop):
-        simulated = [simulate_robot(setup, log, parameters) for log in logs]
+        simulated = [simulate_motion(setup, log, parameters.parameters, parameters.numbers) for log in logs]
     limits = {name: one for name, one in (known or {}).items() if name in parameters.names}
     fixed = {name for name, one in limits.items() if not one.free}
     found = regress(inverse, motions, estimator, limits, simulated)
@@ -116,26 +113,3 @@ def _nominal(robot: Robot, parameters: RobotParameters, rows: Rows) -> FloatArra
     left = rows.Y - rows.W[:, masses] @ found[masses]
     found[~masses] = np.linalg.lstsq(rows.W[:, ~masses], left, rcond=None)[0]
     return found
-
-
-def simulate_robot(loop: RobotLoop, records: Sequence[Record], parameters: RobotParameters) -> SimulatedMotion:
-    """Return the positions of the joints that a robot makes under its controllers.
-
-    Args:
-        loop: robot, of rigid joints, and controllers, at rest or in motion at the first sample.
-        records: of each joint, with reference, torque and motor position.
-        parameters: of the robot; those outside of their bounds are simulated at the bound.
-
-    Raises:
-        RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
-        MethodError: controllers or logs share no clock.
-    """
-    experiment, bounds = prepare(loop, records), Bounds.of(parameters.parameters)
-    joints = np.linalg.inv(loop.robot.coupling).T
-
-    def positions(values: FloatArray) -> FloatArray:
-        run = run_loop(experiment, parameters.numbers(bounds.clip(values)), keep=True)
-        require_simulated(run.outcome)
-        return np.asarray(Simulation.of(run).motor_position @ joints)
-
-    return positions
