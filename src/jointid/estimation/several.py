@@ -49,6 +49,7 @@ _GAIN = "drive_gain"
 _ROUNDING = 1e-8  # of a value
 _QUIETEST = 1e-6  # of the largest torque: no record's residual is taken for smaller
 _WORTH = 1e-4  # of the noise of a row, squared: a step that promises less moves no parameter by a hundredth deviation
+_ROUNDED = 1e-3  # of the level: a residual that is as good as none
 _TURNS = 4  # searches with new levels of the residuals, at most
 _STEADY = 0.01  # a change of the levels that asks for no other
 
@@ -335,7 +336,8 @@ def _search(together: SeveralRecords, x: FloatArray) -> tuple[Solution, SeveralR
             "differ by a known inertia; give the inertia added to the load in one of them, or keep the gain fixed."
         )
     for _ in range(_TURNS):
-        solution = solve(together, LevenbergMarquardt(worth=_WORTH / len(J)), x)
+        solver = LevenbergMarquardt(worth=_WORTH / len(J), enough=_ROUNDED * math.sqrt(len(J)))
+        solution = solve(together, solver, x)
         x, made = solution.x, made + solution.evaluations
         weighed = together.weigh(x)
         if np.all(np.abs(np.log(weighed.sigma / together.sigma)) < _STEADY):
