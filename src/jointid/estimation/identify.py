@@ -113,7 +113,17 @@ def fit(
     records: list[Any] = [record] if isinstance(record, Record) else [*record] if isinstance(record, Sequence) else []
     loops = [model] * len(records) if isinstance(model, ClosedLoop) else model if isinstance(model, Sequence) else []
     by_loop = bool(loops) and isinstance(method, DIDIM | None)
-    _require_together(record, records, model, method, several, by_loop)
+    asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in (several or {}).items())
+    alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
+    if isinstance(record, Record) and (several is not None or isinstance(model, Sequence)):
+        raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
+    if isinstance(record, Sequence) and not (
+        records and all(isinstance(one, Record) for one in records) and (alike or by_loop)
+    ):
+        raise MethodError(
+            "Several records are a list of records, identified by their loop, or by IDIM if they share all parameters: "
+            "give a ClosedLoop and DIDIM, or the joint without `several`."
+        )
     own = method if isinstance(method, DIDIM) else DIDIM()
     read = torques_of(records, loops, own.outputs) if by_loop and len(loops) == len(records) else records
 
@@ -134,28 +144,6 @@ def fit(
         else:
             found = identify_record(read[0], model, method, filtering, known, progress, read[1:])
     return state_scale(state_timing(found, read), read)
-
-
-def _require_together(
-    record: object,
-    records: Sequence[object],
-    model: object,
-    method: Method | None,
-    several: Mapping[str, Any] | None,
-    by_loop: bool,
-) -> None:
-    """Refuse records and models of joints that do not belong together."""
-    if not isinstance(record, Sequence):
-        if several is not None or isinstance(model, Sequence):
-            raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
-        return
-    asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in (several or {}).items())
-    alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
-    if not records or not all(isinstance(one, Record) for one in records) or not (alike or by_loop):
-        raise MethodError(
-            "Several records are a list of records, identified by their loop, or by IDIM if they share all parameters: "
-            "give a ClosedLoop and DIDIM, or the joint without `several`."
-        )
 
 
 def _fit_robot(

@@ -27,6 +27,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import TORQUE_UNIT, Bounds, Parameter, Quantity, unit_of
+from jointid.common.text import join
 from jointid.estimation.parameters import INITIAL, adjust_parameters, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.agreement import Alone, compare_records
@@ -86,16 +87,17 @@ class RecordLayout:
             several: what `jointid.identify` has under this name.
 
         Raises:
-            MethodError: a list is not as long as the records, or an added inertia is impossible.
+            MethodError: a list is not as long as the records; an added inertia is impossible; the joints are not of one
+                model; or a name of `own` is not one of its parameters.
         """
         asked: dict[str, Any] = {"added_inertia": [0.0] * count, "own": [()] * count, "free": ()}
-        known = {*asked}
+        names = {*asked}
         asked |= {key: value for key, value in several.items() if value is not None}
         each: Any = [loops] * count if isinstance(loops, ClosedLoop) else loops
         listed: list[Any] = [each, asked["added_inertia"], asked["own"]]
         long = all(hasattr(one, "__len__") and len(one) == count for one in listed)
-        names = [asked["free"], *asked["own"], *asked["added_inertia"]] if long else []
-        if count < 2 or asked.keys() != known or not long or any(isinstance(one, str) for one in names):
+        lists = [asked["free"], *asked["own"], *asked["added_inertia"]] if long else []
+        if count < 2 or asked.keys() != names or not long or any(isinstance(one, str) for one in lists):
             raise MethodError(
                 "Several records are two or more, with one loop for all or one for each, and `several` has an "
                 "added_inertia and an own, a list of names, for each of them, and free, a list of names; received "
@@ -111,7 +113,15 @@ class RecordLayout:
                 "the added inertia tells, or give the torque in SI units."
             )
         name = next(p.name for p in reversed(joint.parameters) if p.quantity is Quantity.INERTIA)
-        return cls(tuple(each), tuple({name: m} if m else {} for m in more), tuple(asked["own"]), every)
+        added, own = tuple({name: m} if m else {} for m in more), tuple(asked["own"])
+        known = {p.name for p in joint.parameters} | {*every} - {_GAIN}
+        wrong = [one for mine, has in zip(own, added, strict=True) for one in mine if one not in known or one in has]
+        if wrong or len({(loop.joint.kind, *(p.name for p in loop.joint.parameters)) for loop in each}) > 1:
+            raise MethodError(
+                "Records that are fitted together have one model of joint, and their own are parameters that are free "
+                f"and have nothing added; received {join(wrong) or 'several models'}: correct it."
+            )
+        return cls(tuple(each), added, own, every)
 
     @property
     def joint(self) -> Joint:
@@ -222,12 +232,7 @@ def share_parameters(problems: Sequence[ClosedLoopProblem], layout: RecordLayout
     Args:
         problems: one for each record, of one model of joint.
         layout: how they belong together.
-
-    Raises:
-        MethodError: the joints are not of one model; a name is not one of a record's parameters; or a parameter is its
-            record's own and has something known added.
     """
-    _require_names(problems, layout)
     members, labels, added = dict[str, list[Parameter]](), list[list[str]](), list[FloatArray]()
     for k, (problem, mine) in enumerate(zip(problems, _apart(problems, layout.own), strict=True)):
         labels.append([f"{p.name}@{k + 1}" if p.name in mine else p.name for p in problem.free])
@@ -260,20 +265,6 @@ def _shift(parameter: Parameter, by: float) -> Parameter:
     """Return a parameter with start and bounds that much higher."""
     start = None if parameter.start is None else parameter.start + by
     return replace(parameter, start=start, lower=parameter.lower + by, upper=parameter.upper + by)
-
-
-def _require_names(problems: Sequence[ClosedLoopProblem], layout: RecordLayout) -> None:
-    models = {(problem.joint.kind, *(p.name for p in problem.joint.parameters)) for problem in problems}
-    if len(models) != 1:
-        raise MethodError("Records that are fitted together have one model of joint, of one kind; give them the same.")
-    for number, (problem, own, added) in enumerate(zip(problems, layout.own, layout.added, strict=True), 1):
-        known = [p.name for p in problem.parameters if p.name != _GAIN]
-        for name in (*own, *added):
-            if name not in known or (name in own and name in added):
-                raise MethodError(
-                    f"Record {number} has {name} as its own, or with something added; expected one of both, and one of "
-                    f"its parameters, {', '.join(known)}."
-                )
 
 
 def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:

@@ -129,10 +129,8 @@ class IDIM(Method):
         inverse = inverse_of_joint(joint, delay)
         motions, by_loop = inverse.measure_logs([[one] for one in records], task.filtering), None
         if estimator == "iv" and loop is not None:
-            names, initial = (
-                [p.name for p in task.parameters],
-                Initial(*map(float, (motions[0].q[0, 0], motions[0].v[0, 0]))),
-            )
+            names = [p.name for p in task.parameters]
+            initial = Initial(float(motions[0].q[0, 0]), float(motions[0].v[0, 0]))
 
             def numbers(values: FloatArray) -> Numbers:
                 return Numbers.of_joint(joint, dict(zip(names, map(float, values), strict=True)))
@@ -142,11 +140,11 @@ class IDIM(Method):
         found = None
         if joint.model == "flexible":
             with suppress(MethodError):  # nothing tells it from the other forces
-                zeros = inverse_of_joint(joint, delay, zeros=True)
-                found = regress(zeros, motions, estimator, known | {ENCODER_OFFSET.name: ENCODER_OFFSET}, by_loop)
-                found = found if found.shows_zeros else None
-        found = found or regress(inverse, motions, estimator, known, by_loop)
-        solved, rows, filtering = found.solution, found.solution.rows, motions[0].filtering
+                both = inverse_of_joint(joint, delay, zeros=True)
+                found = regress(both, motions, estimator, known | {ENCODER_OFFSET.name: ENCODER_OFFSET}, by_loop)
+                found = found if _shows_zeros(found) else None
+        solved = found or regress(inverse, motions, estimator, known, by_loop)
+        rows, filtering = solved.rows, motions[0].filtering
         stated = (*task.parameters, *((ENCODER_OFFSET,) if ENCODER_OFFSET.name in rows.names else ()))
         parameters = tuple(p.fix(solved.held[p.name]) if p.name in solved.held else p for p in stated)
         free = [i for i, p in enumerate(parameters) if p.free]
@@ -155,7 +153,7 @@ class IDIM(Method):
         read = ["torque", *(loop.controller.channels if loop is not None and by_loop is not None else ())]
         read += [*idim_channels(joint.model)[1:], *(("injected",) if record.injected is not None else ())]
         noise = describe_noise_limit(filtering, min(one.limit for one in motions), sample_time, joint.model)
-        measured, predicted = found.torques
+        measured, predicted = torques_along(inverse if found is None else both, motions, solved)
         made = build_estimate(
             records,
             build_rows(parameters, values, std, joint.unit, [p.name for p in task.parameters], held=solved.held),
@@ -165,10 +163,10 @@ class IDIM(Method):
             solved.residual.size,
             (solved.stop, solved.converged),
             solved.simulations,
-            Settings("idim", VARIANTS[estimator], joint, None, filtering, delay, timing=found.timing),
+            Settings("idim", VARIANTS[estimator], joint, None, filtering, delay, timing=solved.timing),
             read,
             checks=() if solved.test is None else (_compare_instruments(solved.test),),
-            warnings=(*found.said, *noise),
+            warnings=(*solved.said, *noise),
         )
         return replace(made, fit=replace(made.fit, conditioning=conditioning(rows.W[:, free], solved.values[free])))
 
@@ -180,40 +178,23 @@ def _compare_instruments(p_value: float) -> Check:
     return check_of(Subject.INSTRUMENTS, not rejected, Reason.MOTION_MEASURED, said, {"p_value": p_value})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Regression:
-    """A regression along measured motions and its solution.
+def _shows_zeros(found: Solution) -> bool:
+    """Test whether two encoders count from different zeros."""
+    at, slight = found.rows.names.index(ENCODER_OFFSET.name), _SLIGHT * float(np.sqrt(np.mean(found.rows.Y**2)))
+    return bool(abs(found.values[at]) > max(_SHOWN * found.covariance.std[at], slight))
 
-    Attributes:
-        inverse: model.
-        motions: of each log, or of its parts.
-        solution: of their rows.
-        timing: how torques of unstated timing were read; None where all are stated. said: of that, in a sentence.
-    """
 
-    inverse: Inverse
-    motions: Sequence[MeasuredMotion]
-    solution: Solution
-    timing: Timing | None = None
-    said: tuple[str, ...] = ()
-
-    @property
-    def torques(self) -> tuple[FloatArray, FloatArray]:
-        """Torques of the motors as measured, and of the model as the log would show them, (samples, n) each."""
-        n, measured, found = self.inverse.driven, list[FloatArray](), list[FloatArray]()
-        for motion in self.motions:
-            predicted = self.inverse.columns_along(motion)[:, :n] @ self.solution.values
-            found.append(through_window(predicted[:, :, np.newaxis], motion.filtering)[:, :, 0])
-            early = 0.0 if motion.if_sampled is None or self.timing is not Timing.SAMPLED else motion.if_sampled
-            measured.append((motion.torque + early)[:, :n])
-        return np.vstack(measured), np.vstack(found)
-
-    @property
-    def shows_zeros(self) -> bool:
-        """True if two encoders count from different zeros."""
-        rows, found = self.solution.rows, self.solution
-        at, slight = rows.names.index(ENCODER_OFFSET.name), _SLIGHT * float(np.sqrt(np.mean(rows.Y**2)))
-        return bool(abs(found.values[at]) > max(_SHOWN * found.covariance.std[at], slight))
+def torques_along(
+    inverse: Inverse, motions: Sequence[MeasuredMotion], found: Solution
+) -> tuple[FloatArray, FloatArray]:
+    """Return the torques of the motors as measured, and as the log would show the model's, (samples, n) each."""
+    n, measured, predicted = inverse.driven, list[FloatArray](), list[FloatArray]()
+    for motion in (part for whole in motions for part in whole.split()):
+        made = inverse.columns_along(motion)[:, :n] @ found.values
+        predicted.append(through_window(made[:, :, np.newaxis], motion.filtering)[:, :, 0])
+        early = 0.0 if motion.if_sampled is None or found.timing is not Timing.SAMPLED else motion.if_sampled
+        measured.append((motion.torque + early)[:, :n])
+    return np.vstack(measured), np.vstack(predicted)
 
 
 def regress(
@@ -222,8 +203,8 @@ def regress(
     estimator: Estimator,
     known: Mapping[str, Parameter],
     simulated: Sequence[SimulatedMotion] | None = None,
-) -> Regression:
-    """Return the regression along the motions of one log or several.
+) -> Solution:
+    """Return the solution of the rows along the motions of one log or several.
 
     Args:
         inverse: model.
@@ -247,7 +228,7 @@ def regress(
     rows, make = inverse.rows(motions), instruments if simulated else None
     held = solve_rows(rows, estimator, known, make)
     if rows.early is None:
-        return Regression(inverse, motions, held)
+        return held
     sampled = solve_rows(replace(rows, Y=rows.Y + rows.early), estimator, known, make)
     at, away, where = _read_timing(rows, held.residual, sampled.residual)
     by = 0.5 * away * np.abs(sampled.values - held.values)
@@ -256,7 +237,7 @@ def regress(
         f"it is not stated whether the torque is held or sampled: it is read as {timing}, and {where}; the intervals "
         "cover that; state timing of its channel"
     )
-    return Regression(inverse, motions, replace(solution, further=by), timing, (said,))
+    return replace(solution, further=by, timing=timing, said=(said,))
 
 
 def _read_timing(rows: Rows, held: FloatArray, sampled: FloatArray) -> tuple[int, float, str]:
@@ -338,6 +319,7 @@ class Solution:
         turns: solutions that were made. converged: whether the last ones settled.
         held: values of the parameters that a bound holds, by name.
         further: (parameters,) deviations beside those of the rows.
+        timing: how torques of unstated timing were read; None where all are stated. said: of that, in a sentence.
     """
 
     rows: Rows
@@ -349,6 +331,8 @@ class Solution:
     converged: bool = True
     held: Mapping[str, float] = field(default_factory=dict)
     further: FloatArray | float = 0.0
+    timing: Timing | None = None
+    said: tuple[str, ...] = ()
 
     @property
     def residual(self) -> FloatArray:

@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
-from jointid.estimation.methods.idim import IDIM, VARIANTS, regress, simulate_motion
+from jointid.estimation.methods.idim import IDIM, VARIANTS, regress, simulate_motion, torques_along
 from jointid.estimation.parameters import RobotParameters, robot_parameters
 from jointid.estimation.problems.inverse_model import Records, Rows, each_log, inverse_of_robot
 from jointid.estimation.result.build_result import build_estimate
@@ -74,14 +74,14 @@ def identify_robot(
         simulated = [simulate_motion(setup, log, parameters.parameters, parameters.numbers) for log in logs]
     limits = {name: one for name, one in (known or {}).items() if name in parameters.names}
     fixed = {name for name, one in limits.items() if not one.free}
-    found = regress(inverse, motions, estimator, limits, simulated)
-    rows, solution, values = found.solution.rows, found.solution, found.solution.values
+    solution = regress(inverse, motions, estimator, limits, simulated)
+    rows, values = solution.rows, solution.values
     fixed |= solution.held.keys()
     stated = zip(parameters.parameters, map(float, values), strict=True)
     parameters = replace(parameters, parameters=tuple(p.fix(x) if p.name in fixed else p for p, x in stated))
     nominal = _nominal(robot, parameters, rows)
     part = IdentifiedRobot(setup, parameters, values)
-    warnings = [*found.said]
+    warnings = [*solution.said]
     warnings += describe_noise_limit(common, min(one.limit for one in motions), motions[0].sample_time, "rigid")
     if soft:
         warnings.append(
@@ -95,12 +95,12 @@ def identify_robot(
         [record for log in logs for record in log],
         table,
         solution.covariance.correlation[np.ix_(free, free)],
-        found.torques,
+        torques_along(inverse, motions, solution),
         rows.relative_errors(values),
         solution.residual.size,
         (solution.stop, solution.converged),
         solution.simulations,
-        Settings("idim", variant, robot, None, common, timing=found.timing),
+        Settings("idim", variant, robot, None, common, timing=solution.timing),
         robot=part,
         nominal=rows.relative_errors(nominal),
         warnings=warnings,
