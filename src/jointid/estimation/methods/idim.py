@@ -52,9 +52,10 @@ from jointid.estimation.result.parts import Settings
 from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import describe_noise_limit
-from jointid.simulation.loop_input import RobotLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Simulation, motion_at, run_loop
 from jointid.simulation.start import Initial
