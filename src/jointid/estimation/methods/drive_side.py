@@ -23,8 +23,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from jointid.common.arrays import column_norms
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
@@ -68,7 +69,6 @@ _LOAD_PARAMETERS = (
 
 _LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are searched
 _TOLERANCE, _ROUGHLY = 1e-8, 1e-3  # of the criterion and the parameters; and of the rigid joint that is a start
-_NONE = 1e-200  # kg, or kg m2: an inertia of the wrong sign ends at its bound
 
 
 def motion_problem(
@@ -207,10 +207,15 @@ def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -
     Raises:
         MethodError: its inertia is not positive.
     """
-    found = history.solve(problem, LevenbergMarquardt(tolerance), problem.vector({"inertia": 1.0}))
-    if "inertia" in {p.name for p in problem.free} and not found.values["inertia"] > _NONE:
+    delay = problem.parameters[-1]
+    linear = problem.keeping({delay.name: delay.start or 0.0})  # a torque of the wrong sign could be one far too late
+    x = linear.vector({"inertia": 1.0})
+    error, slopes = linear.linearise(x)
+    sizes = np.maximum(column_norms(slopes), 1e-300)
+    values = linear.values(x - np.linalg.lstsq(slopes / sizes, error, rcond=1e-10)[0] / sizes)
+    if values["inertia"] <= 0.0:
         raise MethodError(
             "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "
             "record.channels.torque.sign round), or they do not belong together."
         )
-    return found
+    return history.solve(problem, LevenbergMarquardt(tolerance), Bounds.of(problem.free).clip(problem.vector(values)))
